@@ -10,9 +10,10 @@ policy steers with its own devices where the ostium of the target's branch is se
 the scan tells beforehand. With `--attempt-steps` devices that have not arrived after so many steps are drawn back and
 try again, within the same episode. With `--exchange-after` what has not arrived after so many steps is drawn out, which
 takes as many steps as the feeders need for what is inserted, and the devices of the other policy are tried, from the
-sheath, for what is left of the episode. With `--among` each of those policies, which see a roadmap, first plays an
-episode in each of four copies of the arch, whose walls, place, motion and wire differ from it as a patient's may from a
-scan; that which arrives most often there, among equals soonest, steers the episode. Prints a row a type with Wilson's
+sheath, for what is left of the episode. With `--among` the first of two policies or more, or where the target is steep
+the second, plays an episode in each of three copies of the arch, whose walls, place, motion and wire differ from it by
+half of what a patient's may from a scan. If it fails in one of them, all of these policies play in six copies, and the
+one that arrives most often steers the episode (`pipeline.anatomies.device_trials`). Prints a row a type with Wilson's
 95 % interval, which branches were missed, and one JSON object as its last line.
 """
 
@@ -25,6 +26,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -39,11 +41,12 @@ from cathsim.arch_variety.task import TEST_STEPS, ArchVarietyTask
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from cathsim.rehearsal.environment import NavigateCopiesEnv
+from cathsim.rehearsal.perturbation import Perturbation
 from cathsim.robot.pace import PACES
 from enn.policy import Policy
 from enn.retrying import RetryingController
 from enn.shipped import read_policy
-from pipeline.anatomies.device_trials import TRIALS, Tried, soonest, try_in_copies
+from pipeline.anatomies.device_trials import SHARE, TRIALS, Tried, best_devices, try_in_copies
 from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, set_back_mm
 from pipeline.task import TASK, task_in_random_arches
 
@@ -123,14 +126,14 @@ class Player:
 
         return RetryingController(attempt, self.attempt_steps, seed=seed)
 
-    def tried(self, seed: int) -> Tried:
+    def tried(self, seed: int, copies: int) -> Tried:
         """How the policy fares in copies of the present arch."""
-        task = ArchVarietyTask(max_steps=self.bare.task.max_steps)
-        copies = NavigateCopiesEnv(
-            self.bare.phantom, (self.bare.task.target,), copies=range(1, TRIALS + 1), wire=VARIETY, pace=VARIETY,
-            catheter=self.catheter, observation=self.policy.keys, task=task,
+        environment = NavigateCopiesEnv(
+            self.bare.phantom, (self.bare.task.target,), copies=range(1, TRIALS + 1),
+            perturbation=Perturbation().scaled(SHARE), wire=VARIETY, pace=VARIETY, catheter=self.catheter,
+            observation=self.policy.keys, task=ArchVarietyTask(max_steps=self.bare.task.max_steps),
         )  # fmt: skip
-        return try_in_copies(self.policy, copies, seed)
+        return try_in_copies(self.policy, environment, seed, copies=copies)
 
     def steep(self) -> bool:
         """Whether the ostium of the present target's branch is set back far."""
@@ -144,7 +147,8 @@ def play(players: list[Player], case: int, seed: int, given: argparse.Namespace)
     goal, steep = players[0].bare.task.target, players[0].steep()
     branch = players[0].bare.phantom.target(goal).branch
     if given.among:
-        in_turn = [players[soonest([player.tried(FIRST_TRIAL + seed) for player in players])]]
+        tries = [partial(player.tried, FIRST_TRIAL + seed) for player in players]
+        in_turn = [players[best_devices(tries, int(steep))]]
     else:
         in_turn = players[:1] if len(players) == 1 else players[::-1] if steep else players
     limits = [given.max_steps] if given.exchange_after is None else [given.exchange_after, given.max_steps]
@@ -191,8 +195,8 @@ def main() -> None:
     given = arguments()
     if not (0 <= given.first < len(TEST_SEEDS) and given.arches > 0):
         sys.exit(f"--first and --arches: there are {len(TEST_SEEDS)} test seeds of a type")
-    if given.among and (given.steep or given.exchange_after is not None):
-        sys.exit("--among: leave out --steep and --exchange-after, or --among")
+    if given.among and (len(given.among) < 2 or given.steep or given.exchange_after is not None):
+        sys.exit("--among: name two policies or more, and leave out --steep and --exchange-after")
     if given.exchange_after is not None and (given.steep is None or not 0 < given.exchange_after < given.max_steps):
         sys.exit("--exchange-after: name a policy of other devices with --steep, and steps below --max-steps")
     try:

@@ -12,8 +12,9 @@ Prints a row for each anatomy and target (all random arches together), with Wils
 the target's ostium is set back behind the top of the arch, and one JSON object as its last line. --steep names the
 policy for targets set back by --steep-from mm or more, which the scan tells beforehand; a policy of two devices steers
 its own.
-With --among each of those policies, which see a roadmap, first plays an episode in each of four copies of the anatomy
-(`pipeline.anatomies.device_trials`); that which arrives most often there, among equals soonest, plays the episodes.
+With --among the first policy, or from --steep-from mm on the second, plays an episode in each of three copies of the
+anatomy; if it fails in one of them, all of these policies, which see a roadmap, play in six copies, and the one that
+arrives most often plays the episodes (`pipeline.anatomies.device_trials`).
 With --attempts a device that has not arrived after --max-steps is drawn back and tried again, with the actions drawn
 anew where they are drawn at all; the first attempt is the episode without it. Successes are counted by attempts, too.
 With --then what --steep has not reached in its last attempt is tried as often with another policy of its devices, and
@@ -32,7 +33,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,12 +45,13 @@ import enn
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from cathsim.rehearsal.environment import NavigateCopiesEnv
+from cathsim.rehearsal.perturbation import Perturbation
 from enn.imitation.images.policy import ImagePolicy
 from enn.policy import Policy
 from enn.retrying import RetryingController, steps_of_attempts
 from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
-from pipeline.anatomies.device_trials import TRIALS, soonest, try_in_copies
+from pipeline.anatomies.device_trials import SHARE, TRIALS, Tried, best_devices, try_in_copies
 from pipeline.anatomies.known import GENERATED_TARGETS, TARGETS
 from pipeline.anatomies.settings import fitted_task
 from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, set_back_mm
@@ -205,17 +207,20 @@ def best_in_trials(
     devices: Sequence[tuple[UnseenTask, Any]], place: int | AnatomyFile, target: str, given: argparse.Namespace
 ) -> int:
     """Number of the task and policy that fare best in copies of the anatomy."""
-    phantom, tried = phantom_of(place, given.setting), []
-    for task, policy in devices:
+    phantom = phantom_of(place, given.setting)
+
+    def tried(task: UnseenTask, policy: Policy, copies: int) -> Tried:
         rules = dataclasses.replace(task.task, max_steps=given.max_steps)
         fitted = fitted_task(dataclasses.replace(rules, wire_length_mm=0.0), phantom, [target])
         rules = max(rules, fitted, key=lambda one: one.guidewire().length)
-        copies = NavigateCopiesEnv(
-            phantom, (target,), copies=range(1, TRIALS + 1), observation=policy.keys, **rules.devices(), **rules.rules()
-        )
-        tried.append(try_in_copies(policy, copies, FIRST_TRIAL))
-        copies.close()
-    return soonest(tried)
+        environment = NavigateCopiesEnv(
+            phantom, (target,), copies=range(1, TRIALS + 1), perturbation=Perturbation().scaled(SHARE),
+            observation=policy.keys, **rules.devices(), **rules.rules(),
+        )  # fmt: skip
+        return try_in_copies(policy, environment, FIRST_TRIAL, copies=copies)
+
+    usual = int(set_back_mm(phantom, target) >= given.steep_from)
+    return best_devices([partial(tried, task, policy) for task, policy in devices], usual)
 
 
 def rows_by_set_back(measured: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:
@@ -240,8 +245,8 @@ def main() -> None:
         policies = [load(name) for name in names]
         if given.draw and not all(isinstance(policy, Policy) for policy in policies):
             raise ValueError("--draw: a policy that sees images always takes the best action")
-        if given.among and (given.steep or not all(isinstance(policy, Policy) for policy in policies)):
-            raise ValueError("--among: name policies that see a roadmap, and leave out --steep")
+        if given.among and (len(names) < 2 or given.steep or not all(isinstance(one, Policy) for one in policies)):
+            raise ValueError("--among: name two policies or more that see a roadmap, and leave out --steep")
         if (given.exchange or given.then) and not given.steep:
             raise ValueError("--exchange and --then: name a policy of other devices with --steep")
         if given.clutter and any(isinstance(policy, Policy) for policy in policies):

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from cathsim.rehearsal.environment import NavigateCopiesEnv
     from enn.policy import Policy
 
-TRIALS = 4  # copies, and episodes of each policy
+FIRST, TRIALS = 3, 6  # episodes of the usual devices, which are taken if all of them arrive; else of each policy
+SHARE = 0.5  # of what may differ on the day, by which the copies for a choice differ from the scan
 
 
 @dataclass(frozen=True)
@@ -39,16 +40,22 @@ class Tried:
 
 
 def try_in_copies(
-    policy: Policy, environment: NavigateCopiesEnv, seed: int, tick: Callable[[float], None] = lambda done: None
+    policy: Policy,
+    environment: NavigateCopiesEnv,
+    seed: int,
+    *,
+    copies: int | None = None,
+    tick: Callable[[float], None] = lambda done: None,
 ) -> Tried:
     """Lets a policy by a roadmap play one episode in each copy of an environment, its actions drawn.
 
     Args:
         environment: with the devices of the policy and its observations, one target, and as many cases as copies.
         seed: of the first episode; the next ones have the next seeds.
+        copies: the first ones; None: all of them.
         tick: is given the share of the episodes that are done.
     """
-    copies = len(environment.phantoms)
+    copies = len(environment.phantoms) if copies is None else copies
     successes: list[bool] = []
     lengths: list[int] = []
     forces: list[float] = []
@@ -67,9 +74,22 @@ def try_in_copies(
     return Tried(sum(successes), copies, float(np.mean(lengths)), float(np.percentile(forces, 95)))
 
 
-def soonest(tried: Sequence[Tried]) -> int:
-    """Number of those that reached the target most often; among equals the soonest, then the first."""
-    return max(range(len(tried)), key=lambda number: (tried[number].reached, -tried[number].steps))
+def best_devices(tries: Sequence[Callable[[int], Tried]], usual: int) -> int:
+    """Number of the devices to take: the usual ones if they arrive in the first copies, else `soonest` of all.
+
+    Args:
+        tries: play so many episodes with the devices of one policy, each in a copy of its own.
+        usual: number of the devices that are taken without trials.
+    """
+    if tries[usual](FIRST).reached == FIRST:
+        return usual
+    return soonest([one(TRIALS) for one in tries], usual)
+
+
+def soonest(tried: Sequence[Tried], usual: int = 0) -> int:
+    """Number of those that reached the target most often; among equals the usual ones, then the soonest."""
+    numbers = range(len(tried))
+    return max(numbers, key=lambda number: (tried[number].reached, number == usual, -tried[number].steps))
 
 
 def gentlest(tried: Sequence[Tried]) -> int:

@@ -11,7 +11,7 @@ import logging
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from pipeline.anatomies.device_trials import TRIALS, Tried, gentlest, try_in_copies
+from pipeline.anatomies.device_trials import Tried, gentlest, try_in_copies
 from pipeline.anatomies.take_offs import WITH_POLICIES, with_catheter_where_steep
 from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.pool import Job, run_jobs
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 DEVICES = "devices"  # first part of the jobs' names
 WIRE_ALONE = "wire alone"
+COPIES = 4  # in which each policy plays an episode
 _SECONDS = 10.0  # a guess: of the trials of one policy
 
 _LOGGER = logging.getLogger(__name__)
@@ -72,7 +73,7 @@ def try_devices(job: RehearsalJob, report: Report) -> dict[str, Any]:
     map_simulations()
     assert job.start is not None
     environment = copies_environment(job, job.copies)
-    tried = try_in_copies(Policy.load(job.start), environment, device_trial_seed(job.origin.training_seed), report)
+    tried = try_in_copies(Policy.load(job.start), environment, device_trial_seed(job.origin.training_seed), tick=report)
     environment.close()
     return dataclasses.asdict(tried)
 
@@ -80,7 +81,7 @@ def try_devices(job: RehearsalJob, report: Report) -> dict[str, Any]:
 def _jobs(settings: RehearsalSettings, context: StageContext, target: str, task: Task) -> list[Job]:
     """Trials of a task's devices, and of a catheter over its wire, as far as there are policies to start from."""
     origin = Origin("rehearsal", DEVICES, context.seed, context.budget)
-    copies = tuple(training_copies(context.seed, TRIALS))
+    copies = tuple(training_copies(context.seed, COPIES))
     jobs = []
     for catheter in (None, *WITH_POLICIES):
         own = replace(task, catheter=catheter)

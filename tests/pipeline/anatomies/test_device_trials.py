@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cathsim.rehearsal.environment import NavigateCopiesEnv
-from pipeline.anatomies.device_trials import Tried, gentlest, soonest, try_in_copies
+from pipeline.anatomies.device_trials import FIRST, TRIALS, Tried, best_devices, gentlest, soonest, try_in_copies
 
 
 class Straight:
@@ -31,7 +31,7 @@ def copies(**changed: Any) -> NavigateCopiesEnv:
 def test_an_episode_in_each_copy_is_counted_as_it_went() -> None:
     near = copies(max_steps=120, success_radius=0.05)  # half way is enough
     policy, done = Straight(1.0), list[float]()
-    tried = try_in_copies(policy, near, 7, done.append)  # type: ignore[arg-type]
+    tried = try_in_copies(policy, near, 7, tick=done.append)  # type: ignore[arg-type]
     assert (tried.reached, tried.episodes) == (3, 3)
     assert tried.steps < 120
     assert 0 < tried.force_p95 < 2
@@ -41,12 +41,33 @@ def test_an_episode_in_each_copy_is_counted_as_it_went() -> None:
     assert (still.reached, still.steps) == (0, 5)
     assert str(still) == "0 of 3"
 
+    first = try_in_copies(policy, near, 7, copies=1)  # type: ignore[arg-type]
+    assert (first.reached, first.episodes) == (1, 1)
 
-def test_the_most_arrivals_win_then_the_soonest() -> None:
+
+def test_the_most_arrivals_win_then_the_usual_devices_then_the_soonest() -> None:
     slow, quick, often = Tried(2, 4, 90.0, 0.1), Tried(2, 4, 80.0, 0.3), Tried(3, 4, 200.0, 0.9)
-    assert soonest([slow, quick]) == 1
     assert soonest([slow, quick, often]) == 2
-    assert soonest([slow, slow]) == 0
+    assert soonest([slow, quick]) == 0
+    assert soonest([often, slow, often, quick], 2) == 2
+    assert soonest([Tried(0, 4, 300.0, 0.1), slow, quick]) == 2
+
+
+def test_others_are_tried_only_where_the_usual_devices_fail_at_first() -> None:
+    asked: list[tuple[int, int]] = []
+
+    def trying(number: int, shares: float) -> Callable[[int], Tried]:
+        def play(episodes: int) -> Tried:
+            asked.append((number, episodes))
+            return Tried(int(shares * episodes), episodes, 100.0, 0.2)
+
+        return play
+
+    assert best_devices([trying(0, 0.5), trying(1, 1.0)], 1) == 1
+    assert asked == [(1, FIRST)]
+    asked.clear()
+    assert best_devices([trying(0, 0.5), trying(1, 0.2), trying(2, 0.9)], 1) == 2
+    assert asked == [(1, FIRST), (0, TRIALS), (1, TRIALS), (2, TRIALS)]
 
 
 def test_the_gentlest_is_chosen_among_those_that_arrive_in_half_of_the_copies() -> None:
