@@ -272,10 +272,12 @@ def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, m
     assert [file.stem for file in asked] == ["generalist", "navigator", "navigator_seed1"]
     assert [file.stem for file in advising_policies(tmp_path, 0, Task(catheter="simmons2"), None)] == [
         "generalist_simmons2",
-        "generalist_simmons2_seed0",
         "navigator_simmons2",
     ]
-    assert [file.stem for file in advising_policies(tmp_path, 0, Task(catheter="jb2"), None)] == ["generalist_jb2"]
+    assert [file.stem for file in advising_policies(tmp_path, 0, Task(catheter="jb2"), None)] == [
+        "generalist_jb2",
+        "navigator_jb2",
+    ]
     assert advising_policies(tmp_path, 0, Task(catheter="vertebral"), None) == []
 
     job = dataclasses.replace(
@@ -357,7 +359,7 @@ def test_policies_whose_files_have_one_name_are_told_apart(tmp_path: Path) -> No
     same = [tmp_path / folder / "policy.pt" for folder in ("a", "b")]
     for file in same:
         file.parent.mkdir()
-        shutil.copy(GENERALIST.with_name("generalist_simmons2_seed0.pt"), file)
+        shutil.copy(GENERALIST.with_name("generalist_simmons2.pt"), file)
     job = dataclasses.replace(job_of(tmp_path, copies=1, catheter="simmons2"), shown_by=tuple(same), part=1)
     assert record_demonstrations(job, Report()) == {"policy": [1, 0], "policy2": [1, 0]}  # after twelve steps
     assert len(list((tmp_path / "demonstrations").iterdir())) == 2
