@@ -133,7 +133,9 @@ class Player:
             perturbation=Perturbation().scaled(SHARE), wire=VARIETY, pace=VARIETY, catheter=self.catheter,
             observation=self.policy.keys, task=ArchVarietyTask(max_steps=self.bare.task.max_steps),
         )  # fmt: skip
-        return try_in_copies(self.policy, environment, seed, copies=copies)
+        outcome = try_in_copies(self.policy, environment, seed, copies=copies)
+        environment.close()
+        return outcome
 
     def steep(self) -> bool:
         """Whether the ostium of the present target's branch is set back far."""

@@ -217,7 +217,9 @@ def best_in_trials(
             phantom, (target,), copies=range(1, TRIALS + 1), perturbation=Perturbation().scaled(SHARE),
             observation=policy.keys, **rules.devices(), **rules.rules(),
         )  # fmt: skip
-        return try_in_copies(policy, environment, FIRST_TRIAL, copies=copies)
+        outcome = try_in_copies(policy, environment, FIRST_TRIAL, copies=copies)
+        environment.close()
+        return outcome
 
     usual = int(set_back_mm(phantom, target) >= given.steep_from)
     return best_devices([partial(tried, task, policy) for task, policy in devices], usual)
