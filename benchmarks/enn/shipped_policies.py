@@ -33,7 +33,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,16 +44,13 @@ import numpy as np
 import enn
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
-from cathsim.rehearsal.environment import NavigateCopiesEnv
-from cathsim.rehearsal.perturbation import Perturbation
 from enn.imitation.images.policy import ImagePolicy
 from enn.policy import Policy
 from enn.retrying import RetryingController, steps_of_attempts
 from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
-from pipeline.anatomies.device_trials import SHARE, TRIALS, Tried, best_devices, try_in_copies
+from pipeline.anatomies.device_trials import best_in_copies
 from pipeline.anatomies.known import GENERATED_TARGETS, TARGETS
-from pipeline.anatomies.settings import fitted_task
 from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, set_back_mm
 from pipeline.clutter import clutter_of
 from pipeline.stages.unseen.task import STEEP, TEST_PHANTOM, TRUNK, UnseenTask, arch_of_test
@@ -208,21 +205,9 @@ def best_in_trials(
 ) -> int:
     """Number of the task and policy that fare best in copies of the anatomy."""
     phantom = phantom_of(place, given.setting)
-
-    def tried(task: UnseenTask, policy: Policy, copies: int) -> Tried:
-        rules = dataclasses.replace(task.task, max_steps=given.max_steps)
-        fitted = fitted_task(dataclasses.replace(rules, wire_length_mm=0.0), phantom, [target])
-        rules = max(rules, fitted, key=lambda one: one.guidewire().length)
-        environment = NavigateCopiesEnv(
-            phantom, (target,), copies=range(1, TRIALS + 1), perturbation=Perturbation().scaled(SHARE),
-            observation=policy.keys, **rules.devices(), **rules.rules(),
-        )  # fmt: skip
-        outcome = try_in_copies(policy, environment, FIRST_TRIAL, copies=copies)
-        environment.close()
-        return outcome
-
     usual = int(set_back_mm(phantom, target) >= given.steep_from)
-    return best_devices([partial(tried, task, policy) for task, policy in devices], usual)
+    rules = [dataclasses.replace(task.task, max_steps=given.max_steps) for task, _ in devices]
+    return best_in_copies([policy for _, policy in devices], rules, phantom, target, usual=usual, seed=FIRST_TRIAL)
 
 
 def rows_by_set_back(measured: Sequence[tuple[float, bool]]) -> list[dict[str, Any]]:

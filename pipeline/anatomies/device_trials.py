@@ -6,12 +6,17 @@ How far an ostium is set back tells it roughly (`pipeline.anatomies.take_offs`);
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.anatomies.settings import fitted_task
+from pipeline.task import Task
+
 if TYPE_CHECKING:
+    from cathsim.anatomy import Phantom
     from cathsim.rehearsal.environment import NavigateCopiesEnv
     from enn.policy import Policy
 
@@ -72,6 +77,40 @@ def try_in_copies(
         lengths.append(len(forces) - begun)
         tick((case + 1) / copies)
     return Tried(sum(successes), copies, float(np.mean(lengths)), float(np.percentile(forces, 95)))
+
+
+def best_in_copies(
+    policies: Sequence[Policy], tasks: Sequence[Task], phantom: Phantom, target: Any, *, usual: int, seed: int
+) -> int:
+    """Number of the policy whose devices are to be taken in an anatomy, by episodes in copies of it.
+
+    Args:
+        policies: by a roadmap.
+        tasks: of each, its devices and rules; their wires are longer where the way asks for it.
+        target: its name, or a point in m.
+        usual: as of `best_devices`.
+        seed: of the first episode of each.
+    """
+    from cathsim.rehearsal.environment import NavigateCopiesEnv
+    from cathsim.rehearsal.perturbation import Perturbation
+
+    def tried(policy: Policy, task: Task, copies: int) -> Tried:
+        fitted = fitted_task(replace(task, wire_length_mm=0.0), phantom, [target])
+        task = max(task, fitted, key=lambda one: one.guidewire().length)
+        environment = NavigateCopiesEnv(
+            phantom,
+            (target,),
+            copies=range(1, TRIALS + 1),
+            perturbation=Perturbation().scaled(SHARE),
+            observation=policy.keys,
+            **task.devices(),
+            **task.rules(),
+        )
+        outcome = try_in_copies(policy, environment, seed, copies=copies)
+        environment.close()
+        return outcome
+
+    return best_devices([partial(tried, *each) for each in zip(policies, tasks, strict=True)], usual)
 
 
 def best_devices(tries: Sequence[Callable[[int], Tried]], usual: int) -> int:

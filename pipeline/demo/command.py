@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> None:
             folder / LOG,
             seed=scene.start_seed,
             operator="policy",
-            configuration={"stage": "demo", "row": scene.model, "mode": "deterministic"},
+            configuration={"stage": "demo", "row": scene.model, "mode": scene.mode},
             film=film,
         )
         film.write(folder / GIF)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
+from pipeline.anatomies.device_trials import best_in_copies
 from pipeline.anatomies.known import TARGETS
 from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, WITH_POLICIES, set_back_mm
 from pipeline.seeds import ARCHES, held_out_seeds, unseen_arches
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from enn.policy import Policy
 
 _ARCHES = ARCHES["test"].width
+_FIRST_TRIAL = 6_000_000_000  # seed of trials of devices, beyond those of all episodes
 
 
 @dataclass(frozen=True)
@@ -89,9 +91,18 @@ class Scene:
 
         self.model, self.policy, self.anatomy, self.start_seed = model, policy, anatomy, start_seed
         self.environment: Any = WatchedEnvironment(environment)  # that of the policy in everything but its class
-        self.steer = RetryingController(lambda seed: policy.controller(), attempt_steps, attempts, start_seed)
+        self.steer = RetryingController(self._attempt, attempt_steps, attempts, start_seed)
         self._first_view: Any = None
         self._roadmap: Any = None
+
+    def _attempt(self, seed: int) -> Any:
+        policy: Any = self.policy
+        return policy.controller() if self.by_images else policy.controller(deterministic=False, seed=seed)
+
+    @property
+    def mode(self) -> str:
+        """How actions are chosen: "stochastic" by a roadmap, where the best ones get stuck more often."""
+        return "deterministic" if self.by_images else "stochastic"
 
     @property
     def by_images(self) -> bool:
@@ -165,7 +176,8 @@ def open_scene(
         target: None: the first of `TARGETS` that the anatomy has.
         attempts: of the policy, each as long as an episode of its training.
         catheter: where the target's ostium is set back by `CATHETER_BETTER_MM`, take the policy that steers a catheter
-            over the wire, too, if there is one.
+            over the wire, too, if there is one; in a file's anatomy with a model by a roadmap, what trials in copies of
+            it say (`pipeline.anatomies.device_trials`).
 
     Raises:
         ConfigurationError: there is no such file or target, or the model says nothing of its task.
@@ -187,9 +199,9 @@ def open_scene(
         wanted = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
         raise ConfigurationError(f"{described} has {wanted}: choose --target from {', '.join(known) or 'none'}")
     known_models = enn.models()
-    of_both = next((name for one in WITH_POLICIES if (name := f"{model}_{one}") in known_models), None)
-    if catheter and of_both and _set_back(place, chosen) >= CATHETER_BETTER_MM:
-        model, policy = of_both, enn.load(of_both)
+    of_both = [name for one in WITH_POLICIES if (name := f"{model}_{one}") in known_models] if catheter else []
+    if of_both:
+        model, policy = _best_model([model, *of_both], place, chosen)
     if TASK not in policy.metadata:
         raise ConfigurationError(
             f"the model {model!r} does not say which task it was trained for: choose another model"
@@ -199,6 +211,20 @@ def open_scene(
     task = UnseenTask(TARGETS, replace(rules, max_steps=steps_of_attempts(steps, attempts)))
     start_seed = held_out_seeds(0, _ARCHES)[seed]
     return Scene(model, policy, _environment(task, place, chosen, policy), described, start_seed, steps, attempts)
+
+
+def _best_model(names: list[str], place: int | AnatomyFile, target: str) -> tuple[str, Policy | ImagePolicy]:
+    """The policy among those of the wire alone and of catheters over it, the usual catheter first; its name, too."""
+    import enn
+    from enn.policy import Policy
+
+    usual = int(_set_back(place, target) >= CATHETER_BETTER_MM)
+    policies = [enn.load(name) for name in names]
+    by_roadmap = [policy for policy in policies if isinstance(policy, Policy) and TASK in policy.metadata]
+    if isinstance(place, AnatomyFile) and len(by_roadmap) == len(names):
+        tasks = [Task(**policy.metadata[TASK]) for policy in by_roadmap]
+        usual = best_in_copies(by_roadmap, tasks, load_anatomy(place), target, usual=usual, seed=_FIRST_TRIAL)
+    return names[usual], policies[usual]
 
 
 def _set_back(place: int | AnatomyFile, target: str) -> float:

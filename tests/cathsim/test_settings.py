@@ -63,7 +63,7 @@ RECORDS = {
         "observations.observables:Observable",
         "observations.scan:Scan",
         "robot.cycle:Measured",
-        "simulation:Contacts",
+        "contact.measured:Contacts",
     ),
     *("metrics.episodes:EpisodeMetrics", "metrics.episodes:Statistic", "metrics.episodes:Summary"),
     "metrics.load_cell:StepForces",

@@ -8,12 +8,25 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cathsim import load_phantom
 from cathsim.rehearsal.environment import NavigateCopiesEnv
-from pipeline.anatomies.device_trials import FIRST, TRIALS, Tried, best_devices, gentlest, soonest, try_in_copies
+from pipeline.anatomies.device_trials import (
+    FIRST,
+    TRIALS,
+    Tried,
+    best_devices,
+    best_in_copies,
+    gentlest,
+    soonest,
+    try_in_copies,
+)
+from pipeline.task import Task
 
 
 class Straight:
-    """Steers at full speed, and remembers the seeds of its controllers."""
+    """Feeds the wire at a speed, and remembers the seeds of its controllers."""
+
+    keys = ("tip",)
 
     def __init__(self, speed: float) -> None:
         self.speed, self.seeds = speed, list[int]()
@@ -68,6 +81,22 @@ def test_others_are_tried_only_where_the_usual_devices_fail_at_first() -> None:
     asked.clear()
     assert best_devices([trying(0, 0.5), trying(1, 0.2), trying(2, 0.9)], 1) == 2
     assert asked == [(1, FIRST), (0, TRIALS), (1, TRIALS), (2, TRIALS)]
+
+
+def test_devices_are_tried_in_copies_of_the_anatomy() -> None:
+    phantom = load_phantom("type_1")
+    middle = tuple(float(x) for x in phantom.tree.root.point_at(0.25 * phantom.tree.root.length))  # above the entry
+    task = Task(max_steps=60, success_radius_mm=15.0)
+    still, straight = Straight(0.0), Straight(1.0)
+
+    def best(*policies: Straight) -> int:
+        return best_in_copies(policies, [task] * len(policies), phantom, middle, usual=0, seed=5)  # type: ignore[arg-type]
+
+    assert best(still, straight) == 1
+    assert still.seeds == [5, 6, 7, 5, 6, 7, 8, 9, 10]
+    assert straight.seeds == [5, 6, 7, 8, 9, 10]
+    assert best(straight, still) == 0
+    assert len(straight.seeds) == TRIALS + FIRST
 
 
 def test_the_gentlest_is_chosen_among_those_that_arrive_in_half_of_the_copies() -> None:

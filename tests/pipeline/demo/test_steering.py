@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import enn
+from cathsim import load_phantom
+from pipeline.anatomies.anatomy_file import AnatomyFile
+from pipeline.demo import steering
 from pipeline.demo.steering import open_scene
 from pipeline.seeds import training_arches, unseen_arches
 from pipeline.store.errors import ConfigurationError
+from pipeline.task import TASK
 from tests.pipeline.demo.small_policies import TASK_OF_DEMO, inside, ship, ship_for_two_devices
 
 
@@ -47,6 +52,26 @@ def test_a_catheter_is_over_the_wire_where_the_take_off_is_steep(shipped: Path) 
     observation, info = scene.environment.reset(seed=scene.start_seed)
     assert scene.steer(observation, info).shape == (4,)
     assert inside(scene.read_off_image("frontal").wire)
+
+
+def test_trials_choose_the_devices_in_an_anatomy_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(steering, "load_anatomy", lambda place: load_phantom("type_1"))
+    asked = []
+
+    def trials(policies: Any, tasks: Any, phantom: Any, target: str, *, usual: int, seed: int) -> int:
+        asked.append((phantom.name, target, [task.catheter for task in tasks], usual))
+        return 1
+
+    monkeypatch.setattr(steering, "best_in_copies", trials)
+    policy = enn.load("generalist")
+    both = enn.load("generalist")
+    both.metadata[TASK] = policy.metadata[TASK] | {"catheter": "jb2"}
+    monkeypatch.setattr(enn, "load", {"generalist": policy, "generalist_jb2": both}.__getitem__)
+    names = ["generalist", "generalist_jb2"]
+    assert steering._best_model(names, AnatomyFile("own.stl"), "lcca")[0] == "generalist_jb2"
+    assert asked == [("type_1", "lcca", [None, "jb2"], 0)]
+    assert steering._best_model(names, 203, "lcca")[0] == "generalist"  # a random arch: by its shape
+    assert len(asked) == 1
 
 
 def test_the_generalist_goes_by_the_scan() -> None:
