@@ -16,7 +16,8 @@ from pipeline.store.errors import PipelineError
 
 EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 LOG, GIF, MP4 = "episode.mcap", "film.gif", "film.mp4"
-MODELS = ("navigator", "generalist")  # that can steer
+GENERALIST = "generalist"  # by a roadmap
+MODELS = ("navigator", GENERALIST)  # that can steer
 _SEEDS = ARCHES["test"].width  # of unseen arches
 _MOST_ATTEMPTS = 9
 
@@ -58,7 +59,9 @@ def run(options: argparse.Namespace) -> None:
     from pipeline.recording.record import record_episode
 
     began = time.monotonic()
-    print(f"demo: loading the {options.model} and the anatomy", flush=True)  # noqa: T201 - progress of a command
+    tries = options.model == GENERALIST and options.anatomy and not options.no_catheter
+    trials = ", then trying devices in it" if tries else ""
+    print(f"demo: loading the {options.model} and the anatomy{trials}", flush=True)  # noqa: T201 - progress of a command
     scene = open_scene(
         options.model, anatomy=options.anatomy, unit=options.unit, seed=options.seed, target=options.target,
         attempts=options.attempts, catheter=not options.no_catheter,
