@@ -219,12 +219,15 @@ def _best_model(names: list[str], place: int | AnatomyFile, target: str) -> tupl
     from enn.policy import Policy
 
     usual = int(_set_back(place, target) >= CATHETER_BETTER_MM)
-    policies = [enn.load(name) for name in names]
-    by_roadmap = [policy for policy in policies if isinstance(policy, Policy) and TASK in policy.metadata]
-    if isinstance(place, AnatomyFile) and len(by_roadmap) == len(names):
-        tasks = [Task(**policy.metadata[TASK]) for policy in by_roadmap]
-        usual = best_in_copies(by_roadmap, tasks, load_anatomy(place), target, usual=usual, seed=_FIRST_TRIAL)
-    return names[usual], policies[usual]
+    policy = enn.load(names[usual])
+    if not (isinstance(place, AnatomyFile) and isinstance(policy, Policy)):
+        return names[usual], policy
+    policies = [one for one in map(enn.load, names) if isinstance(one, Policy) and TASK in one.metadata]
+    if len(policies) < len(names):  # what one without a task was trained for is not known
+        return names[usual], policy
+    tasks = [Task(**one.metadata[TASK]) for one in policies]
+    best = best_in_copies(policies, tasks, load_anatomy(place), target, usual=usual, seed=_FIRST_TRIAL)
+    return names[best], policies[best]
 
 
 def _set_back(place: int | AnatomyFile, target: str) -> float:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 DEVICES = "devices"  # first part of the jobs' names
 WIRE_ALONE = "wire alone"
-COPIES = 4  # in which each policy plays an episode
+TRIALS = 4  # copies, in each of which a policy plays an episode
 _SECONDS = 10.0  # a guess: of the trials of one policy
 
 _LOGGER = logging.getLogger(__name__)
@@ -81,7 +81,7 @@ def try_devices(job: RehearsalJob, report: Report) -> dict[str, Any]:
 def _jobs(settings: RehearsalSettings, context: StageContext, target: str, task: Task) -> list[Job]:
     """Trials of a task's devices, and of a catheter over its wire, as far as there are policies to start from."""
     origin = Origin("rehearsal", DEVICES, context.seed, context.budget)
-    copies = tuple(training_copies(context.seed, COPIES))
+    copies = tuple(training_copies(context.seed, TRIALS))
     jobs = []
     for catheter in (None, *WITH_POLICIES):
         own = replace(task, catheter=catheter)

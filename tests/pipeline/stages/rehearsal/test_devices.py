@@ -92,7 +92,7 @@ def test_a_trial_plays_the_policy_in_copies_that_the_training_has_too(
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     task = Task(max_steps=6)
     (first, *_) = devices._jobs(RehearsalSettings(task=task), context(tmp_path, "rehearsal"), "bca", task)
-    assert first.given.copies == tuple(training_copies(0, devices.COPIES))
+    assert first.given.copies == tuple(training_copies(0, devices.TRIALS))
     assert first.given.start.stem == "generalist"
     tried = Tried(**try_devices(dataclasses.replace(first.given, copies=first.given.copies[:1]), Report()))
     assert (tried.reached, tried.episodes, tried.steps) == (0, 1, 6)
