@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from pipeline.stages.unseen.task import ROADMAP_KEYS
 if TYPE_CHECKING:
     from enn.reinforcement.training import TrainingSettings
 
+EVALUATIONS = 3  # in a training, beside that of the policy that it starts from
 THREADS = 2  # of a training, unless the settings say
 
 
@@ -41,8 +43,9 @@ def training_settings(job: RehearsalJob, device: str) -> TrainingSettings:
         decisions=settings.decisions,
         n_envs=settings.environments,
         threads=settings.threads or THREADS,
-        evaluate_every=max(settings.decisions // 4, 1),
+        evaluate_every=math.ceil(settings.decisions / EVALUATIONS),
         evaluation_episodes=settings.validation_copies + 1,
+        keep_latest=True,
         device=device,
     )
     return with_hyperparameters(training, settings.training)

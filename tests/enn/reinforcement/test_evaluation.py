@@ -9,7 +9,14 @@ import pytest
 import torch
 
 from enn.policy import Policy
-from enn.reinforcement.evaluation import BestPolicy, EpisodeOutcome, EvaluationResult, run_episodes
+from enn.reinforcement.evaluation import (
+    BestPolicy,
+    EpisodeOutcome,
+    EvaluationResult,
+    LatestPolicy,
+    run_episodes,
+    standard_error,
+)
 from enn.reinforcement.training import Training
 from enn.reinforcement.workers import Workers
 from tests.enn.reinforcement.small_training import SMALL
@@ -97,3 +104,76 @@ def test_a_few_hard_episodes_do_not_end_an_evaluation(point_env: Any, monkeypatc
     assert played == [6, 18, 24]
     assert result.evaluation is not None
     assert result.evaluation["success"] == pytest.approx(20 / 24)
+
+
+@pytest.mark.parametrize(
+    ("arrived", "kept"),
+    [
+        ((12, 16, 15, 14), 2),  # one of 16 fewer than the best is chance, two are not
+        ((16, 15, 14), 1),  # compared with the best, not with the kept one
+        ((8, 6, 9), 2),
+        ((0, 3, 0), 1),
+    ],
+)
+def test_the_latest_policy_is_kept_unless_it_is_clearly_worse(
+    arrived: tuple[int, ...], kept: int, point_env: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    successes = iter(arrived)
+
+    def played(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, **_: Any) -> EvaluationResult:
+        assert not deterministic
+        if seeds[0] == 500_000:  # scouts first, then the rest of the episodes
+            played.success = next(successes)  # type: ignore[attr-defined]
+        success = played.success  # type: ignore[attr-defined]
+        return EvaluationResult(
+            tuple(EpisodeOutcome(seed - 500_000 < success, 10, -1.0, 5.0, 0.0, 0.0) for seed in seeds)
+        )
+
+    monkeypatch.setattr("enn.reinforcement.evaluation.run_episodes", played)
+    policy = Training(dataclasses.replace(SMALL, decisions=16, evaluate_every=0), point_env, seed=0).run().policy
+    latest = LatestPolicy(16, 0)
+    for number in range(len(arrived)):
+        row = latest.evaluate(policy, [], number)
+        assert row["evaluation_success"] == row["evaluation_stochastic_success"] == arrived[number] / 16
+    assert latest.best is not None
+    assert latest.best["evaluation"]["decisions"] == kept
+
+
+@pytest.mark.parametrize(("keeps_first", "kept"), [(True, 0), (False, 1)])
+def test_of_policies_that_never_arrive_the_first_or_the_best_rewarded_is_kept(
+    keeps_first: bool, kept: int, point_env: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rewards = iter([-3.0, -1.0, -2.0])
+
+    def played(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, **_: Any) -> EvaluationResult:
+        return EvaluationResult((EpisodeOutcome(False, 10, next(rewards), 5.0, 0.0, 0.0),))
+
+    monkeypatch.setattr("enn.reinforcement.evaluation.run_episodes", played)
+    policy = Training(dataclasses.replace(SMALL, decisions=16, evaluate_every=0), point_env, seed=0).run().policy
+    latest = LatestPolicy(1, 0, keeps_first=keeps_first)
+    for number in range(3):
+        latest.evaluate(policy, [], number)
+    assert latest.best is not None
+    assert latest.best["evaluation"]["decisions"] == kept
+
+
+def test_the_standard_error_of_all_successes_is_not_zero() -> None:
+    assert 1 / 16 < standard_error(1.0, 16) < 2 / 16
+    assert standard_error(0.5, 50) == pytest.approx(0.1)
+
+
+def test_a_training_that_keeps_the_latest_draws_all_evaluated_actions(
+    point_env: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    modes: set[bool] = set()
+
+    def played(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, **_: Any) -> EvaluationResult:
+        modes.add(deterministic)
+        return run_episodes(policy, envs, seeds, deterministic=deterministic)
+
+    monkeypatch.setattr("enn.reinforcement.evaluation.run_episodes", played)
+    settings = dataclasses.replace(SMALL, decisions=600, keep_latest=True)
+    result = Training(settings, point_env, seed=1).run()
+    assert modes == {False}
+    assert result.evaluation is not None
+    assert result.evaluation["decisions"] == 600

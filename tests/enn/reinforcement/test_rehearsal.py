@@ -112,6 +112,23 @@ def test_what_others_show_is_learnt_from_nothing_and_from_a_policy(monkeypatch: 
     assert used[1].learning_starts == max(short.learning_starts, round(SHOWN_FIRST * 960))
 
 
+def test_an_evaluation_plays_every_case_as_often() -> None:
+    played: list[int] = []
+
+    class ValidationEnv(WindyEnv):
+        def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:  # type: ignore[override]
+            observation, info = super().reset(**arguments)
+            played.append(info["case"])
+            return observation, info
+
+    settings = dataclasses.replace(
+        FROM_NOTHING, decisions=400, evaluate_every=400, evaluation_episodes=6, keep_latest=True
+    )
+    rehearse(WindyEnv, make_validation_env=ValidationEnv, settings=settings, seed=5)
+    assert len(played) in (3, 6)  # where none of the scouts arrives, the others are not played
+    assert sorted(played) == sorted(list(range(3)) * (len(played) // 3))
+
+
 def test_an_environment_without_cases_is_refused() -> None:
     with pytest.raises(ValueError, match="a rehearsal needs an environment with cases"):
         cases_of(PointEnv())

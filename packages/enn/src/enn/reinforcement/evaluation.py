@@ -173,7 +173,7 @@ class BestPolicy:
 
     @property
     def success(self) -> float | None:
-        """Deterministic success of the best policy; None before the first evaluation."""
+        """Success of the kept policy, of its best actions where these are played; None before the first evaluation."""
         return None if self.best is None else float(self.best["evaluation"]["success"])
 
     def evaluate(
@@ -193,43 +193,55 @@ class BestPolicy:
         Returns:
             Columns of the training's curve.
         """
-        # failures last longest: a policy that fails a few times in a row is not worth the rest
-        scouts = max(SCOUTS, round(SCOUT_SHARE * len(self.seeds)))  # over many anatomies three can be hard ones
-        play = partial(run_episodes, policy, envs, tick=tick, workers=workers)
-        mean = play(self.seeds[:scouts], deterministic=True)
-        if mean.success > 0 and len(self.seeds) > scouts:
-            rest = play(self.seeds[scouts:], deterministic=True)
-            mean = EvaluationResult((*mean.outcomes, *rest.outcomes))
+        mean = self._play(policy, envs, tick, workers, deterministic=True)
         drawn: EvaluationResult | None = None
         if mean.success > 0 and mean.success >= (self.success or 0.0):
-            drawn = play(self.seeds, deterministic=False)
+            drawn = run_episodes(policy, envs, self.seeds, deterministic=False, tick=tick, workers=workers)
         stochastic = 0.0 if drawn is None else drawn.success
-        shorter = self.best is None or mean.steps < SHORTER * self.best["evaluation"]["steps"]
-        perfect = mean.success >= PERFECT and stochastic >= NEARLY
-        self.perfect = (1 if shorter else self.perfect + 1) if perfect else 0
+        self._count_perfect(mean, mean.success >= PERFECT and stochastic >= NEARLY)
         rank = (mean.success, stochastic, -mean.path_mm if mean.success > 0 else mean.reward)
         compared = mean.success > 0 or not self.keeps_first
         if self.best is None or (compared and rank > self.best["rank"]):
-            self.best = {
-                "rank": rank,
-                "weights": {name: value.clone() for name, value in policy.module.state_dict().items()},
-                "evaluation": {
-                    "success": mean.success,
-                    "stochastic_success": stochastic,
-                    "steps": mean.steps,
-                    "path_mm": mean.path_mm,
-                    "force_mean": mean.force_mean,
-                    "force_max": mean.force_max,
-                    "decisions": float(decisions),
-                },
-            }
+            self._keep(policy, rank, mean, stochastic, decisions)
         self.evaluated_at = decisions
-        return {
-            "evaluation_success": mean.success,
-            "evaluation_stochastic_success": None if drawn is None else stochastic,
-            "evaluation_length": mean.steps,
-            "evaluation_path_mm": mean.path_mm,
-            "evaluation_force": mean.force_mean,
+        return _columns(mean, None if drawn is None else stochastic)
+
+    def _play(
+        self,
+        policy: Policy,
+        envs: Sequence[gymnasium.Env[Any, Any]],
+        tick: Callable[[], None] | None,
+        workers: Workers | None,
+        *,
+        deterministic: bool,
+    ) -> EvaluationResult:
+        # failures last longest: a policy that fails a few times in a row is not worth the rest
+        scouts = max(SCOUTS, round(SCOUT_SHARE * len(self.seeds)))  # over many anatomies three can be hard ones
+        play = partial(run_episodes, policy, envs, deterministic=deterministic, tick=tick, workers=workers)
+        mean = play(self.seeds[:scouts])
+        if mean.success > 0 and len(self.seeds) > scouts:
+            mean = EvaluationResult((*mean.outcomes, *play(self.seeds[scouts:]).outcomes))
+        return mean
+
+    def _count_perfect(self, mean: EvaluationResult, perfect: bool) -> None:
+        shorter = self.best is None or mean.steps < SHORTER * self.best["evaluation"]["steps"]
+        self.perfect = (1 if shorter else self.perfect + 1) if perfect else 0
+
+    def _keep(
+        self, policy: Policy, rank: tuple[float, ...], mean: EvaluationResult, stochastic: float, decisions: int
+    ) -> None:
+        self.best = {
+            "rank": rank,
+            "weights": {name: value.clone() for name, value in policy.module.state_dict().items()},
+            "evaluation": {
+                "success": mean.success,
+                "stochastic_success": stochastic,
+                "steps": mean.steps,
+                "path_mm": mean.path_mm,
+                "force_mean": mean.force_mean,
+                "force_max": mean.force_max,
+                "decisions": float(decisions),
+            },
         }
 
     def load_best_into(self, module: nn.Module) -> dict[str, float] | None:
@@ -246,3 +258,59 @@ class BestPolicy:
     def restore(self, state: dict[str, Any]) -> None:
         """Returns to a saved state."""
         self.best, self.perfect, self.evaluated_at = state["best"], state["perfect"], state["evaluated_at"]
+
+
+class LatestPolicy(BestPolicy):
+    """Evaluates a policy by drawn actions, and keeps the latest weights that are not clearly worse than the best.
+
+    A training whose learning rate falls goes on to gain, by less than a few episodes tell: the best of several
+    evaluations is mostly the luckiest. Clearly worse is a success that is lower by more than the standard error of
+    the difference. Among those that never arrive, the one with the highest reward is kept.
+    """
+
+    def evaluate(
+        self,
+        policy: Policy,
+        envs: Sequence[gymnasium.Env[Any, Any]],
+        decisions: int,
+        tick: Callable[[], None] | None = None,
+        workers: Workers | None = None,
+    ) -> dict[str, Any]:
+        """Evaluates a policy and keeps its weights unless it is clearly worse than the best so far.
+
+        Args and returns as of `BestPolicy.evaluate`; both columns of success hold that of drawn actions.
+        """
+        mean = self._play(policy, envs, tick, workers, deterministic=False)
+        self._count_perfect(mean, mean.success >= PERFECT)
+        highest = 0.0 if self.best is None else self.best["rank"][0]
+        rank = (max(mean.success, highest), mean.reward)
+        if self.best is None:
+            kept = True
+        elif highest > 0:
+            kept = mean.success > 0 and mean.success >= highest - standard_error(highest, len(self.seeds))
+        else:
+            kept = mean.success > 0 or (not self.keeps_first and mean.reward > self.best["rank"][1])
+        if kept:
+            self._keep(policy, rank, mean, mean.success, decisions)
+        self.evaluated_at = decisions
+        return _columns(mean, mean.success)
+
+
+def standard_error(share: float, episodes: int) -> float:
+    """Standard error of the difference of two shares near this one, of so many episodes each.
+
+    With one success and one failure more than there were, so that it is not 0 where all succeeded (Agresti and Coull
+    1998 add two of each).
+    """
+    smoothed = (share * episodes + 1) / (episodes + 2)
+    return float(np.sqrt(2 * smoothed * (1 - smoothed) / episodes))
+
+
+def _columns(mean: EvaluationResult, stochastic: float | None) -> dict[str, Any]:
+    return {
+        "evaluation_success": mean.success,
+        "evaluation_stochastic_success": stochastic,
+        "evaluation_length": mean.steps,
+        "evaluation_path_mm": mean.path_mm,
+        "evaluation_force": mean.force_mean,
+    }

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,8 +46,9 @@ REHEARSAL = replace(
     demonstrations_in_replay=0.0,
     reset_bank_share=0.5,
     reset_bank_capacity=64,
-    evaluate_every=3_000,
+    evaluate_every=7_000,
     evaluation_episodes=16,
+    keep_latest=True,
     stop_after=2,
     keep_critics=True,
 )
@@ -114,10 +116,23 @@ def rehearse(
         metadata=metadata,
         starts=starts,
         demonstrations=demonstrations,
-        make_validation_env=make_validation_env,
+        make_validation_env=partial(_in_turn, make_validation_env or make_env),
         initial=policy,
     )
     return training.run(progress)
+
+
+class _InTurn(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """Episodes of successive seeds take place in one case after the other, so that an evaluation leaves none out."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        if seed is not None:
+            options = {"case": seed % cases_of(self), **(options or {})}
+        return self.env.reset(seed=seed, options=options)
+
+
+def _in_turn(make_env: Callable[[], Environment]) -> Environment:
+    return _InTurn(make_env())
 
 
 def starting_from(

@@ -35,7 +35,7 @@ class Progress:
     total: int
     # share of the latest training episodes from the usual start that succeeded; None before the first
     success: float | None
-    best_success: float | None  # deterministic success of the best policy so far; None before the first evaluation
+    best_success: float | None  # of the policy kept so far, in its evaluation; None before the first one
     wall_s: float  # since the training began, all its runs together
     remaining_s: float  # estimate to the end of the budget
 

@@ -18,7 +18,7 @@ from stable_baselines3.common.utils import get_device
 from enn.model_file import UNFIT
 from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointFolder, random_states, restore_random_states
-from enn.reinforcement.evaluation import BestPolicy
+from enn.reinforcement.evaluation import BestPolicy, LatestPolicy
 from enn.reinforcement.free_memory import trim_heap
 from enn.reinforcement.proximal_policy import PpoLearner
 from enn.reinforcement.replay import ReplayBuffer, demonstration_replay
@@ -91,7 +91,8 @@ class TrainingRun:
         self._evaluation_envs: list[gymnasium.Env[Any, Any]] = []
         self.decisions = 0
         self.next_row, self.next_evaluation = settings.curve_every, settings.evaluate_every or 1 << 62
-        self.best_policy = BestPolicy(settings.evaluation_episodes, inputs.seed, keeps_first=inputs.initial is not None)
+        keeper = LatestPolicy if settings.keep_latest else BestPolicy
+        self.best_policy = keeper(settings.evaluation_episodes, inputs.seed, keeps_first=inputs.initial is not None)
         self.course = Course(self.folder)
         self.here = 0  # decisions of this run alone
         self.ticked = 0.0

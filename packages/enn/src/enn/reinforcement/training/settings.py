@@ -89,6 +89,8 @@ class TrainingSettings(NetworkSettings):
     # deterministic episodes, and as many stochastic ones where those were no worse than the best so far; when the
     # first three fail, the rest are not played
     evaluation_episodes: Count = 10
+    # keeps the latest policy that is not clearly worse than the best, by drawn episodes alone
+    keep_latest: bool = False
     # evaluations in a row that are perfect and no shorter than the best, after which training stops early; 0: never
     stop_after: CountOrNone = 0
     curve_every: Count = 200  # decisions between rows of the curve
