@@ -24,8 +24,8 @@ _LOGGER = logging.getLogger(__name__)
 def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int, task: Task) -> Path | None:
     """The policy that a rehearsal starts from.
 
-    One that is not given by name must have been trained with the same devices: the stage unseen's in the same run
-    first, then those that come with enn.
+    One that is not given by name must have been trained to steer as many devices: with the same catheter, if there is
+    such a one, else with another. The stage unseen's in the same run comes first, then those that come with enn.
 
     Returns:
         Its file; None: nothing fits, or nothing is wanted.
@@ -39,7 +39,11 @@ def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int, task
         return Path(settings.policy)
     if settings.algorithm != SAC:  # those policies have learnt by SAC
         return None
-    return next((file for file in known_policies(run_path, seed) if _fits(file, task)), None)
+    fitting = [file for file in known_policies(run_path, seed) if _fits(file, task)]
+    start = next((file for file in fitting if _has_catheter(file, task)), next(iter(fitting), None))
+    if start is not None and not _has_catheter(start, task):
+        _LOGGER.info("no policy was trained with a %s: one of another catheter steers it", task.catheter)
+    return start
 
 
 def with_devices_of(path: Path, task: Task) -> Task:
@@ -74,7 +78,9 @@ def known_policies(run_path: Path, seed: int) -> list[Path]:
 
 
 def advising_policies(run_path: Path, seed: int, task: Task, start: Path | None) -> list[Path]:
-    """The policies that may show a rehearsal how its target is reached: those of the same devices and pace.
+    """The policies that may show a rehearsal how its target is reached: those of as many devices and the same pace.
+
+    Where there are none of the same catheter, those by a roadmap of another: they steer it, too.
 
     Returns:
         Their files: the one that the rehearsal starts from first, then those by a roadmap, then those by X-ray images.
@@ -93,7 +99,9 @@ def advising_policies(run_path: Path, seed: int, task: Task, start: Path | None)
                 by_images.append(file)
             elif policy.keys == ROADMAP_KEYS:
                 by_roadmap.append(file)
-    known = [file for file in (*by_roadmap, *by_images) if file != start]
+    found = [*by_roadmap, *by_images]
+    own = [file for file in found if _has_catheter(file, task)]
+    known = [file for file in own or by_roadmap if file != start]
     return known if start is None else [start, *known]
 
 
@@ -117,13 +125,21 @@ def _fits(file: Path, task: Task) -> bool:
 
 
 def _steers(policy: Policy | ImagePolicy, task: Task) -> bool:
-    """Whether a policy was trained to steer the devices of a task at its pace; wires may differ."""
+    """Whether a policy was trained to steer as many devices as a task has, at its pace; their shapes may differ."""
     from enn.policy import Policy
 
     actions = policy.action_space.shape if isinstance(policy, Policy) else (policy.policy.settings.actions,)
     trained = policy.metadata.get(TASK, {})
     return (
         actions == (number_of_actions(task),)
-        and trained.get("catheter") == task.catheter
+        and (trained.get("catheter") is None) == (task.catheter is None)
         and trained.get("pace", USUAL_PACE) == task.pace
     )
+
+
+def _has_catheter(file: Path, task: Task) -> bool:
+    """Whether a policy was trained with the catheter of a task, or with none where the task has none."""
+    from enn.shipped import read_policy
+
+    trained: str | None = read_policy(file).metadata.get(TASK, {}).get("catheter")
+    return trained == task.catheter

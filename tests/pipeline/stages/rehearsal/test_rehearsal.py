@@ -278,7 +278,6 @@ def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, m
         "generalist_jb2",
         "navigator_jb2",
     ]
-    assert advising_policies(tmp_path, 0, Task(catheter="vertebral"), None) == []
 
     job = dataclasses.replace(
         job_of(tmp_path, copies=2, demonstrations=4, task=task), start=GENERALIST, shown_by=tuple(asked), part=0

@@ -10,7 +10,12 @@ import pytest
 from enn.shipped import weight_files
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.stage import run_rehearsal
-from pipeline.stages.rehearsal.starting_policy import policy_hashes, starting_policy, with_devices_of
+from pipeline.stages.rehearsal.starting_policy import (
+    advising_policies,
+    policy_hashes,
+    starting_policy,
+    with_devices_of,
+)
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task
 from tests.pipeline.stages.rehearsal.test_rehearsal import GENERALIST, TINY
@@ -36,10 +41,22 @@ def test_the_policy_of_the_run_comes_before_a_shipped_one(tmp_path: Path) -> Non
         starting_policy(RehearsalSettings(), tmp_path, 0, alone)
 
 
-def test_a_policy_of_other_devices_is_not_started_from(tmp_path: Path) -> None:
-    for task in (Task(catheter="vertebral"), Task(catheter="jb2", wire="none"), Task(actions="tip_motors")):
+def test_a_policy_of_other_actions_is_not_started_from(tmp_path: Path) -> None:
+    assert starting_policy(RehearsalSettings(), tmp_path, 0, Task(pace="arch_variety")) is None  # without critics
+    for task in (Task(catheter="jb2", wire="none"), Task(actions="tip_motors")):
         assert starting_policy(RehearsalSettings(), tmp_path, 0, task) is None
+        assert advising_policies(tmp_path, 0, task, None) == []
     assert starting_policy(RehearsalSettings(algorithm="ppo"), tmp_path, 0, Task()) is None
+
+
+def test_a_catheter_without_a_policy_is_steered_by_those_of_others(tmp_path: Path) -> None:
+    asked = {}
+    for catheter in ("simmons2", "vertebral"):
+        task = Task(catheter=catheter)
+        start = starting_policy(RehearsalSettings(), tmp_path, 0, task)
+        asked[catheter] = [path.stem for path in advising_policies(tmp_path, 0, task, start)]
+    assert asked["simmons2"] == ["generalist_simmons2", "navigator_simmons2"]  # a catheter's own policies are enough
+    assert asked["vertebral"] == ["generalist_jb2", "generalist_simmons2"]
 
 
 def test_a_given_policy_brings_its_catheter_where_none_is_named() -> None:
