@@ -29,7 +29,7 @@ def of(name: str) -> pytest.MarkDecorator:
 
 
 def test_every_example_has_a_test() -> None:
-    tested = {"own_anatomy", "own_policy", "own_reward", "own_data", "own_xray_pair", "sweep", HER}
+    tested = {"own_anatomy", "own_policy", "own_reward", "own_data", "own_xray_pair", "shown_by_policies", "sweep", HER}
     assert {path.stem for path in EXAMPLES.glob("*.py")} == tested
 
 
@@ -81,3 +81,20 @@ def test_every_combination_is_run(example: ModuleType) -> None:
     results = example.main(wires=("default",), catheters=(None,), targets=("bca", "lcca"), steps=2)
     assert list(results) == [("default", None, "bca"), ("default", None, "lcca")]
     assert all(steps == 2 and not reached for reached, steps, _ in results.values())
+
+
+@of("shown_by_policies")
+def test_a_policy_learns_from_what_others_show(
+    example: ModuleType, tmp_path: Path, anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+    cases = example.steep_cases(2000, 1)
+    assert [(kind, seed) for kind, seed, _ in cases] == [("II", 2000)] * 2
+    env = example.training_env(cases, 5)
+    assert [env.reset(options={"case": case})[1]["case"] for case in range(2)] == [0, 1]
+    assert env.task.target == cases[1][2]
+    result = example.main(arches=1, decisions=64, draws=1, steps=5, folder=str(tmp_path))
+    assert result.timings["decisions"] == 64
+    assert result.policy.action_space.shape == (4,)
+    assert result.policy.action_repeat == example.HOLD
+    assert (tmp_path / "policy.pt").is_file()

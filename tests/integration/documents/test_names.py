@@ -143,10 +143,10 @@ def test_settings_exist(document: Path) -> None:
 
 @functools.cache
 def source_words() -> set[str]:
-    """Every word of the sources, tests, settings and pages of the console, and the names of the shipped models."""
+    """Every word of sources, tests, examples, settings and the console's pages, and the names of the shipped models."""
     words = set(re.findall(r"\w+", read(PROJECT_ROOT / "Makefile")))
     words.update(path.stem for path in (PROJECT_ROOT / "packages").glob("*/src/*/weights/*.pt"))
-    for folder in ("packages", "pipeline", "conf", "benchmarks", "tests"):
+    for folder in ("packages", "pipeline", "conf", "benchmarks", "tests", "examples"):
         for path in (PROJECT_ROOT / folder).rglob("*"):
             if (
                 path.suffix in {".py", ".yaml", ".c", ".h", ".js", ".toml"}
