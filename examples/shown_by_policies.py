@@ -39,7 +39,7 @@ class SteepPoints(NavigateManyEnv):
         arches = [(f"arch_variety_{kind}", seed) for kind, seed, _ in cases]
         super().__init__(
             arches,
-            ("lcca",),  # a place holder: each case has a point
+            ("lcca",),  # a placeholder: each case has a point
             ("arch_variety",),
             catheter="jb2",
             pace="arch_variety",
@@ -115,7 +115,7 @@ def main(
         settings=settings,
         demonstrations=episodes,
         folder=folder,
-        metadata=start.metadata,
+        metadata={"task": other.metadata["task"]},  # wire, catheter and pace
         progress=lambda now: print(f"{now.decisions} of {now.total} decisions, success {now.best_success}", flush=True),
     )
     print(f"reached {100 * result.evaluation['success']:.0f} % of {len(validation)} further targets")

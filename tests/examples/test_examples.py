@@ -97,4 +97,5 @@ def test_a_policy_learns_from_what_others_show(
     assert result.timings["decisions"] == 64
     assert result.policy.action_space.shape == (4,)
     assert result.policy.action_repeat == example.HOLD
+    assert result.policy.metadata["task"]["pace"] == "arch_variety"
     assert (tmp_path / "policy.pt").is_file()

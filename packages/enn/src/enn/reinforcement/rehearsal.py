@@ -85,7 +85,8 @@ def rehearse(
 
     Args:
         make_env: makes an environment of the training.
-        make_validation_env: makes one of the cases that choose the best policy; None: `make_env`.
+        make_validation_env: makes one of the cases that choose the policy, which an evaluation plays in turn; None:
+            `make_env`.
         policy: with critics, to start from; its network and action repeat replace those of the settings. It learns at a
             fifth of their rate, and only acts for the first two fifths of the decisions; with demonstrations at three
             tenths, and for the first twentieth.
