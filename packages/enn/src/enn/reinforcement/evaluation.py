@@ -265,7 +265,7 @@ class LatestPolicy(BestPolicy):
 
     A training whose learning rate falls goes on to gain, by less than a few episodes tell: the best of several
     evaluations is mostly the luckiest. Clearly worse is a success that is lower by more than the standard error of
-    the difference. Among those that never arrive, the one with the highest reward is kept.
+    the difference. Among those that never arrive, the one with the highest reward is kept, or the first (`keeps_first`).
     """
 
     def evaluate(
