@@ -265,7 +265,8 @@ class LatestPolicy(BestPolicy):
 
     A training whose learning rate falls goes on to gain, by less than a few episodes tell: the best of several
     evaluations is mostly the luckiest. Clearly worse is a success that is lower by more than the standard error of
-    the difference. Among those that never arrive, the one with the highest reward is kept, or the first (`keeps_first`).
+    the difference. Among those that never arrive, the one with the highest reward is kept, or the first with
+    `keeps_first`.
     """
 
     def evaluate(
