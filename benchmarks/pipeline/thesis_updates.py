@@ -70,6 +70,12 @@ def spaces_of(keys: tuple[str, ...], image_px: int) -> gymnasium.spaces.Dict:
 
 def update_ms(row: str, repeats: int, device: str = "cpu") -> tuple[float, float]:
     """Median time of an update, ms, and how many updates a decision needs."""
+    update, updates = update_of(row, device)
+    return measured(update, repeats, device), updates
+
+
+def update_of(row: str, device: str = "cpu") -> tuple[Callable[[], object], float]:
+    """An update of a row's training with everything that it learns from, and how many a decision needs."""
     keys, image_px, algorithm = ROWS[row]
     environment = Blank(spaces_of(keys, image_px), ACTIONS[row.partition(" ")[0]])
     preset = THESIS_SAC if algorithm == "sac" else THESIS_PPO
@@ -83,11 +89,11 @@ def update_ms(row: str, repeats: int, device: str = "cpu") -> tuple[float, float
         sac = SAC("MultiInputPolicy", environment, policy_kwargs=arguments, seed=0, device=device, buffer_size=300,
                   batch_size=batch, learning_starts=280)  # fmt: skip
         sac.learn(280)
-        return measured(lambda: sac.train(1, batch), repeats, device), 1.0
+        return lambda: sac.train(1, batch), 1.0
     ppo = PPO("MultiInputPolicy", environment, policy_kwargs=arguments, seed=0, device=device, n_steps=batch,
               batch_size=batch, n_epochs=1)  # fmt: skip
     ppo.learn(batch)  # fills the roll-out with one batch
-    return measured(ppo.train, repeats, device), PPO_EPOCHS / batch
+    return ppo.train, PPO_EPOCHS / batch
 
 
 def network_s(name: str, repeats: int) -> float:

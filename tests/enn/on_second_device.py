@@ -94,7 +94,11 @@ def test_reinforcement_learning(name: str, point_env: Any, tmp_path: Path) -> No
     np.testing.assert_allclose(loaded.act_batch(seen), there, atol=tolerance(1e-4, gpu=0.05))
 
 
-def test_an_interrupted_training_goes_on_on_another_device(point_env: Any, tmp_path: Path) -> None:
+def test_an_interrupted_training_goes_on_on_another_device(
+    point_env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("enn.reinforcement.training.run.TICK", 0.0)
+
     class Stop(Exception):
         pass
 

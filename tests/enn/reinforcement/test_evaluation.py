@@ -157,6 +157,22 @@ def test_of_policies_that_never_arrive_the_first_or_the_best_rewarded_is_kept(
     assert latest.best["evaluation"]["decisions"] == kept
 
 
+def test_the_policy_that_a_training_starts_from_does_not_end_it_early(
+    point_env: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def played(policy: Policy, envs: Any, seeds: Any, *, deterministic: bool, **_: Any) -> EvaluationResult:
+        return EvaluationResult(tuple(EpisodeOutcome(True, 10, 1.0, 5.0, 0.0, 0.0) for _ in seeds))
+
+    monkeypatch.setattr("enn.reinforcement.evaluation.run_episodes", played)
+    policy = Training(dataclasses.replace(SMALL, decisions=16, evaluate_every=0), point_env, seed=0).run().policy
+    latest = LatestPolicy(16, 0, keeps_first=True)
+    counts = []
+    for decisions in (0, 200, 400):
+        latest.evaluate(policy, [], decisions)
+        counts.append(latest.perfect)
+    assert counts == [0, 1, 2]
+
+
 def test_the_standard_error_of_all_successes_is_not_zero() -> None:
     assert 1 / 16 < standard_error(1.0, 16) < 2 / 16
     assert standard_error(0.5, 50) == pytest.approx(0.1)

@@ -266,7 +266,7 @@ class LatestPolicy(BestPolicy):
     A training whose learning rate falls goes on to gain, by less than a few episodes tell: the best of several
     evaluations is mostly the luckiest. Clearly worse is a success that is lower by more than the standard error of
     the difference. Among those that never arrive, the one with the highest reward is kept, or the first with
-    `keeps_first`.
+    `keeps_first`. The policy that a training starts from is not among the perfect ones after which it stops early.
     """
 
     def evaluate(
@@ -282,7 +282,7 @@ class LatestPolicy(BestPolicy):
         Args and returns as of `BestPolicy.evaluate`; both columns of success hold that of drawn actions.
         """
         mean = self._play(policy, envs, tick, workers, deterministic=False)
-        self._count_perfect(mean, mean.success >= PERFECT)
+        self._count_perfect(mean, mean.success >= PERFECT and decisions > 0)
         highest = 0.0 if self.best is None else self.best["rank"][0]
         rank = (max(mean.success, highest), mean.reward)
         if self.best is None:
