@@ -6,16 +6,22 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from pipeline.jobs.engines.local import available_workers
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.rehearsal.copies import RehearsalJob
-from pipeline.stages.rehearsal.settings import SAC
+from pipeline.stages.rehearsal.settings import SAC, RehearsalSettings
 from pipeline.stages.unseen.task import ROADMAP_KEYS
 
 if TYPE_CHECKING:
     from enn.reinforcement.training import TrainingSettings
 
 EVALUATIONS = 3  # in a training, beside that of the policy that it starts from
-THREADS = 2  # of a training, unless the settings say
+MOST_THREADS = 4  # of a training, unless the settings say; more gain nothing (docs/results/gpu.md)
+
+
+def threads_of(settings: RehearsalSettings) -> int:
+    """Threads that step the environments: as many as there are cores, within reason."""
+    return settings.threads or min(available_workers(), MOST_THREADS)
 
 
 def training_settings(job: RehearsalJob, device: str) -> TrainingSettings:
@@ -42,7 +48,7 @@ def training_settings(job: RehearsalJob, device: str) -> TrainingSettings:
         hidden=(settings.hidden, settings.hidden),
         decisions=settings.decisions,
         n_envs=settings.environments,
-        threads=settings.threads or THREADS,
+        threads=threads_of(settings),
         evaluate_every=math.ceil(settings.decisions / EVALUATIONS),
         evaluation_episodes=settings.validation_copies + 1,
         keep_latest=True,

@@ -26,7 +26,7 @@ from pipeline.recording.trials import controllers, retrying, run_trials
 from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, validation_copies
 from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.demonstrations import read_demonstrations
-from pipeline.stages.rehearsal.hyperparameters import THREADS, held_steps, training_settings
+from pipeline.stages.rehearsal.hyperparameters import held_steps, threads_of, training_settings
 from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import TASK
@@ -81,7 +81,7 @@ def _laid_starts(job: RehearsalJob, copies: Sequence[int], report: Report) -> li
 
     path = job.folder / STARTS
     if not path.is_file():
-        threads = min(job.settings.threads or THREADS, len(copies))
+        threads = min(threads_of(job.settings), len(copies))
         environments = [copies_environment(job, copies, training=True) for _ in range(threads)]
         workers = Workers(threads)
         arrays: dict[str, np.ndarray] = {}

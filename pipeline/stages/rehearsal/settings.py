@@ -76,7 +76,8 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     force_penalty: Weight | None = None
     path_penalty: Weight = 40.0  # a metre of the tip's way
     accuracy: Annotated[str, one_of("accurate", "fast", "reference")] = "accurate"  # tests are accurate
-    threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # that step the environments; 0: two
+    # that step the environments; 0: one a core, four at most
+    threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)
 

@@ -23,6 +23,7 @@ from pipeline.seeds import ANATOMY_COPIES
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record_demonstrations
 from pipeline.stages.rehearsal.film import film_scan
+from pipeline.stages.rehearsal.hyperparameters import training_settings
 from pipeline.stages.rehearsal.jobs import play, train
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.stage import plan, row, run_rehearsal, shown_by
@@ -56,6 +57,14 @@ def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def job_of(folder: Path, **changed: Any) -> RehearsalJob:
     settings = RehearsalSettings(**TINY | changed)
     return RehearsalJob(folder, Origin("rehearsal", "after", 0, "smoke"), settings, settings.task, "bca")
+
+
+@pytest.mark.parametrize(("cores", "asked", "threads"), [(1, 0, 1), (2, 0, 2), (16, 0, 4), (2, 3, 3)])
+def test_a_training_has_a_thread_for_each_core_within_reason(
+    cores: int, asked: int, threads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pipeline.stages.rehearsal.hyperparameters.available_workers", lambda: cores)
+    assert training_settings(job_of(tmp_path, threads=asked), "cpu").threads == threads
 
 
 @pytest.mark.parametrize(
