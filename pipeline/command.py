@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from pipeline.installation import gl_backend
+from pipeline.printing import say
 
 _FINE, _USAGE, _INTERRUPTED = 0, 2, 130
 _PACKAGES = ("enn", "guide3d", "splineformer")  # that ship models
@@ -30,10 +31,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line; gives the exit code of what it called, 2 for wrong usage."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if not words or words[0] in ("-h", "--help"):
-        _say(_HELP)
+        say(_HELP)
         return _FINE if words else _USAGE
     if words[0] not in _COMMANDS:
-        _say(f"endonav has no command {words[0]!r}: choose from {', '.join(_COMMANDS)}", error=True)
+        say(f"endonav has no command {words[0]!r}: choose from {', '.join(_COMMANDS)}", error=True)
         return _USAGE
     if "MUJOCO_GL" not in os.environ and (backend := gl_backend()):
         os.environ["MUJOCO_GL"] = backend
@@ -42,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _INTERRUPTED
     except ModuleNotFoundError as error:
-        _say(f"endonav {words[0]} needs the module {error.name}: install what brings it, then try again", error=True)
+        say(f"endonav {words[0]} needs the module {error.name}: install what brings it, then try again", error=True)
         return _USAGE
 
 
@@ -71,17 +72,17 @@ def _models(arguments: list[str]) -> int:
         package = importlib.import_module(f"{name}.shipped")
         shipped |= {f"{name} {model}": (sentence, package) for model, sentence in package.models().items()}
     if arguments[:1] in (["-h"], ["--help"]):
-        _say("endonav models [NAME]: lists the trained models that are shipped, or prints the card of one")
+        say("endonav models [NAME]: lists the trained models that are shipped, or prints the card of one")
         return _FINE
     if not arguments:
-        _say("\n".join(f"{name}: {sentence}" for name, (sentence, _) in shipped.items()) or "no model is shipped")
+        say("\n".join(f"{name}: {sentence}" for name, (sentence, _) in shipped.items()) or "no model is shipped")
         return _FINE
     found = [(full.split()[1], package) for full, (_, package) in shipped.items() if full.split()[1] == arguments[-1]]
     if not found:
         known = ", ".join(full.split()[1] for full in shipped) or "none, as none is shipped"
-        _say(f"there is no model {arguments[-1]!r}: choose from {known}", error=True)
+        say(f"there is no model {arguments[-1]!r}: choose from {known}", error=True)
         return _USAGE
-    _say("\n".join(package.card(name) for name, package in found))
+    say("\n".join(package.card(name) for name, package in found))
     return _FINE
 
 
@@ -105,10 +106,6 @@ _COMMANDS: dict[str, Callable[[list[str]], int]] = {
     "demo": _demo,
     "console": _console,
 }
-
-
-def _say(text: str, *, error: bool = False) -> None:
-    print(text.rstrip(), file=sys.stderr if error else sys.stdout, flush=True)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from pydantic import ValidationError
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, register_schemas, run_config
 from pipeline.execution import execute
 from pipeline.explain import is_number_as_choice, one_line, system_error
+from pipeline.printing import say
 from pipeline.stages import available_stages
 from pipeline.store.errors import PipelineError
 from pipeline.store.interruption import interrupted, let_ctrl_c_interrupt
@@ -96,7 +97,7 @@ def main(arguments: list[str]) -> int:
         The exit code: 0 done or up to date, 1 failed, 2 wrong settings, 130 after Ctrl-C, 143 after SIGTERM.
     """
     if not arguments or "--help" in arguments or "-h" in arguments:
-        print(usage())  # noqa: T201 - the answer to --help
+        say(usage())
         return 0 if arguments else EXIT_USAGE
     # Learning libraries start as many threads as there are cores; more than one made them slower beside other work.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -149,7 +150,7 @@ def _summary(stage: str) -> str:
 
 
 def _say(sentence: str, code: int) -> int:
-    print(sentence, file=sys.stderr)  # noqa: T201 - the last word of a command line
+    say(sentence, error=True)
     return code
 
 

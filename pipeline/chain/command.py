@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from pipeline.chain.durations import minutes_here
 from pipeline.chain.running import run
 from pipeline.chain.steps import after_inputs, chosen_value, concerns, steps_of
 from pipeline.config import BUDGETS
+from pipeline.printing import say
 from pipeline.stages import available_stages
 
 _USAGE = """\
@@ -37,7 +37,7 @@ _WORTH_SAYING = 0.1  # difference of this machine's pace from that of the known 
 def main(arguments: list[str]) -> int:
     """Runs the command line; gives 0, or the exit code of the stage that failed."""
     if "--help" in arguments or "-h" in arguments:
-        _say(_USAGE)
+        say(_USAGE)
         return 0
     cut = arguments.index("--") if "--" in arguments else len(arguments)
     stages, overrides = arguments[:cut], arguments[cut + 1 :]
@@ -46,7 +46,7 @@ def main(arguments: list[str]) -> int:
         if seeds > 1 and any(word.startswith("seed=") for word in overrides):
             raise ValueError(f"{_SEEDS} counts from seed 0 on: leave seed=… out, or {_SEEDS}")
     except ValueError as error:
-        _say(str(error), error=True)
+        say(str(error), error=True)
         return _EXIT_USAGE
     with_inputs, only_estimate = _INPUTS in stages, _ESTIMATE in stages
     stages = [name for name in stages if name not in (_INPUTS, _ESTIMATE)]
@@ -54,13 +54,13 @@ def main(arguments: list[str]) -> int:
     unknown = [name for name in stages if name not in available_stages()]
     if unknown or not stages:
         problem = f"unknown stage {unknown[0]!r}" if unknown else "no stage is named"
-        _say(f"{problem}: choose from {_ALL}, {', '.join(available_stages())}", error=True)
+        say(f"{problem}: choose from {_ALL}, {', '.join(available_stages())}", error=True)
         return _EXIT_USAGE
     if with_inputs:
         stages = after_inputs(stages)
     foreign = [word for word in overrides if not any(concerns(word, stage) for stage in stages)]
     if foreign:
-        _say(f"no stage of the chain has the setting {foreign[0]!r}: name its stage, or leave it out", error=True)
+        say(f"no stage of the chain has the setting {foreign[0]!r}: name its stage, or leave it out", error=True)
         return _EXIT_USAGE
     steps = steps_of(stages, seeds)
     if only_estimate:
@@ -70,7 +70,7 @@ def main(arguments: list[str]) -> int:
     except KeyboardInterrupt:  # no stage has begun
         return _EXIT_INTERRUPTED
     if abs(pace - 1) > _WORTH_SAYING:
-        _say(f"== this machine takes {pace:.1f} times as long as the one whose minutes are known")
+        say(f"== this machine takes {pace:.1f} times as long as the one whose minutes are known")
     return run(steps, overrides, known, beside)
 
 
@@ -92,12 +92,8 @@ def _estimate(stages: Sequence[str], overrides: Sequence[str]) -> int:
 
     budget = chosen_value(overrides, "budget", "desk")
     if budget not in BUDGETS:
-        _say(f"unknown budget {budget!r}: choose one of {', '.join(BUDGETS)}", error=True)
+        say(f"unknown budget {budget!r}: choose one of {', '.join(BUDGETS)}", error=True)
         return _EXIT_USAGE
     run_path = Path(chosen_value(overrides, "runs_dir", "runs")) / chosen_value(overrides, "name", budget)
-    _say(report(stages, budget, run_path))
+    say(report(stages, budget, run_path))
     return 0
-
-
-def _say(text: str, *, error: bool = False) -> None:
-    print(text.rstrip(), file=sys.stderr if error else sys.stdout, flush=True)

@@ -22,6 +22,7 @@ from pipeline.chain.durations import minutes_left, worded
 from pipeline.chain.steps import Step, concerns, minutes_to_the_end, waits_for
 from pipeline.jobs.engines.local import available_workers
 from pipeline.jobs.engines.shared_machine import shared_machine
+from pipeline.printing import say
 
 _SECONDS_BETWEEN_LOOKS = 0.1
 _GB = 1e9
@@ -96,7 +97,7 @@ class _Chain:
         each = {name: sum(minutes for other, minutes in self._spent if other == name) for name, _ in self._spent}
         longest = sorted(each, key=lambda name: -each[name])[:3]
         parts = ", ".join(f"{name} {worded(each[name])}" for name in longest)
-        _say(f"== all {len(self._steps)} stages in {worded((time.monotonic() - began) / 60)}: most of it {parts}")
+        say(f"== all {len(self._steps)} stages in {worded((time.monotonic() - began) / 60)}: most of it {parts}")
         return 0
 
     def _next(self) -> int | None:
@@ -111,7 +112,7 @@ class _Chain:
         left = minutes_left([self._steps[later].stage for later in self._waiting], under_way, self._spent, self._known)
         self._started += 1
         told = "" if left is None else f"; about {worded(left)} left in all"
-        _say(f"== stage {self._started} of {len(self._steps)}: {step}{told}")
+        say(f"== stage {self._started} of {len(self._steps)}: {step}{told}")
         own = [w.replace(f"stage@{step.stage}.", "stage.", 1) for w in self._overrides if concerns(w, step.stage)]
         own += [] if step.seed is None else [f"seed={step.seed}"]
         command = [sys.executable, "-m", "pipeline", f"stage={step.stage}", *own]
@@ -167,8 +168,8 @@ class _Processes:
             )  # fmt: skip
             running = _Running(place, process)
             self.under_way.append(running)
-            for stream, to in ((process.stdout, sys.stdout), (process.stderr, sys.stderr)):
-                reader = threading.Thread(target=_tell, args=(stream, to, name), daemon=True)
+            for stream, error in ((process.stdout, False), (process.stderr, True)):
+                reader = threading.Thread(target=_tell, args=(stream, name, error), daemon=True)
                 reader.start()
                 running.readers.append(reader)
         if self.code == 128 + signal.SIGTERM:  # it came between the look and the start
@@ -185,11 +186,6 @@ class _Processes:
             self.stop_all()
 
 
-def _tell(lines: IO[str], to: IO[str], name: str) -> None:
+def _tell(lines: IO[str], name: str, error: bool) -> None:
     for line in lines:
-        to.write(f"{name} | {line.rstrip()}\n")
-        to.flush()
-
-
-def _say(text: str) -> None:
-    print(text, flush=True)  # noqa: T201 - what a command line says
+        say(f"{name} | {line}", error=error)
