@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import logging
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pipeline.recording.trials import POLICY
 from pipeline.stages.rehearsal.settings import SAC, RehearsalSettings
@@ -13,10 +13,6 @@ from pipeline.stages.unseen.task import ROADMAP, ROADMAP_KEYS
 from pipeline.stages.unseen.trials import policy_folder
 from pipeline.store.provenance import hash_file
 from pipeline.task import TASK, USUAL_PACE, Task, number_of_actions
-
-if TYPE_CHECKING:
-    from enn.imitation.images.policy import ImagePolicy
-    from enn.policy import Policy
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -39,9 +35,10 @@ def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int, task
         return Path(settings.policy)
     if settings.algorithm != SAC:  # those policies have learnt by SAC
         return None
-    fitting = [file for file in known_policies(run_path, seed) if _fits(file, task)]
-    start = next((file for file in fitting if _has_catheter(file, task)), next(iter(fitting), None))
-    if start is not None and not _has_catheter(start, task):
+    fitting = [file for file in known_policies(run_path, seed) if _read(file).starts(task)]
+    own = [file for file in fitting if _read(file).catheter == task.catheter]
+    start = next(iter(own or fitting), None)
+    if start is not None and not own:
         _LOGGER.info("no policy was trained with a %s: one of another catheter steers it", task.catheter)
     return start
 
@@ -88,19 +85,11 @@ def advising_policies(run_path: Path, seed: int, task: Task, start: Path | None)
     Raises:
         ValueError: as of `starting_policy`.
     """
-    from enn.policy import Policy
-    from enn.shipped import read_policy
-
-    by_roadmap, by_images = [], []
-    for file in known_policies(run_path, seed):
-        policy = read_policy(file)
-        if _steers(policy, task):
-            if not isinstance(policy, Policy):
-                by_images.append(file)
-            elif policy.keys == ROADMAP_KEYS:
-                by_roadmap.append(file)
-    found = [*by_roadmap, *by_images]
-    own = [file for file in found if _has_catheter(file, task)]
+    steering = [(file, _read(file)) for file in known_policies(run_path, seed)]
+    steering = [(file, one) for file, one in steering if one.steers(task)]
+    by_roadmap = [file for file, one in steering if one.by_roadmap]
+    found = [*by_roadmap, *(file for file, one in steering if one.by_images)]
+    own = [file for file in found if _read(file).catheter == task.catheter]
     known = [file for file in own or by_roadmap if file != start]
     return known if start is None else [start, *known]
 
@@ -115,31 +104,49 @@ def policy_hashes(run_path: Path) -> dict[str, str]:
     }
 
 
-def _fits(file: Path, task: Task) -> bool:
-    """Whether a policy sees a roadmap, has its critics, and steers the devices of a task."""
+@dataclass(frozen=True)
+class _Trained:
+    """What a policy's file says of what it sees and steers; whatever sees neither a roadmap nor images is of no use.
+
+    Attributes:
+        actions: shape of its actions.
+    """
+
+    by_roadmap: bool
+    by_images: bool
+    critics: bool
+    actions: tuple[int, ...]
+    catheter: str | None
+    pace: str
+
+    def steers(self, task: Task) -> bool:
+        """Whether it was trained to steer as many devices as a task has, at its pace; their shapes may differ."""
+        return (
+            self.actions == (number_of_actions(task),)
+            and (self.catheter is None) == (task.catheter is None)
+            and self.pace == task.pace
+        )
+
+    def starts(self, task: Task) -> bool:
+        """Whether a rehearsal of a task can start from it."""
+        return self.by_roadmap and self.critics and self.steers(task)
+
+
+def _read(file: Path) -> _Trained:
+    state = file.stat()
+    return _read_once(file, state.st_mtime_ns, state.st_size)
+
+
+@functools.lru_cache(maxsize=64)
+def _read_once(file: Path, modified_ns: int, size: int) -> _Trained:
+    """Reads a file again only where it has changed."""
     from enn.policy import Policy
     from enn.shipped import read_policy
 
     policy = read_policy(file)
-    return isinstance(policy, Policy) and policy.keys == ROADMAP_KEYS and policy.critics and _steers(policy, task)
-
-
-def _steers(policy: Policy | ImagePolicy, task: Task) -> bool:
-    """Whether a policy was trained to steer as many devices as a task has, at its pace; their shapes may differ."""
-    from enn.policy import Policy
-
-    actions = policy.action_space.shape if isinstance(policy, Policy) else (policy.policy.settings.actions,)
     trained = policy.metadata.get(TASK, {})
-    return (
-        actions == (number_of_actions(task),)
-        and (trained.get("catheter") is None) == (task.catheter is None)
-        and trained.get("pace", USUAL_PACE) == task.pace
-    )
-
-
-def _has_catheter(file: Path, task: Task) -> bool:
-    """Whether a policy was trained with the catheter of a task, or with none where the task has none."""
-    from enn.shipped import read_policy
-
-    trained: str | None = read_policy(file).metadata.get(TASK, {}).get("catheter")
-    return trained == task.catheter
+    catheter, pace = trained.get("catheter"), trained.get("pace", USUAL_PACE)
+    if isinstance(policy, Policy):
+        by_roadmap = policy.keys == ROADMAP_KEYS
+        return _Trained(by_roadmap, False, policy.critics, policy.action_space.shape, catheter, pace)
+    return _Trained(False, True, False, (policy.policy.settings.actions,), catheter, pace)
