@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from enn.policy import Policy
 
 FIRST, TRIALS = 3, 6  # episodes of the usual devices, which are taken if all of them arrive; else of each policy
+CHANCE = 1  # episode of a few by which success may differ and mean nothing
 SHARE = 0.5  # of what may differ on the day, by which the copies for a choice differ from the scan
 
 
@@ -132,6 +133,10 @@ def soonest(tried: Sequence[Tried], usual: int = 0) -> int:
 
 
 def gentlest(tried: Sequence[Tried]) -> int:
-    """Number of those that press least among all that reach the target in half of the copies, or else `soonest`."""
-    often = [number for number, one in enumerate(tried) if 2 * one.reached >= one.episodes]
+    """Number of those that press least among those that reach the target in half of the copies, or else `soonest`.
+
+    Whoever reaches it in fewer copies than the best by more than `CHANCE` is left out.
+    """
+    most = max(one.reached for one in tried)
+    often = [number for number, one in enumerate(tried) if one.reached >= max(0.5 * one.episodes, most - CHANCE)]
     return min(often, key=lambda number: tried[number].force_p95) if often else soonest(tried)

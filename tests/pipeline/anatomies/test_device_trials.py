@@ -99,8 +99,11 @@ def test_devices_are_tried_in_copies_of_the_anatomy() -> None:
     assert len(straight.seeds) == TRIALS + FIRST
 
 
-def test_the_gentlest_is_chosen_among_those_that_arrive_in_half_of_the_copies() -> None:
+def test_the_gentlest_is_chosen_among_those_that_arrive_about_as_often_as_the_best() -> None:
     wire, both, never = Tried(2, 4, 90.0, 0.2), Tried(4, 4, 80.0, 0.4), Tried(0, 4, 300.0, 0.05)
-    assert gentlest([wire, both, never]) == 0
+    assert gentlest([wire, Tried(3, 4, 80.0, 0.4), never]) == 0
+    assert gentlest([Tried(3, 4, 90.0, 0.2), both, never]) == 0
+    assert gentlest([wire, both, never]) == 1  # two episodes fewer
     assert gentlest([never, both]) == 1
+    assert gentlest([Tried(1, 4, 90.0, 0.1), wire]) == 1  # in less than half
     assert gentlest([never, Tried(1, 4, 250.0, 0.5)]) == 1  # none arrives as often
