@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.forces.operators import OPERATORS, Operator
+from benchmarks.forces.operators import OPERATORS, WIRE, Operator
 from cathsim import NavigateEnv, load_guidewire
 from cathsim.devices.shelf import load_catheter
 from cathsim.metrics.load_cell import MINI40, step_forces
@@ -19,7 +19,6 @@ from cathsim.simulation import CONTROL_STEP
 Array = NDArray[np.float64]
 
 PHANTOM, TARGETS = "type_1", ("bca", "lcca")
-WIRE = "wire"  # the device without a catheter
 MOST_STEPS = 300
 USUAL_FRICTION = 0.06
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +17,10 @@ from cathsim.planning.sampling import SamplingExpert
 from cathsim.planning.scripted_motions import MAX_ADVANCE, MAX_TURN, RandomMoves
 
 if TYPE_CHECKING:
+    from benchmarks.forces.episodes import Case
     from enn.policy import Policy
+
+WIRE = "wire"  # the device without a catheter
 
 Array = NDArray[np.float64]
 Act = Callable[[Any], Array]  # from an observation to the next motion, in shares of a full step
@@ -41,18 +47,49 @@ def push_and_turn(environment: NavigateEnv, generator: np.random.Generator) -> A
 OPERATORS: dict[str, Operator] = {"expert": expert, "random": uniform, "push_and_turn": push_and_turn}
 
 
-def trained(policy: Policy) -> Operator:
-    """The operator "enn": a trained policy, deterministic."""
+@dataclass(frozen=True)
+class TrainedOperator:
+    """A trained policy as an operator: the "enn" of its stage, deterministic, or a "policy" by a roadmap, drawn.
 
-    def operator(environment: NavigateEnv, generator: np.random.Generator) -> Act:
-        controller = policy.controller(seed=int(generator.integers(2**31)))
+    Args:
+        source: a policy's file, or the name of a shipped one.
+    """
+
+    source: str
+
+    @cached_property
+    def policy(self) -> Policy:
+        """The policy itself."""
+        from enn.policy import Policy
+        from enn.shipped import load, models
+
+        return load(self.source) if self.source in models() else Policy.load(Path(self.source))  # type: ignore[return-value]
+
+    @property
+    def name(self) -> str:
+        """What it is called in the tables."""
+        return "enn" if self.policy.metadata.get("stage") == "enn" else "policy"
+
+    def fits(self, case: Case) -> bool:
+        """Whether it was trained with such actions and observations, and, where it says so, the devices and target."""
+        known = self.policy.metadata
+        device = (known["task"]["catheter"] or WIRE) if "task" in known else case.device
+        if device != case.device or known.get("target", case.target) != case.target:
+            return False
+        environment = case.environment(self.observation)
+        spaces: Any = self.policy.observation_space, environment.observation_space
+        keys = self.policy.keys
+        shapes = [{key: one[key].shape for key in keys} if keys else one.shape for one in spaces]
+        action_shape = environment.action_space.shape
+        environment.close()
+        return self.policy.action_space.shape == action_shape and shapes[0] == shapes[1]
+
+    @property
+    def observation(self) -> str | Sequence[str]:
+        """What it sees, as an environment's argument."""
+        return self.policy.keys or "internal"
+
+    def __call__(self, environment: NavigateEnv, generator: np.random.Generator) -> Act:
+        """A controller of an episode."""
+        controller = self.policy.controller(self.name == "enn", seed=int(generator.integers(2**31)))
         return lambda observation: np.asarray(controller(observation), np.float64)
-
-    return operator
-
-
-def fits(policy: Policy, environment: NavigateEnv) -> bool:
-    """Whether a policy was trained with actions and observations of these shapes."""
-    spaces: Any = policy.observation_space, environment.observation_space
-    shapes = [{key: one[key].shape for key in policy.keys} if policy.keys else one.shape for one in spaces]
-    return policy.action_space.shape == environment.action_space.shape and shapes[0] == shapes[1]

@@ -1,13 +1,14 @@
 """What a load cell under the phantom reads, by device, friction, operator and target, beside a measured distribution.
 
-    python benchmarks/forces/table.py [--quick] [--seeds N] [--frictions A,B] [--devices A,B] [--policy FILE]
+    python benchmarks/forces/table.py [--quick] [--seeds N] [--frictions A,B] [--devices A,B] [--policies A,B]
                                       [--json FILE] [--png FILE]
 
 Episodes in Type I to within 8 mm of the target, at most 300 steps; nothing is fitted. Of every control step: the
 reading of the load cell (ATI Mini40, SI-20-1, low-pass of 2 Hz), the mean sum of the contacts' magnitudes, and the
 largest single contact. Devices: "wire", or a catheter of `cathsim.devices` over that wire. Operators: "expert", the
 sampling expert with the same settings for every device; "random"; "push_and_turn", scripted motions without a target;
-"enn", a policy of --policy, with each device whose actions and observations have the shapes that it was trained with.
+"enn", a policy of that stage, deterministic, and "policy", one by a roadmap, its actions drawn: those of --policies,
+each with the devices, and towards the target, that it was trained with.
 Intervals: 95 %, bootstrap over episodes. Prints tables and, as its last line, one JSON object. --quick takes one seed,
 friction and target, and of the catheters the vertebral.
 """
@@ -29,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.forces.episodes import TARGETS, USUAL_FRICTION, WIRE, Case, Episode, run_episode
-from benchmarks.forces.operators import OPERATORS, fits, trained
+from benchmarks.forces.operators import OPERATORS, TrainedOperator
 from benchmarks.forces.picture import QUANTITIES, REAL_MEAN, REAL_SD, draw
 
 Array = NDArray[np.float64]
@@ -109,16 +110,13 @@ def untrained(combinations: Iterable[Combination]) -> Iterator[Episode]:
             yield run_episode(Case(device, friction, name, target, seed), operator)
 
 
-def of_policy(combinations: Iterable[Combination], file: Path) -> Iterator[Episode]:
-    """Episodes of a trained policy with the devices that it fits."""
-    from enn.policy import Policy
-
-    policy = Policy.load(file)
-    observation = policy.keys or "internal"
-    for device, friction, target, seed in combinations:
-        case = Case(device, friction, "enn", target, seed)
-        if fits(policy, case.environment(observation)):
-            yield run_episode(case, trained(policy), observation)
+def of_policies(combinations: Iterable[Combination], sources: Sequence[str]) -> Iterator[Episode]:
+    """Episodes of trained policies, each with the devices and towards the targets that it fits."""
+    for operator in map(TrainedOperator, sources):
+        for device, friction, target, seed in combinations:
+            case = Case(device, friction, operator.name, target, seed)
+            if operator.fits(case):
+                yield run_episode(case, operator, operator.observation)
 
 
 def main() -> None:
@@ -128,7 +126,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="episodes of each combination")
     parser.add_argument("--frictions", help="coefficients, with commas between")
     parser.add_argument("--devices", help="wire, or presets of catheters, with commas between")
-    parser.add_argument("--policy", type=Path, help="file of a trained policy")
+    parser.add_argument(
+        "--policies", default="", help="files of trained ones or names of shipped ones, with commas between"
+    )
     parser.add_argument("--json", type=Path, help="file for the JSON object")
     parser.add_argument("--png", type=Path, help="file for the figure")
     arguments = parser.parse_args()
@@ -142,8 +142,8 @@ def main() -> None:
     targets = TARGETS[: 1 if arguments.quick else None]
     combinations = list(itertools.product(devices, frictions, targets, range(seeds)))
     episodes = list(untrained(combinations))
-    if arguments.policy:
-        episodes += of_policy(combinations, arguments.policy)
+    if arguments.policies:
+        episodes += of_policies(combinations, arguments.policies.split(","))
     episodes.sort(key=lambda one: devices.index(one.case.device))
     result: dict[str, Any] = {"real": [REAL_MEAN, REAL_SD], "seeds": seeds}
     for title, keys in TABLES.items():
