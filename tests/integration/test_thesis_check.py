@@ -16,13 +16,21 @@ from tests.conftest import PROJECT_ROOT
 
 pytestmark = pytest.mark.slow
 
+# Rows that have the network of another one, or one whose size the tests of guide3d's networks count, are left out.
+FEWER_ROWS = (
+    "stage@baselines.observations=[internal,sequential]",
+    "stage@enn.modalities=[]",
+    "stage@shape.rows=[spherical,fgrn]",
+    "stage@segmentation.rows=[transunet,swinunet]",
+)
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory, anatomy_cache: Path) -> Path:
     """The folder of a run of the check."""
     runs = tmp_path_factory.mktemp("runs")
     done = subprocess.run(
-        [sys.executable, "-m", "pipeline.thesis_check", f"runs_dir={runs}"],
+        [sys.executable, "-m", "pipeline.thesis_check", f"runs_dir={runs}", *FEWER_ROWS],
         cwd=PROJECT_ROOT, env={**os.environ, "CATHSIM_CACHE": str(anatomy_cache)}, capture_output=True, text=True,
         timeout=3600, check=False,
     )  # fmt: skip
@@ -38,12 +46,12 @@ def test_every_stage_and_job_succeeds_and_tells_what_it_took(run: Path) -> None:
     assert [row["stage"] for row in rows if not row["job"]] == list(available_stages())
     jobs = {f"{row['stage']}/{row['job']}" for row in rows}
     for key in (
-        *(f"baselines/type_1/bca/{a}_{o}/seed0" for a in ("ppo", "sac") for o in ("internal", "image", "sequential")),
+        *(f"baselines/type_1/bca/{a}_{o}/seed0" for a in ("ppo", "sac") for o in ("internal", "sequential")),
         "baselines/type_1/bca/path_follower/seed0",
-        *(f"enn/type_1/bca/{sees}/seed0" for sees in ("I", "V", "V+M", "I+V", "I+V+M", "I+V+M safe 5")),
+        *(f"enn/type_1/bca/{sees}/seed0" for sees in ("I+V+M", "I+V+M safe 5")),
         "imitation/type_1/bca/dagger", "force/V+M/16", "unseen/roadmap", "unseen/image_true_mask", "unseen/xray",
-        *(f"shape/{row}" for row in ("spherical", "cartesian", "spherical_angles", "fgrn")),
-        *(f"segmentation/{row}" for row in ("unet", "transunet", "swinunet")),
+        *(f"shape/{row}" for row in ("spherical", "fgrn")),
+        *(f"segmentation/{row}" for row in ("transunet", "swinunet")),
         "splineformer/published", "splineformer/ordered", "navigation/splineformer_dagger",
         "navigation/splineformer_arches",
     ):  # fmt: skip
@@ -81,7 +89,7 @@ def test_networks_have_the_sizes_of_the_thesis(run: Path) -> None:
     shape = ShapePredictor.load(run / "shape" / "spherical" / "predictor.pt")
     assert sum(weight.numel() for weight in shape.network.parameters()) > 85e6  # ViT-B/16
     assert shape.preprocessing.size_px == SHAPE_SIZES["thesis"].image_px == 224
-    for name, side in (("unet", 512), ("transunet", 224), ("swinunet", 224)):
+    for name, side in (("transunet", 224), ("swinunet", 224)):
         segmenter = SegmentationPredictor.load(run / "segmentation" / name / "predictor.pt")
         assert segmenter.preprocessing.size_px == side
         assert segmenter.size["sizes"] == SEGMENTER_SIZES[name]["thesis"]

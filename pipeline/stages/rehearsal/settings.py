@@ -27,10 +27,12 @@ from pipeline.task import DeviceSettings, Task
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
+    from pipeline.anatomies.device_trials import Tried
 
 SAC, PPO = "sac", "ppo"
 NEEDED, ALWAYS, NEVER = "needed", "always", "never"
 PRICES_OF_FORCE = {False: 0.1, True: 0.3}  # 1/N, by whether there are two devices (docs/results/rehearsal.md)
+PRESSING, PRICE_OF_PRESSING = 0.3, 1.0  # N; 1/N for a wire alone that always arrives and presses more
 _Millimetres = Annotated[float, Ge(0), Le(20)]
 _Percent = Annotated[float, Ge(0), Le(90)]
 
@@ -72,7 +74,8 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
     hidden: Units = 256  # units of both layers, where it starts from nothing
     training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
-    # of the training's reward, a newton and step; null: 0.1 for a wire alone, 0.3 for both devices
+    # of the training's reward, a newton and step; null: 0.3 for both devices, 0.1 for a wire alone, but 1 where it
+    # always arrives in the trials and presses with more than 0.3 N
     force_penalty: Weight | None = None
     path_penalty: Weight = 40.0  # a metre of the tip's way
     accuracy: Annotated[str, one_of("accurate", "fast", "reference")] = "accurate"  # tests are accurate
@@ -92,9 +95,18 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
         if self.policy is not None and self.fresh:
             raise ConfigurationError("stage.fresh=true starts from nothing: leave out stage.policy")
 
-    def price_of_force(self, task: Task) -> float:
-        """What a newton and step cost in the training's reward, with the devices of a task."""
-        return PRICES_OF_FORCE[task.two_devices] if self.force_penalty is None else self.force_penalty
+    def price_of_force(self, task: Task, tried: Tried | None = None) -> float:
+        """What a newton and step cost in the training's reward, with the devices of a task, 1/N.
+
+        Args:
+            tried: how the policy to start from fared with them, where there were trials.
+        """
+        if self.force_penalty is not None:
+            return self.force_penalty
+        if tried is not None and not task.two_devices:  # what it need not learn any more is to arrive
+            always = tried.reached == tried.episodes
+            return PRICE_OF_PRESSING if always and tried.force_p95 > PRESSING else PRICES_OF_FORCE[False]
+        return PRICES_OF_FORCE[task.two_devices]
 
     def fit(self, phantom: Phantom) -> None:
         """Leaves the wire to the stage, which fits it to the only target."""
