@@ -15,7 +15,6 @@ from cathsim import load_phantom
 from enn.policy import Policy
 from enn.shipped import weight_files
 from enn.trajectory import Trajectory
-from pipeline.anatomies.device_trials import Tried
 from pipeline.anatomies.settings import check_anatomies, fitted_steps, fitted_task
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
@@ -162,24 +161,6 @@ def test_a_training_is_priced_and_the_tests_are_not(tmp_path: Path) -> None:
     assert training.simulation.numerics.timestep == 2 * tests.simulation.numerics.timestep
     assert training.perturbation.walls == 0.5e-3
     assert training.perturbation.friction == 0.3
-
-
-def test_a_newton_costs_more_with_two_devices_unless_the_settings_say() -> None:
-    task, both = Task(), Task(catheter="jb2")
-    assert [RehearsalSettings().price_of_force(one) for one in (task, both)] == [0.1, 0.3]
-    assert [RehearsalSettings(force_penalty=0.0).price_of_force(one) for one in (task, both)] == [0.0, 0.0]
-
-
-@pytest.mark.parametrize(
-    ("tried", "price"),
-    [(Tried(4, 4, 60.0, 0.5), 1.0), (Tried(4, 4, 60.0, 0.2), 0.1), (Tried(3, 4, 60.0, 0.5), 0.1), (None, 0.1)],
-    ids=["presses", "presses little", "does not always arrive", "not tried"],
-)
-def test_a_newton_costs_more_where_the_wire_alone_always_arrives_and_presses(tried: Tried | None, price: float) -> None:
-    settings = RehearsalSettings()
-    assert settings.price_of_force(Task(), tried) == price
-    assert settings.price_of_force(Task(catheter="jb2"), tried) == 0.3
-    assert RehearsalSettings(force_penalty=0.2).price_of_force(Task(), tried) == 0.2
 
 
 def test_the_price_of_a_plan_is_that_of_its_training(tmp_path: Path) -> None:
