@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.settings import settle
@@ -31,6 +32,8 @@ TRAINING_TIME_ROWS = {"V": "image", "V+M": "image_mask", "I": "internal", "I+V":
 TRAINING_TIME_PHANTOM = "type_1"  # of the thesis's ablation
 SAFE = "safe"
 IMAGE_SHAPE = (1, 80, 80)  # of the thesis
+# A poor policy of two devices may arrive in all of ten episodes by chance.
+EVALUATIONS_OF_TWO_DEVICES = 20
 _SECONDS_AN_HOUR = 3600.0
 
 
@@ -88,12 +91,17 @@ def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob
 
 
 def training_settings(settings: EnnSettings, decisions: int, keys: tuple[str, ...] = ()) -> TrainingSettings:
-    """SAC or PPO of the variant with so many decisions; `keys` are what the thesis's network observes."""
+    """SAC or PPO of the variant with so many decisions; `keys` are what the thesis's network observes.
+
+    The desk's policies of a wire in a catheter are chosen by 20 episodes instead of 10.
+    """
     from enn.reinforcement import DESK_PPO, DESK_SAC
     from enn.reinforcement.training.settings import THESIS_PPO, THESIS_SAC
 
     desk, thesis = (DESK_SAC, THESIS_SAC) if settings.algorithm == "sac" else (DESK_PPO, THESIS_PPO)
     preset = thesis if settings.variant == THESIS else desk
+    if settings.variant != THESIS and settings.task.two_devices:
+        preset = replace(preset, evaluation_episodes=EVALUATIONS_OF_TWO_DEVICES)
     sized = preset.sized(decisions, settings.evaluation_episodes, tensorboard=settings.tensorboard, keys=keys)
     return with_hyperparameters(sized, settings.training)
 

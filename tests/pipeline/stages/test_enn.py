@@ -66,6 +66,22 @@ def test_ppo_trains_in_physics_of_its_own(place: StageContext, algorithm: str, a
     assert {job.task.accuracy for job in jobs} == {accuracy}
 
 
+@pytest.mark.parametrize(
+    ("changed", "episodes"),
+    [
+        ({}, 10),
+        ({"catheter": "vertebral"}, 20),
+        ({"catheter": "vertebral", "wire": "none"}, 10),
+        ({"catheter": "vertebral", "evaluation_episodes": 1}, 1),
+        ({"catheter": "vertebral", "variant": "thesis"}, 10),
+        ({"catheter": "vertebral", "training": {"evaluation_episodes": 7}}, 7),
+    ],
+)
+def test_policies_of_two_devices_are_chosen_by_more_episodes(place: StageContext, changed: dict, episodes: int) -> None:
+    jobs = plan(settings(**changed), place)
+    assert {job.settings.evaluation_episodes for job in jobs} == {episodes}
+
+
 def test_a_roadmap_needs_no_encoder(place: StageContext) -> None:
     task = Task(wire_length_mm=360.0, catheter="simmons2")
     job = plan(settings(modality="R", target="lcca", phantom="random_33009", task=task), place)[0]
