@@ -91,6 +91,9 @@ def test_reward_values_at_known_distances() -> None:
     strict = NavigationTask(force_penalty=0.5)
     assert strict.step_reward(0.1, 0.0, 0.4, success=False) == pytest.approx(-0.3)
     assert strict.step_reward(0.1, 0.0, 0.4, success=True) == pytest.approx(9.8)
+    lenient = NavigationTask(force_penalty=0.5, force_threshold=0.3)
+    assert lenient.step_reward(0.1, 0.0, 0.4, success=False) == pytest.approx(-0.15)
+    assert lenient.step_reward(0.1, 0.0, 0.2, success=False) == pytest.approx(-0.1)
     short = NavigationTask(path_penalty=20.0)
     assert short.step_reward(0.1, 0.0, 0.0, 0.003, success=False) == pytest.approx(-0.16)
 

@@ -88,7 +88,7 @@ EXAMPLES: dict[type[Any], Any] = {
     WireMaterial: WireMaterial((Section(0.1, ((0.3e-3, 800.0),)),)),
 }
 # Fields of which 0, and of which also -1, can be meant.
-_OF_TASK = {"target", "start_jitter", "start_rotation", "force_penalty", "path_penalty"}
+_OF_TASK = {"target", "start_jitter", "start_rotation", "force_penalty", "force_threshold", "path_penalty"}
 ZERO = {
     "Accuracy": {"tolerance", "rise"},
     "Aneurysm": {"distance", "angle"},

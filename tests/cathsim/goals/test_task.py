@@ -24,6 +24,8 @@ def test_forces_are_subtracted() -> None:
     infos = [{"force": 1.0}, {"force": 0.0}, {"force": 2.0}]
     assert np.array_equal(task.goal_reward(REACHED, WANTED, infos), [-0.5, 0.0, -2.0])
     assert task.goal_reward(REACHED[0], WANTED[0], infos[0]) == -0.5
+    above = GoalTask(force_penalty=0.5, force_threshold=1.5)
+    assert np.array_equal(above.goal_reward(REACHED, WANTED, infos), [0.0, 0.0, -1.25])
     with pytest.raises(ValueError, match=r"needs info\['force'\] of every step: keep the infos"):
         task.goal_reward(REACHED, WANTED, [{}, {}, {}])
 

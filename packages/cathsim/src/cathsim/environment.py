@@ -105,8 +105,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     "distance" (the thesis's): -|tip - target| in metres; "geodesic": 100 per metre of decrease of the distance along
     the lumen, less 0.02 a step. Both: 10 on reaching the target. Or what a function gives for the step's `info`, in
     which there are also `progress` m along the lumen, `moved` m of the tip and `action`: reward=lambda info:
-    100 * info["progress"] - info["force"]. All less `force_penalty` per newton of contact force and `path_penalty` per
-    metre that the tip moves.
+    100 * info["progress"] - info["force"]. All less `force_penalty` per newton of contact force above `force_threshold`
+    and `path_penalty` per metre that the tip moves.
 
     ## Start
     The wire lies in the sheath, its tip 5 mm inside the vessel, advanced by up to `start_jitter` and turned by up to
@@ -161,7 +161,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             an action for so many steps. At the reset and the episode's end there is always one, the same as with 1.
         task: the task, a `NavigationTask` or of a subclass with a reward of its own; its fields as further keywords
             replace the task's: success_radius, max_steps, start_jitter, start_rotation, reward, force_penalty,
-            path_penalty.
+            force_threshold, path_penalty.
     """
 
     metadata = {"render_modes": list(MODES), "render_fps": round(1 / CONTROL_STEP)}  # noqa: RUF012

@@ -55,7 +55,9 @@ class NavigationTask:
             decrease of the distance along the lumen times 100 per metre, less 0.02 a step. Both give 10 at the target.
             Or a function that takes the step's `info`, in which there are also `progress` (m, decrease of the distance
             along the lumen), `moved` (m, of the tip in the step) and `action`, and returns a number.
-        force_penalty: subtracted per newton of the step's largest resultant contact force.
+        force_penalty: subtracted per newton by which the step's largest resultant contact force exceeds
+            `force_threshold`.
+        force_threshold: contact force that costs nothing, N.
         path_penalty: subtracted per metre that the tip moves in a step.
 
     Source: thesis, chapter CathSim, "Actions and Rewards".
@@ -68,6 +70,7 @@ class NavigationTask:
     start_rotation: Turn = 0.0
     reward: Reward = "distance"
     force_penalty: Annotated[float, Interval(ge=0, le=1e4), Unit("1/N")] = 0.0
+    force_threshold: Annotated[float, Interval(ge=0, le=1e4), Unit("N")] = 0.0
     path_penalty: Annotated[float, Interval(ge=0, le=1e4), Unit("1/m")] = 0.0
 
     def __post_init__(self) -> None:
@@ -143,7 +146,11 @@ class NavigationTask:
             reward = POTENTIAL_PER_METRE * progress - STEP_COST + (SUCCESS_REWARD if success else 0.0)
         else:
             reward = SUCCESS_REWARD if success else -distance
-        return reward - self.force_penalty * force - self.path_penalty * moved
+        return self.penalised(reward, force, moved)
+
+    def penalised(self, reward: float, force: float, moved: float) -> float:
+        """A reward less the penalties for a step's largest resultant contact force (N) and the tip's way in it (m)."""
+        return reward - self.force_penalty * max(force - self.force_threshold, 0.0) - self.path_penalty * moved
 
     def reward_of(
         self, info: Mapping[str, Any], progress: float, moved: float, action: np.ndarray, *, success: bool
@@ -165,7 +172,7 @@ class NavigationTask:
         value = np.asarray(given)
         if value.size != 1 or value.dtype.kind not in "biuf" or not np.isfinite(value).all():
             raise ValueError(f"a reward must be one finite number, {reward_name(self.reward)} gave {given!r}")
-        return float(value.item()) - self.force_penalty * force - self.path_penalty * moved
+        return self.penalised(float(value.item()), force, moved)
 
     def remaining(self, phantom: Phantom, tip: np.ndarray) -> float:
         """Distance along the lumen from the tip to the target, m."""

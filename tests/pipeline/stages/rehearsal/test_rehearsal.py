@@ -155,21 +155,13 @@ def test_copies_of_training_validation_and_tests_never_meet(tmp_path: Path) -> N
 
 
 def test_a_training_is_priced_and_the_tests_are_not(tmp_path: Path) -> None:
-    job = job_of(tmp_path, force_penalty=0.7, walls_mm=0.5, breathing_mm=0.0)
+    job = job_of(tmp_path, force_penalty=0.7, force_threshold_n=0.1, walls_mm=0.5, breathing_mm=0.0)
     training, tests = copies_environment(job, (0, 1), training=True), copies_environment(job, (0, 1))
     assert (training.current.task.force_penalty, tests.current.task.force_penalty) == (0.7, 0.0)
+    assert training.current.task.force_threshold == 0.1
     assert training.simulation.numerics.timestep == 2 * tests.simulation.numerics.timestep
     assert training.perturbation.walls == 0.5e-3
     assert training.perturbation.friction == 0.3
-
-
-def test_the_price_of_a_plan_is_that_of_its_training(tmp_path: Path) -> None:
-    settings = RehearsalSettings(**TINY)
-    jobs = plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", None, force_price=0.7)
-    (training,) = [job.given for job in jobs if job.key == "training"]
-    environment = copies_environment(training, (0,), training=True)
-    assert environment.current.task.force_penalty == 0.7
-    environment.close()
 
 
 def test_the_wire_becomes_as_long_as_the_way_asks_for() -> None:

@@ -35,4 +35,4 @@ class ArchVarietyTask(NavigationTask):
     ) -> float:
         """Reward of one step; arguments as of `NavigationTask.step_reward`."""
         reward = (AT_TARGET if success else 0.0) + PER_METRE * progress - STEP_COST
-        return reward - self.force_penalty * force - self.path_penalty * moved
+        return self.penalised(reward, force, moved)

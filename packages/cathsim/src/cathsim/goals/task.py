@@ -23,7 +23,7 @@ class GoalTask(NavigationTask):
     Attributes:
         reward: "sparse": 0 within `success_radius` of the goal, else -1; "dense": minus the Euclidean distance to it in
             metres; or a function of achieved and desired goals (..., 3), m, and info, which returns shape (...).
-        force_penalty: subtracted per newton of `info["force"]`.
+        force_penalty: subtracted per newton by which `info["force"]` exceeds `force_threshold`.
         path_penalty: must be 0, as a goal does not say how far the tip has moved.
     """
 
@@ -77,7 +77,10 @@ class GoalTask(NavigationTask):
             x, y, z = np.moveaxis(achieved - desired, -1, 0)
             distance = np.sqrt(x * x + y * y + z * z)  # the same bits for one goal as for many
             reward = -distance if self.reward == "dense" else np.where(distance <= self.success_radius, 0.0, MISSED)
-        return reward - self.force_penalty * _forces(info, achieved.shape[:-1]) if self.force_penalty else reward
+        if not self.force_penalty:
+            return reward
+        pressed = np.maximum(_forces(info, achieved.shape[:-1]) - self.force_threshold, 0.0)
+        return reward - self.force_penalty * pressed
 
 
 def _forces(info: Infos, shape: tuple[int, ...]) -> NDArray[np.float64]:
