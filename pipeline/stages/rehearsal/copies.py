@@ -32,6 +32,7 @@ class RehearsalJob:
         copies: of a test: seeds.
         shown_by: of demonstrations: the policies that may give them; the first is `start`, where there is one.
         part: of demonstrations: its number among those that are made beside each other.
+        force_price: of the training's reward, 1/N; None: what the settings say without trials.
     """
 
     folder: Path
@@ -45,6 +46,7 @@ class RehearsalJob:
     copies: tuple[int, ...] = ()
     shown_by: tuple[Path, ...] = ()
     part: int = 0
+    force_price: float | None = None
 
     @property
     def training_cases(self) -> tuple[int, ...]:
@@ -84,7 +86,7 @@ def copies_environment(
         period=settings.breath_s,
     )
     shaped: dict[str, Any] = {
-        "force_penalty": settings.force_penalty,
+        "force_penalty": settings.price_of_force(job.task) if job.force_price is None else job.force_price,
         "force_threshold": settings.force_threshold_n,
         "path_penalty": settings.path_penalty,
     }

@@ -38,11 +38,14 @@ _LOGGER = logging.getLogger(__name__)
 
 def with_chosen_devices(
     settings: RehearsalSettings, context: StageContext, phantom: Phantom, target: str, task: Task
-) -> Task:
+) -> tuple[Task, Tried | None]:
     """The task with the devices that bring the wire to the target, and says so in the log.
 
     Args:
         task: without a catheter the choice is open.
+
+    Returns:
+        Also how the policy to start from fared with these devices; None where the shape of the take-off decided.
 
     Raises:
         ValueError: as of `starting_policy`.
@@ -51,7 +54,7 @@ def with_chosen_devices(
     choice = task.catheter is None and task.entry == DESCENDING and in_branch
     jobs = _jobs(settings, context, target, task) if choice else []
     if len(jobs) < 2:
-        return with_catheter_where_steep(phantom, target, task, choose=True)
+        return with_catheter_where_steep(phantom, target, task, choose=True), None
     label = f"devices in {phantom.name}"
     for first in (jobs[:1], jobs):  # the usual devices are enough where they always arrive
         outcomes = run_jobs(context.folder, first, workers=settings.workers, label=label, preload=PRELOAD)
@@ -61,9 +64,9 @@ def with_chosen_devices(
     fared = ", ".join(f"{job.key.partition('/')[2]} {one}" for job, one in zip(jobs, tried, strict=False))
     _LOGGER.info("copies of %s in which a policy reached %s: %s", phantom.name, target, fared)
     if not any(one.reached for one in tried):
-        return with_catheter_where_steep(phantom, target, task, choose=True)
-    chosen: Task = jobs[gentlest(tried)].given.task
-    return chosen
+        return with_catheter_where_steep(phantom, target, task, choose=True), None
+    chosen = gentlest(tried)
+    return jobs[chosen].given.task, tried[chosen]
 
 
 def try_devices(job: RehearsalJob, report: Report) -> dict[str, Any]:

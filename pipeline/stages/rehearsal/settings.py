@@ -23,13 +23,16 @@ from pipeline.settings.kinds import (
 )
 from pipeline.stages.learning.starting_policy import StartingPolicySettings
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import DeviceSettings
+from pipeline.task import DeviceSettings, Task
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
+    from pipeline.anatomies.device_trials import Tried
 
 SAC, PPO = "sac", "ppo"
 NEEDED, ALWAYS, NEVER = "needed", "always", "never"
+PRICES_OF_FORCE = {False: 0.1, True: 0.3}  # 1/N, by whether there are two devices (docs/results/rehearsal.md)
+PRESSING, PRICE_OF_PRESSING = 0.3, 1.0  # N; 1/N for a wire alone that always arrives and presses more
 _Millimetres = Annotated[float, Ge(0), Le(20)]
 _Percent = Annotated[float, Ge(0), Le(90)]
 
@@ -67,12 +70,14 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     # by the sampling expert: where policies show less than a sixth of them, always, or never
     expert: Annotated[str, one_of(NEEDED, ALWAYS, NEVER)] = NEEDED
     algorithm: Annotated[str, one_of(SAC, PPO)] = SAC
-    decisions: Decisions = 10_000
+    decisions: Decisions = 20_000
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
     hidden: Units = 256  # units of both layers, where it starts from nothing
     training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
-    force_penalty: Weight = 2.0  # of the training's reward, a step and newton above the threshold
-    force_threshold_n: Annotated[float, Ge(0), Le(100)] = 0.2  # contact force that costs nothing
+    # of the training's reward, a newton and step; null: 0.3 for both devices, 0.1 for a wire alone, but 1 where it
+    # always arrives in the trials and presses with more than 0.3 N
+    force_penalty: Weight | None = None
+    force_threshold_n: Annotated[float, Ge(0), Le(100)] = 0.0  # contact force that costs nothing
     path_penalty: Weight = 40.0  # a metre of the tip's way
     accuracy: Annotated[str, one_of("accurate", "fast", "reference")] = "accurate"  # tests are accurate
     # that step the environments; 0: one a core, four at most
@@ -90,6 +95,19 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
                 raise ConfigurationError(f"stage.{key} names several: a rehearsal has one scan and one target")
         if self.policy is not None and self.fresh:
             raise ConfigurationError("stage.fresh=true starts from nothing: leave out stage.policy")
+
+    def price_of_force(self, task: Task, tried: Tried | None = None) -> float:
+        """What a newton and step cost in the training's reward, with the devices of a task, 1/N.
+
+        Args:
+            tried: how the policy to start from fared with them, where there were trials.
+        """
+        if self.force_penalty is not None:
+            return self.force_penalty
+        if tried is not None and not task.two_devices:  # what it need not learn any more is to arrive
+            always = tried.reached == tried.episodes
+            return PRICE_OF_PRESSING if always and tried.force_p95 > PRESSING else PRICES_OF_FORCE[False]
+        return PRICES_OF_FORCE[task.two_devices]
 
     def fit(self, phantom: Phantom) -> None:
         """Leaves the wire to the stage, which fits it to the only target."""

@@ -38,7 +38,7 @@ BEFORE, AFTER = "before", "after"
 TRAINING, FILM = "training", "film"
 _LOGGER = logging.getLogger(__name__)
 _PARTS = 2  # of the tests in copies, beside each other
-_SECONDS = {"decision": 30e-3, "test": 1.0, "shown": 4.0, "film": 40.0}  # guesses
+_SECONDS = {"decision": 15e-3, "test": 1.0, "shown": 4.0, "film": 40.0}  # guesses
 
 
 def check_rehearsal(settings: RehearsalSettings) -> None:
@@ -59,17 +59,19 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
         given = settings.task if settings.policy is None else with_devices_of(Path(settings.policy), settings.task)
         task = fitted_task(given, phantom, [target])
         task = fitted_steps(task, phantom, target) if settings.fit_steps else task
-        task = (
+        task, tried = (
             with_chosen_devices(settings, context, phantom, target, task)
             if choose
-            else with_catheter_where_steep(phantom, target, task, choose=False)
+            else (with_catheter_where_steep(phantom, target, task, choose=False), None)
         )
         start = starting_policy(settings, context.run_path, context.seed, task)
         asked = advising_policies(context.run_path, context.seed, task, start) if settings.demonstrations else []
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     _LOGGER.info("it starts from %s", "nothing" if start is None else start)
-    jobs = plan(settings, context, task, target, start, asked)
+    price = settings.price_of_force(task, tried)
+    _LOGGER.info("a newton and step cost %g in the training", price)
+    jobs = plan(settings, context, task, target, start, asked, price)
     label = f"rehearsal in {phantom.name}"
     outcomes = run_jobs(
         context.folder, jobs, workers=settings.workers, label=label, preload=PRELOAD, device=settings.device
@@ -106,11 +108,11 @@ def plan(
     target: str,
     start: Path | None,
     asked: Sequence[Path] = (),
+    force_price: float | None = None,
 ) -> list[Job]:
     """The jobs: demonstrations by policies that are asked, tests before, the training, tests after."""
-    job = RehearsalJob(
-        context.path, Origin("rehearsal", AFTER, context.seed, context.budget), settings, task, target, start
-    )
+    origin = Origin("rehearsal", AFTER, context.seed, context.budget)
+    job = RehearsalJob(context.path, origin, settings, task, target, start, force_price=force_price)
     shown = settings.demonstrations > 0 and (bool(asked) or settings.expert != NEVER)
     parts = [f"{DEMONSTRATIONS}{part}" for part in range(PARTS if shown else 0)]
     weight = _SECONDS["shown"] * len(job.training_cases) / PARTS

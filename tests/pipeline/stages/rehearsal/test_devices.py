@@ -29,7 +29,9 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     asked: list[list[str]] = []
     phantom = load_phantom("type_1")
 
-    def choose(outcomes: Outcomes, task: Task = Task(), target: str = "lcca", **changed: Any) -> Task:  # noqa: B008
+    def choose(
+        outcomes: Outcomes, task: Task | None = None, target: str = "lcca", **changed: Any
+    ) -> tuple[Task, Tried | None]:
         asked.clear()
 
         def run(folder: Any, jobs: Any, **_: Any) -> dict[str, Any]:
@@ -39,7 +41,7 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         monkeypatch.setattr(devices, "run_jobs", run)
         monkeypatch.setattr(devices, "with_catheter_where_steep", lambda *_, choose: BY_SHAPE)
         settings = RehearsalSettings(**changed)
-        return with_chosen_devices(settings, context(tmp_path, "rehearsal"), phantom, target, task)
+        return with_chosen_devices(settings, context(tmp_path, "rehearsal"), phantom, target, task or Task())
 
     return choose, asked
 
@@ -52,21 +54,22 @@ def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: 
         "simmons2": Tried(2, 4, 150.0, 0.3),
     }
     with caplog.at_level(logging.INFO):
-        assert choose(outcomes) == Task(catheter="simmons2")
+        assert choose(outcomes) == (Task(catheter="simmons2"), outcomes["simmons2"])
     assert "reached lcca: wire alone 0 of 4, jb2 3 of 4, simmons2 2 of 4" in caplog.text
     assert asked == [["devices/wire alone"], ["devices/wire alone", "devices/jb2", "devices/simmons2"]]
 
 
 def test_where_the_wire_alone_always_arrives_nothing_else_is_tried(chosen: Any) -> None:
     choose, asked = chosen
-    assert choose({"wire alone": Tried(4, 4, 100.0, 0.2)}) == Task()
+    always = Tried(4, 4, 100.0, 0.2)
+    assert choose({"wire alone": always}) == (Task(), always)
     assert asked == [["devices/wire alone"]]
 
 
 def test_where_nothing_arrives_the_shape_decides(chosen: Any) -> None:
     choose, _ = chosen
     never = Tried(0, 4, 300.0, 0.2)
-    assert choose(dict.fromkeys(("wire alone", "jb2", "simmons2"), never)) == BY_SHAPE
+    assert choose(dict.fromkeys(("wire alone", "jb2", "simmons2"), never)) == (BY_SHAPE, None)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +85,7 @@ def test_where_nothing_arrives_the_shape_decides(chosen: Any) -> None:
 )
 def test_without_a_choice_of_policies_nothing_is_tried(chosen: Any, changed: dict[str, Any]) -> None:
     choose, asked = chosen
-    assert choose({}, **changed) == BY_SHAPE
+    assert choose({}, **changed) == (BY_SHAPE, None)
     assert asked == []
 
 

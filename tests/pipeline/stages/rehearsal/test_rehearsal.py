@@ -164,6 +164,15 @@ def test_a_training_is_priced_and_the_tests_are_not(tmp_path: Path) -> None:
     assert training.perturbation.friction == 0.3
 
 
+def test_the_price_of_a_plan_is_that_of_its_training(tmp_path: Path) -> None:
+    settings = RehearsalSettings(**TINY)
+    jobs = plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", None, force_price=0.7)
+    (training,) = [job.given for job in jobs if job.key == "training"]
+    environment = copies_environment(training, (0,), training=True)
+    assert environment.current.task.force_penalty == 0.7
+    environment.close()
+
+
 def test_the_wire_becomes_as_long_as_the_way_asks_for() -> None:
     phantom = load_phantom("type_1")
     assert fitted_task(Task(), phantom, ["lsa_end"]) == Task()  # the preset's reaches it
