@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 import torch
@@ -59,3 +61,17 @@ def test_speed_counts_calls(monkeypatch: pytest.MonkeyPatch) -> None:
     assert batches == [1, 1, 1, 8, 8, 8]
     assert figures["latency_ms"] > 0
     assert np.isfinite(figures["images_per_s"])
+
+
+def test_a_slow_network_is_timed_by_the_calls_that_begin_within_two_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    reader, batches, spent = predictor(), [], [0.0]
+
+    def slow(images: list[np.ndarray]) -> None:
+        batches.append(len(images))
+        spent[0] += 1.5
+
+    monkeypatch.setattr(reader, "batch", slow)
+    monkeypatch.setattr(time, "process_time", lambda: spent[0])
+    figures = speed(reader, image_of(wavy_wire(0, 128), 128), calls=5)
+    assert batches == [1, 1, 1, 8, 8, 8]
+    assert figures == {"latency_ms": 1500.0, "images_per_s": 8 / 1.5}
