@@ -120,7 +120,7 @@ def test_torsion_leaves_the_bare_wires_model_as_it_is(space: Vessel) -> None:
     assert one == other
 
 
-@pytest.mark.parametrize("name", ["default", "thesis", "radifocus_angled", "nitrex_straight"])
+@pytest.mark.parametrize("name", ["default", "thesis", "radifocus_angled", "radifocus_angled_025", "nitrex_straight"])
 def test_a_wire_of_a_log_without_torsion_is_its_preset(name: str) -> None:
     fields = dataclasses.asdict(load_guidewire(name))
     del fields["torsional_stiffness_nmm2"], fields["working_length"]

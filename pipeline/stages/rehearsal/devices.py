@@ -1,13 +1,15 @@
 """The devices of a rehearsal: policies of the wire alone and of a catheter over it play in copies of the scan first.
 
 Where no catheter is named, and there are policies for several devices to start from, `gentlest` chooses. Where none of
-them reaches the target, and where there are no such policies, the shape of the take-off decides.
+them reaches the target, and where there are no such policies, the shape of the take-off decides. Where those that are
+chosen press hard, the same ones with a softer wire and of a smaller size play, too.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +22,7 @@ from pipeline.recording.trials import Origin
 from pipeline.seeds import device_trial_seed, training_copies
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.jobs import PRELOAD
+from pipeline.stages.rehearsal.settings import PRESSING
 from pipeline.stages.rehearsal.starting_policy import starting_policy
 from pipeline.task import DESCENDING, Task
 
@@ -30,6 +33,8 @@ if TYPE_CHECKING:
 
 DEVICES = "devices"  # first part of the jobs' names
 WIRE_ALONE = "wire alone"
+SOFTER_WIRE = "radifocus_angled"  # two thirds as stiff as the usual one, hydrophilic
+SMALLER = "4f"  # a third as stiff as the usual size
 TRIALS = 4  # copies, in each of which a policy plays an episode
 _SECONDS = 10.0  # a guess: of the trials of one policy
 
@@ -52,21 +57,40 @@ def with_chosen_devices(
     """
     in_branch = phantom.target(target).branch != phantom.tree.root.name
     choice = task.catheter is None and task.entry == DESCENDING and in_branch
-    jobs = _jobs(settings, context, target, task) if choice else []
+    usual = {catheter or WIRE_ALONE: replace(task, catheter=catheter) for catheter in (None, *WITH_POLICIES)}
+    jobs = _jobs(settings, context, target, usual) if choice else []
     if len(jobs) < 2:
         return with_catheter_where_steep(phantom, target, task, choose=True), None
-    label = f"devices in {phantom.name}"
-    for first in (jobs[:1], jobs):  # the usual devices are enough where they always arrive
-        outcomes = run_jobs(context.folder, first, workers=settings.workers, label=label, preload=PRELOAD)
-        tried = [Tried(**outcomes[job.key]) for job in first]
-        if tried[0].reached == tried[0].episodes:
-            break
-    fared = ", ".join(f"{job.key.partition('/')[2]} {one}" for job, one in zip(jobs, tried, strict=False))
-    _LOGGER.info("copies of %s in which a policy reached %s: %s", phantom.name, target, fared)
+
+    def fared(those: Sequence[Job]) -> list[Tried]:
+        label = f"devices in {phantom.name}"
+        outcomes = run_jobs(context.folder, those, workers=settings.workers, label=label, preload=PRELOAD)
+        tried = [Tried(**outcomes[job.key]) for job in those]
+        told = ", ".join(f"{job.key.partition('/')[2]} {one}" for job, one in zip(those, tried, strict=True))
+        _LOGGER.info("copies of %s in which a policy reached %s: %s", phantom.name, target, told)
+        return tried
+
+    tried = fared(jobs[:1])
+    if tried[0].reached < tried[0].episodes:  # the usual devices are enough where they always arrive
+        tried = fared(jobs)
     if not any(one.reached for one in tried):
         return with_catheter_where_steep(phantom, target, task, choose=True), None
     chosen = gentlest(tried)
+    if settings.softer_devices and tried[chosen].force_p95 > PRESSING:
+        named = {one.device_names: one for one in softer_devices(jobs[chosen].given.task)}
+        jobs = [jobs[chosen], *_jobs(settings, context, target, named)]
+        tried = fared(jobs)
+        chosen = gentlest(tried)
+        pressed = ", ".join(f"{one.force_p95:.2f}" for one in tried)
+        _LOGGER.info("they press with %s N: %s is taken", pressed, jobs[chosen].given.task.device_names)
     return jobs[chosen].given.task, tried[chosen]
+
+
+def softer_devices(task: Task) -> list[Task]:
+    """A task with a softer wire, with a catheter of a smaller size, and with both, as far as it has the usual ones."""
+    wires = [task.wire, *([SOFTER_WIRE] if task.wire == Task().wire else [])]
+    catheters = [task.catheter, *([f"{task.catheter}_{SMALLER}"] if task.catheter in WITH_POLICIES else [])]
+    return [replace(task, wire=wire, catheter=catheter) for catheter in catheters for wire in wires][1:]
 
 
 def try_devices(job: RehearsalJob, report: Report) -> dict[str, Any]:
@@ -81,15 +105,14 @@ def try_devices(job: RehearsalJob, report: Report) -> dict[str, Any]:
     return dataclasses.asdict(tried)
 
 
-def _jobs(settings: RehearsalSettings, context: StageContext, target: str, task: Task) -> list[Job]:
-    """Trials of a task's devices, and of a catheter over its wire, as far as there are policies to start from."""
+def _jobs(settings: RehearsalSettings, context: StageContext, target: str, tasks: Mapping[str, Task]) -> list[Job]:
+    """Trials of the devices of tasks, by their names, as far as there are policies to start from."""
     origin = Origin("rehearsal", DEVICES, context.seed, context.budget)
     copies = tuple(training_copies(context.seed, TRIALS))
     jobs = []
-    for catheter in (None, *WITH_POLICIES):
-        own = replace(task, catheter=catheter)
-        start = starting_policy(settings, context.run_path, context.seed, own)
+    for name, task in tasks.items():
+        start = starting_policy(settings, context.run_path, context.seed, task)
         if start is not None:
-            given = RehearsalJob(context.path, origin, settings, own, target, start, copies=copies)
-            jobs.append(Job(f"{DEVICES}/{catheter or WIRE_ALONE}", try_devices, given, weight=_SECONDS))
+            given = RehearsalJob(context.path, origin, settings, task, target, start, copies=copies)
+            jobs.append(Job(f"{DEVICES}/{name}", try_devices, given, weight=_SECONDS))
     return jobs

@@ -91,7 +91,8 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
             phantom.name,
         )
     told = ", ".join(f"{name} {count}" for name, count in shown.items() if count) or "none"
-    cost = outcomes[TRAINING] | {"starts_from": origin, "catheter": task.catheter or "none", "demonstrations": told}
+    devices = {"wire": task.wire, "catheter": task.catheter or "none"}
+    cost = outcomes[TRAINING] | {"starts_from": origin, **devices, "demonstrations": told}
     write_results(context.path, {"rehearsal": rows, "rehearsal_cost": {phantom.name: cost}})
     figures = [picture(outcomes, tested, phantom, target, context.path) for tested in _rows(start)]
     if FILM in outcomes:

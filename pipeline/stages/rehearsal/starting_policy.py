@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,7 +22,8 @@ def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int, task
     """The policy that a rehearsal starts from.
 
     One that is not given by name must have been trained to steer as many devices: with the same catheter, if there is
-    such a one, else with another. The stage unseen's in the same run comes first, then those that come with enn.
+    such a one, else with one of the same shape in another size, else with any. The stage unseen's in the same run comes
+    first, then those that come with enn.
 
     Returns:
         Its file; None: nothing fits, or nothing is wanted.
@@ -36,10 +38,9 @@ def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int, task
     if settings.algorithm != SAC:  # those policies have learnt by SAC
         return None
     fitting = [file for file in known_policies(run_path, seed) if _read(file).starts(task)]
-    own = [file for file in fitting if _read(file).catheter == task.catheter]
-    start = next(iter(own or fitting), None)
-    if start is not None and not own:
-        _LOGGER.info("no policy was trained with a %s: one of another catheter steers it", task.catheter)
+    start = next(iter(_of_catheter(fitting, task.catheter) or fitting), None)
+    if start is not None and _read(start).catheter != task.catheter:
+        _LOGGER.info("no policy was trained with a %s: one of a %s steers it", task.catheter, _read(start).catheter)
     return start
 
 
@@ -77,7 +78,8 @@ def known_policies(run_path: Path, seed: int) -> list[Path]:
 def advising_policies(run_path: Path, seed: int, task: Task, start: Path | None) -> list[Path]:
     """The policies that may show a rehearsal how its target is reached: those of as many devices and the same pace.
 
-    Where there are none of the same catheter, those by a roadmap of another: they steer it, too.
+    Where there are none of the same catheter, those of the same shape in another size; else those by a roadmap of
+    others: they steer it, too.
 
     Returns:
         Their files: the one that the rehearsal starts from first, then those by a roadmap, then those by X-ray images.
@@ -89,9 +91,20 @@ def advising_policies(run_path: Path, seed: int, task: Task, start: Path | None)
     steering = [(file, one) for file, one in steering if one.steers(task)]
     by_roadmap = [file for file, one in steering if one.by_roadmap]
     found = [*by_roadmap, *(file for file, one in steering if one.by_images)]
-    own = [file for file in found if _read(file).catheter == task.catheter]
-    known = [file for file in own or by_roadmap if file != start]
+    known = [file for file in _of_catheter(found, task.catheter) or by_roadmap if file != start]
     return known if start is None else [start, *known]
+
+
+def _of_catheter(files: Sequence[Path], catheter: str | None) -> list[Path]:
+    """Those that were trained with a catheter; else those of its shape in another size; else none."""
+    from cathsim.devices.shelf import catheter_shape
+
+    own = [file for file in files if _read(file).catheter == catheter]
+    if own or catheter is None:
+        return own
+    shape = catheter_shape(catheter)
+    trained = [(file, _read(file).catheter) for file in files]
+    return [file for file, name in trained if name is not None and catheter_shape(name) == shape]
 
 
 def policy_hashes(run_path: Path) -> dict[str, str]:

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from cathsim.devices.device_file import CATHETER, FOLDERS, GUIDEWIRE, PRESETS
-from cathsim.devices.shelf import CATHETERS, SHAPES, catheter_file, catheter_preset_of, load_catheter, wire_file
+from cathsim.devices.shelf import (
+    CATHETERS,
+    SHAPES,
+    catheter_file,
+    catheter_preset_of,
+    catheter_shape,
+    load_catheter,
+    wire_file,
+)
 from cathsim.guidewire import GUIDEWIRES, Guidewire, load_guidewire
 
 # before presets were files
@@ -61,6 +69,16 @@ def test_wires_are_ordered_as_their_names_say() -> None:
     assert stiffness == sorted(stiffness)
 
 
+def test_the_thin_wire_is_the_usual_one_of_its_kind_in_another_size() -> None:
+    thin, usual = load_guidewire("radifocus_angled_025"), load_guidewire("radifocus_angled")
+    assert thin.diameter == pytest.approx(0.025 * 0.0254)
+    scale = (thin.diameter / usual.diameter) ** 4
+    for distance in (0.0, 0.04, 1.0):  # m from the tip
+        assert thin.stiffness(distance) / usual.stiffness(distance) == pytest.approx(scale, rel=0.02)
+    assert thin.torsional_stiffness(1.0) == pytest.approx(thin.stiffness(1.0) / 1.33, rel=0.003)
+    assert (thin.tip_angle, thin.tip_length, thin.friction) == (usual.tip_angle, usual.tip_length, usual.friction)
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 def test_sizes_differ_in_section_and_share_the_shape(shape: str) -> None:
     four, five, six = (load_catheter(shape, french=french) for french in (4, 5, 6))
@@ -109,6 +127,13 @@ def test_files_say_where_values_come_from() -> None:
     assert "10.1583/11-3592.1" in wire_file("amplatz").source["bending stiffness"]
     assert "45 degrees" in catheter_file("simmons2_6f").source["torsional stiffness"]
     assert catheter_file("jb2").description.startswith("JB2")
+
+
+def test_a_name_tells_the_shape_whatever_the_size() -> None:
+    assert [catheter_shape(name) for name in ("jb2", "jb2_4f", "simmons2_6f")] == ["jb2", "jb2", "simmons2"]
+    assert catheter_shape("mine/own_4f.yaml") == "mine/own_4f.yaml"
+    with pytest.raises(ValueError, match="unknown catheter 'hook'"):
+        catheter_shape("hook")
 
 
 @pytest.mark.parametrize("name", CATHETERS)

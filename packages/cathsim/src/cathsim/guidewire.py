@@ -199,7 +199,10 @@ class Guidewire:
             )
 
 
-_NAMES = ("default", "thesis", "radifocus_angled", "nitrex_straight", "floppy", "amplatz", "stiff", "arch_variety")
+_NAMES = (
+    *("default", "thesis", "radifocus_angled", "radifocus_angled_025", "nitrex_straight"),
+    *("floppy", "amplatz", "stiff", "arch_variety"),
+)
 
 
 def _of_file(path: str | Path) -> Guidewire:

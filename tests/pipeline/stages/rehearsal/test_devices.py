@@ -14,7 +14,7 @@ from pipeline.anatomies.device_trials import Tried
 from pipeline.jobs.worker import Report
 from pipeline.seeds import training_copies
 from pipeline.stages.rehearsal import devices
-from pipeline.stages.rehearsal.devices import try_devices, with_chosen_devices
+from pipeline.stages.rehearsal.devices import softer_devices, try_devices, with_chosen_devices
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.task import Task
 from tests.pipeline.stages.small_expert import context
@@ -72,6 +72,35 @@ def test_where_nothing_arrives_the_shape_decides(chosen: Any) -> None:
     assert choose(dict.fromkeys(("wire alone", "jb2", "simmons2"), never)) == (BY_SHAPE, None)
 
 
+SOFTER = ("radifocus_angled in jb2", "default in jb2_4f", "radifocus_angled in jb2_4f")
+USUAL = {"wire alone": Tried(0, 4, 300.0, 0.2), "jb2": Tried(4, 4, 150.0, 0.4), "simmons2": Tried(2, 4, 150.0, 0.3)}
+
+
+def test_where_what_is_chosen_presses_softer_devices_are_tried(chosen: Any, caplog: pytest.LogCaptureFixture) -> None:
+    choose, asked = chosen
+    both = Tried(1, 4, 250.0, 0.1)  # too seldom
+    outcomes = USUAL | dict(zip(SOFTER, (Tried(4, 4, 150.0, 0.35), Tried(3, 4, 150.0, 0.25), both), strict=True))
+    with caplog.at_level(logging.INFO):
+        assert choose(outcomes) == (Task(catheter="jb2_4f"), outcomes[SOFTER[1]])
+    assert asked[-1] == ["devices/jb2", *(f"devices/{name}" for name in SOFTER)]
+    assert "they press with 0.40, 0.35, 0.25, 0.10 N: default in jb2_4f is taken" in caplog.text
+    assert choose(outcomes, softer_devices=False) == (Task(catheter="jb2"), USUAL["jb2"])
+    assert len(asked) == 2
+
+    pressing, soft = Tried(4, 4, 100.0, 0.8), Tried(3, 4, 100.0, 0.5)
+    outcomes = {"wire alone": pressing, "radifocus_angled": soft}
+    assert choose(outcomes) == (Task(wire="radifocus_angled"), soft)
+    assert asked == [["devices/wire alone"], ["devices/wire alone", "devices/radifocus_angled"]]
+
+
+def test_a_wire_that_is_named_stays_and_so_does_a_size() -> None:
+    stiff = Task(wire="stiff", catheter="simmons2")
+    assert softer_devices(stiff) == [dataclasses.replace(stiff, catheter="simmons2_4f")]
+    assert softer_devices(Task(wire="stiff")) == []
+    sized = Task(catheter="simmons2_6f")
+    assert softer_devices(sized) == [dataclasses.replace(sized, wire="radifocus_angled")]
+
+
 @pytest.mark.parametrize(
     "changed",
     [
@@ -94,7 +123,8 @@ def test_a_trial_plays_the_policy_in_copies_that_the_training_has_too(
 ) -> None:
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     task = Task(max_steps=6)
-    (first, *_) = devices._jobs(RehearsalSettings(task=task), context(tmp_path, "rehearsal"), "bca", task)
+    named = {devices.WIRE_ALONE: task}
+    (first,) = devices._jobs(RehearsalSettings(task=task), context(tmp_path, "rehearsal"), "bca", named)
     assert first.given.copies == tuple(training_copies(0, devices.TRIALS))
     assert first.given.start.stem == "generalist"
     tried = Tried(**try_devices(dataclasses.replace(first.given, copies=first.given.copies[:1]), Report()))

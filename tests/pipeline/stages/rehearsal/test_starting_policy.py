@@ -51,11 +51,12 @@ def test_a_policy_of_other_actions_is_not_started_from(tmp_path: Path) -> None:
 
 def test_a_catheter_without_a_policy_is_steered_by_those_of_others(tmp_path: Path) -> None:
     asked = {}
-    for catheter in ("simmons2", "vertebral"):
+    for catheter in ("simmons2", "simmons2_4f", "vertebral"):
         task = Task(catheter=catheter)
         start = starting_policy(RehearsalSettings(), tmp_path, 0, task)
         asked[catheter] = [path.stem for path in advising_policies(tmp_path, 0, task, start)]
     assert asked["simmons2"] == ["generalist_simmons2", "navigator_simmons2"]  # a catheter's own policies are enough
+    assert asked["simmons2_4f"] == asked["simmons2"]  # of the same shape in another size
     assert asked["vertebral"] == ["generalist_jb2", "generalist_simmons2"]
 
 

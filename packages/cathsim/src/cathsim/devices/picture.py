@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 
 _MM, _NMM2 = 1e3, 1e6
 _SHOWN = 0.17  # m from the tip that are drawn
+_NAME = 15  # letters of a name in one line
 _STEP = 2.5e-4  # m between points of a drawn centreline
-_COLUMNS, _WIDTH, _HEIGHT = 7, 60.0, 197.0  # devices in a row; mm of the sheet for each
+_COLUMNS, _WIDTH, _HEIGHT = 8, 60.0, 204.0  # devices in a row; mm of the sheet for each
 _SCALE = 50.0  # mm of the sheet in an inch of the picture
 _PROFILE = 0.20  # m of the profiles
 _BODY, _LUMEN, _MARKER, _WIRE = "#3b6ea5", "#dbe6f1", "#e0a020", "#222222"
@@ -54,7 +55,7 @@ def draw_devices(devices: Mapping[str, Device]) -> Figure:
     shapes.text(start + 2, 25, "50 mm", rotation=90, va="center", fontsize=8)
     _draw_profiles(bending, devices, "EI")
     _draw_profiles(torsion, devices, "GJ")
-    bending.legend(frameon=False, fontsize=7, ncols=2, loc="lower right")
+    figure.legend(*bending.get_legend_handles_labels(), frameon=False, fontsize=7, ncols=6, loc="outside lower center")
     return figure
 
 
@@ -84,6 +85,8 @@ def _draw_shape(axes: Axes, name: str, device: Device, at: tuple[float, float]) 
         if len(marker) > 1:
             axes.add_patch(Polygon(_band(marker, device.radius * _MM), color=_MARKER, linewidth=0))
         size = f"{device.outer_diameter * _MM:.2f} / {device.inner_diameter * _MM:.2f} mm"
+    if len(name) > _NAME:
+        name = "_\n".join(name.rsplit("_", 1))
     axes.text(at[0], at[1] - 3.0, f"{name}\n{size}", ha="center", va="top", fontsize=8)
 
 

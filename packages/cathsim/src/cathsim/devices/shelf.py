@@ -70,6 +70,15 @@ def catheter_preset_of(catheter: Catheter) -> str | None:
     return next((name for name, preset in CATHETERS.items() if preset == catheter), None)
 
 
+def catheter_shape(name: str) -> str:
+    """The shape of a preset's name, without its size; the path of a YAML file as it is.
+
+    Raises:
+        ValueError: unknown preset.
+    """
+    return name if is_file(name) else _shape_and_size(name)[0]
+
+
 def _shape_and_size(name: str) -> tuple[str, int | None]:
     sized = _SIZED.fullmatch(name)
     shape, size = (sized[1], int(sized[2])) if sized else (name, None)
