@@ -5,6 +5,7 @@ How far an ostium is set back tells it roughly (`pipeline.anatomies.take_offs`);
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -42,7 +43,7 @@ class Tried:
     force_p95: float
 
     def __str__(self) -> str:
-        return f"{self.reached} of {self.episodes}"
+        return f"{self.reached} of {self.episodes} ({self.force_p95:.2f} N)"
 
 
 def try_in_copies(
@@ -132,11 +133,18 @@ def soonest(tried: Sequence[Tried], usual: int = 0) -> int:
     return max(numbers, key=lambda number: (tried[number].reached, number == usual, -tried[number].steps))
 
 
-def gentlest(tried: Sequence[Tried]) -> int:
+def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
     """Number of those that press least among those that reach the target in half of the copies, or else `soonest`.
 
-    Whoever reaches it in fewer copies than the best by more than `CHANCE` is left out.
+    Whoever reaches it in fewer copies than the best by more than `CHANCE` is left out unless the others press hard.
+
+    Args:
+        limit: 95th percentile of the force from which on they press too hard, N.
     """
+    half = [number for number, one in enumerate(tried) if one.reached >= 0.5 * one.episodes]
+    if not half:
+        return soonest(tried)
     most = max(one.reached for one in tried)
-    often = [number for number, one in enumerate(tried) if one.reached >= max(0.5 * one.episodes, most - CHANCE)]
-    return min(often, key=lambda number: tried[number].force_p95) if often else soonest(tried)
+    often = [number for number in half if tried[number].reached >= most - CHANCE]
+    least = min(often, key=lambda number: tried[number].force_p95)
+    return least if tried[least].force_p95 <= limit else min(half, key=lambda number: tried[number].force_p95)

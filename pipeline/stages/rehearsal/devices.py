@@ -1,8 +1,7 @@
 """The devices of a rehearsal: policies of the wire alone and of a catheter over it play in copies of the scan first.
 
 Where no catheter is named, and there are policies for several devices to start from, `gentlest` chooses. Where none of
-them reaches the target, and where there are no such policies, the shape of the take-off decides. Where those that are
-chosen press hard, the same ones with a softer wire and of a smaller size play, too.
+them reaches the target, and where there are no such policies, the shape of the take-off decides.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.device_trials import Tried, gentlest, try_in_copies
-from pipeline.anatomies.take_offs import WITH_POLICIES, with_catheter_where_steep
+from pipeline.anatomies.take_offs import CATHETER, WITH_POLICIES, with_catheter_where_steep
 from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Report
@@ -33,8 +32,8 @@ if TYPE_CHECKING:
 
 DEVICES = "devices"  # first part of the jobs' names
 WIRE_ALONE = "wire alone"
-SOFTER_WIRE = "radifocus_angled"  # two thirds as stiff as the usual one, hydrophilic
-SMALLER = "4f"  # a third as stiff as the usual size
+SOFTER_WIRES = ("radifocus_angled", "radifocus_angled_025")  # two thirds and a sixth as stiff as the usual one
+SOFTER_CATHETER = f"{CATHETER}_4f"  # a third as stiff as that of 5F
 TRIALS = 4  # copies, in each of which a policy plays an episode
 _SECONDS = 10.0  # a guess: of the trials of one policy
 
@@ -57,40 +56,42 @@ def with_chosen_devices(
     """
     in_branch = phantom.target(target).branch != phantom.tree.root.name
     choice = task.catheter is None and task.entry == DESCENDING and in_branch
-    usual = {catheter or WIRE_ALONE: replace(task, catheter=catheter) for catheter in (None, *WITH_POLICIES)}
-    jobs = _jobs(settings, context, target, usual) if choice else []
-    if len(jobs) < 2:
+    first = _jobs(settings, context, target, _with_catheters(task)) if choice else []
+    if len(first) < 2:
         return with_catheter_where_steep(phantom, target, task, choose=True), None
 
     def fared(those: Sequence[Job]) -> list[Tried]:
         label = f"devices in {phantom.name}"
         outcomes = run_jobs(context.folder, those, workers=settings.workers, label=label, preload=PRELOAD)
-        tried = [Tried(**outcomes[job.key]) for job in those]
-        told = ", ".join(f"{job.key.partition('/')[2]} {one}" for job, one in zip(those, tried, strict=True))
-        _LOGGER.info("copies of %s in which a policy reached %s: %s", phantom.name, target, told)
-        return tried
+        return [Tried(**outcomes[job.key]) for job in those]
 
-    tried = fared(jobs[:1])
-    if tried[0].reached < tried[0].episodes:  # the usual devices are enough where they always arrive
+    jobs = first[:1]
+    tried = fared(jobs)
+    if tried[0].reached < tried[0].episodes:  # else the wire alone is enough
+        jobs = first
+    if tried[0].reached and tried[0].force_p95 > PRESSING:
+        jobs = [*jobs, *_jobs(settings, context, target, _with_softer_wires(task))]
+    if len(jobs) > 1:
         tried = fared(jobs)
+    told = ", ".join(f"{job.key.partition('/')[2]} {one}" for job, one in zip(jobs, tried, strict=True))
+    _LOGGER.info("copies of %s in which a policy reached %s, and how it pressed: %s", phantom.name, target, told)
     if not any(one.reached for one in tried):
         return with_catheter_where_steep(phantom, target, task, choose=True), None
-    chosen = gentlest(tried)
-    if settings.softer_devices and tried[chosen].force_p95 > PRESSING:
-        named = {one.device_names: one for one in softer_devices(jobs[chosen].given.task)}
-        jobs = [jobs[chosen], *_jobs(settings, context, target, named)]
-        tried = fared(jobs)
-        chosen = gentlest(tried)
-        pressed = ", ".join(f"{one.force_p95:.2f}" for one in tried)
-        _LOGGER.info("they press with %s N: %s is taken", pressed, jobs[chosen].given.task.device_names)
+    chosen = gentlest(tried, PRESSING)
     return jobs[chosen].given.task, tried[chosen]
 
 
-def softer_devices(task: Task) -> list[Task]:
-    """A task with a softer wire, with a catheter of a smaller size, and with both, as far as it has the usual ones."""
-    wires = [task.wire, *([SOFTER_WIRE] if task.wire == Task().wire else [])]
-    catheters = [task.catheter, *([f"{task.catheter}_{SMALLER}"] if task.catheter in WITH_POLICIES else [])]
-    return [replace(task, wire=wire, catheter=catheter) for catheter in catheters for wire in wires][1:]
+def _with_catheters(task: Task) -> dict[str, Task]:
+    """The wire alone, then with each catheter that policies come for, and with a softer one."""
+    usual = {catheter or WIRE_ALONE: replace(task, catheter=catheter) for catheter in (None, *WITH_POLICIES)}
+    wire = SOFTER_WIRES[-1] if task.wire == Task().wire else task.wire
+    softer = replace(task, wire=wire, catheter=SOFTER_CATHETER)
+    return usual | {softer.device_names: softer}
+
+
+def _with_softer_wires(task: Task) -> dict[str, Task]:
+    """Softer wires alone in place of the usual one; a wire that somebody chose stays."""
+    return {wire: replace(task, wire=wire) for wire in SOFTER_WIRES if task.wire == Task().wire}
 
 
 def try_devices(job: RehearsalJob, report: Report) -> dict[str, Any]:

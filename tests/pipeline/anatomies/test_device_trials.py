@@ -52,7 +52,7 @@ def test_an_episode_in_each_copy_is_counted_as_it_went() -> None:
     assert done == pytest.approx([1 / 3, 2 / 3, 1])
     still = try_in_copies(Straight(0.0), copies(max_steps=5), 7)  # type: ignore[arg-type]
     assert (still.reached, still.steps) == (0, 5)
-    assert str(still) == "0 of 3"
+    assert str(still) == f"0 of 3 ({still.force_p95:.2f} N)"
 
     first = try_in_copies(policy, near, 7, copies=1)  # type: ignore[arg-type]
     assert (first.reached, first.episodes) == (1, 1)
@@ -107,3 +107,6 @@ def test_the_gentlest_is_chosen_among_those_that_arrive_about_as_often_as_the_be
     assert gentlest([never, both]) == 1
     assert gentlest([Tried(1, 4, 90.0, 0.1), wire]) == 1  # in less than half
     assert gentlest([never, Tried(1, 4, 250.0, 0.5)]) == 1  # none arrives as often
+    assert gentlest([wire, both, never], 0.4) == 1
+    assert gentlest([wire, both, never], 0.3) == 0  # the best presses too hard
+    assert gentlest([Tried(1, 4, 90.0, 0.1), both, never], 0.3) == 1  # nothing else arrives in half

@@ -14,7 +14,7 @@ from pipeline.anatomies.device_trials import Tried
 from pipeline.jobs.worker import Report
 from pipeline.seeds import training_copies
 from pipeline.stages.rehearsal import devices
-from pipeline.stages.rehearsal.devices import softer_devices, try_devices, with_chosen_devices
+from pipeline.stages.rehearsal.devices import try_devices, with_chosen_devices
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.task import Task
 from tests.pipeline.stages.small_expert import context
@@ -46,59 +46,57 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return choose, asked
 
 
+SOFTER = "radifocus_angled_025 in jb2_4f"
+WITH_CATHETERS = ("wire alone", "jb2", "simmons2", SOFTER)
+
+
+def asked_for(*names: str) -> list[str]:
+    return [f"devices/{name}" for name in names]
+
+
 def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: pytest.LogCaptureFixture) -> None:
     choose, asked = chosen
-    outcomes = {
-        "wire alone": Tried(0, 4, 300.0, 0.2),
-        "jb2": Tried(3, 4, 150.0, 0.4),
-        "simmons2": Tried(2, 4, 150.0, 0.3),
-    }
+    never, jb2, simmons = Tried(0, 4, 300.0, 0.2), Tried(3, 4, 150.0, 0.4), Tried(2, 4, 150.0, 0.3)
+    outcomes = {"wire alone": never, "jb2": jb2, "simmons2": simmons, SOFTER: Tried(1, 4, 250.0, 0.1)}
     with caplog.at_level(logging.INFO):
-        assert choose(outcomes) == (Task(catheter="simmons2"), outcomes["simmons2"])
-    assert "reached lcca: wire alone 0 of 4, jb2 3 of 4, simmons2 2 of 4" in caplog.text
-    assert asked == [["devices/wire alone"], ["devices/wire alone", "devices/jb2", "devices/simmons2"]]
+        assert choose(outcomes) == (Task(catheter="simmons2"), simmons)
+    assert "how it pressed: wire alone 0 of 4 (0.20 N), jb2 3 of 4 (0.40 N), simmons2 2 of 4 (0.30 N)" in caplog.text
+    assert asked == [asked_for("wire alone"), asked_for(*WITH_CATHETERS)]
+
+    outcomes[SOFTER] = Tried(3, 4, 200.0, 0.15)
+    soft = Task(wire="radifocus_angled_025", catheter="jb2_4f")
+    assert choose(outcomes) == (soft, outcomes[SOFTER])
+    outcomes["stiff in jb2_4f"] = outcomes[SOFTER]  # a wire that was chosen stays
+    assert choose(outcomes, Task(wire="stiff"))[0] == Task(wire="stiff", catheter="jb2_4f")
 
 
 def test_where_the_wire_alone_always_arrives_nothing_else_is_tried(chosen: Any) -> None:
     choose, asked = chosen
     always = Tried(4, 4, 100.0, 0.2)
     assert choose({"wire alone": always}) == (Task(), always)
-    assert asked == [["devices/wire alone"]]
+    assert asked == [asked_for("wire alone")]
+
+
+def test_where_the_wire_alone_arrives_and_presses_softer_ones_are_tried(chosen: Any) -> None:
+    choose, asked = chosen
+    wires = ("radifocus_angled", "radifocus_angled_025")
+    outcomes = {"wire alone": Tried(4, 4, 100.0, 0.8)} | dict(
+        zip(wires, (Tried(4, 4, 100.0, 0.5), Tried(3, 4, 120.0, 0.1)), strict=True)
+    )
+    assert choose(outcomes) == (Task(wire=wires[1]), outcomes[wires[1]])
+    assert asked == [asked_for("wire alone"), asked_for("wire alone", *wires)]
+    assert choose(outcomes, Task(wire="stiff")) == (Task(wire="stiff"), outcomes["wire alone"])
+    assert asked == [asked_for("wire alone")]
+
+    outcomes |= dict.fromkeys(WITH_CATHETERS[1:], Tried(0, 4, 300.0, 0.1)) | {"wire alone": Tried(3, 4, 150.0, 0.8)}
+    assert choose(outcomes)[0] == Task(wire=wires[1])
+    assert asked[-1] == asked_for(*WITH_CATHETERS, *wires)
 
 
 def test_where_nothing_arrives_the_shape_decides(chosen: Any) -> None:
     choose, _ = chosen
     never = Tried(0, 4, 300.0, 0.2)
-    assert choose(dict.fromkeys(("wire alone", "jb2", "simmons2"), never)) == (BY_SHAPE, None)
-
-
-SOFTER = ("radifocus_angled in jb2", "default in jb2_4f", "radifocus_angled in jb2_4f")
-USUAL = {"wire alone": Tried(0, 4, 300.0, 0.2), "jb2": Tried(4, 4, 150.0, 0.4), "simmons2": Tried(2, 4, 150.0, 0.3)}
-
-
-def test_where_what_is_chosen_presses_softer_devices_are_tried(chosen: Any, caplog: pytest.LogCaptureFixture) -> None:
-    choose, asked = chosen
-    both = Tried(1, 4, 250.0, 0.1)  # too seldom
-    outcomes = USUAL | dict(zip(SOFTER, (Tried(4, 4, 150.0, 0.35), Tried(3, 4, 150.0, 0.25), both), strict=True))
-    with caplog.at_level(logging.INFO):
-        assert choose(outcomes) == (Task(catheter="jb2_4f"), outcomes[SOFTER[1]])
-    assert asked[-1] == ["devices/jb2", *(f"devices/{name}" for name in SOFTER)]
-    assert "they press with 0.40, 0.35, 0.25, 0.10 N: default in jb2_4f is taken" in caplog.text
-    assert choose(outcomes, softer_devices=False) == (Task(catheter="jb2"), USUAL["jb2"])
-    assert len(asked) == 2
-
-    pressing, soft = Tried(4, 4, 100.0, 0.8), Tried(3, 4, 100.0, 0.5)
-    outcomes = {"wire alone": pressing, "radifocus_angled": soft}
-    assert choose(outcomes) == (Task(wire="radifocus_angled"), soft)
-    assert asked == [["devices/wire alone"], ["devices/wire alone", "devices/radifocus_angled"]]
-
-
-def test_a_wire_that_is_named_stays_and_so_does_a_size() -> None:
-    stiff = Task(wire="stiff", catheter="simmons2")
-    assert softer_devices(stiff) == [dataclasses.replace(stiff, catheter="simmons2_4f")]
-    assert softer_devices(Task(wire="stiff")) == []
-    sized = Task(catheter="simmons2_6f")
-    assert softer_devices(sized) == [dataclasses.replace(sized, wire="radifocus_angled")]
+    assert choose(dict.fromkeys(WITH_CATHETERS, never)) == (BY_SHAPE, None)
 
 
 @pytest.mark.parametrize(
