@@ -1,6 +1,7 @@
 """A wire in a catheter: statics against theory, stability under random motions, speed, forces of the expert.
 
     python benchmarks/devices/catheter.py [--quick] [--parts A,B] [--seeds N] [--first-seed N] [--steps N]
+        [--wire NAME] [--catheters A,B]
 
 Prints tables and, as its last line, one JSON object: cantilever_pct, the largest error of ten coverages; two_rods_deg,
 the largest angle between the ends of the composite rod and of two rods on one centreline; penetration_p99_mm, the
@@ -9,7 +10,8 @@ became invalid; speed_ratio, steps a second of processor time with the vertebral
 (`accurate`, in turns, median), both devices fed together; speed_ahead_ratio, with the wire ahead; force_mean_n and
 force_sd_n, of the readings of a load cell under the phantom (ATI Mini40, SI-20-1, low-pass of 2 Hz) over the steps of
 the sampling expert with the vertebral catheter in Type I.
---quick takes one seed, few steps and a small budget of the search, below 60 s.
+--wire and --catheters choose the devices of the random motions. --quick takes one seed, few steps and a small budget of
+the search, below 60 s.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import argparse
 import json
 import os
 import time
+from collections.abc import Sequence
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -76,11 +79,11 @@ def random_motions(steps: int, generator: np.random.Generator) -> Array:
     return np.clip(np.array(rows[:steps]), -1, 1)
 
 
-def depths(catheter: str, steps: int, seed: int) -> tuple[Array, bool]:
+def depths(wire: str, catheter: str, steps: int, seed: int) -> tuple[Array, bool]:
     """Deepest penetration (mm) after each substep of a run with random motions, and whether it stayed valid."""
     numerics = ACCURACY["accurate"]
     simulation = simulation_of(
-        load_phantom(PHANTOM), load_guidewire("default"), load_catheter(catheter), numerics, measure_penetration=True
+        load_phantom(PHANTOM), load_guidewire(wire), load_catheter(catheter), numerics, measure_penetration=True
     )
     assert isinstance(simulation, DualSimulation)
     found = []
@@ -95,12 +98,12 @@ def depths(catheter: str, steps: int, seed: int) -> tuple[Array, bool]:
     return 1e3 * np.concatenate(found), simulation.valid
 
 
-def stability(steps: int, seeds: range) -> dict[str, float]:
-    """Random motions with every catheter."""
+def stability(steps: int, seeds: range, wire: str, catheters: Sequence[str]) -> dict[str, float]:
+    """Random motions with each catheter over a wire."""
     print(f"\n{'catheter':<12} {'runs x steps':>14} {'p99, mm':>8} {'max, mm':>8} {'invalid':>8}")
     largest, broken = 0.0, 0
-    for catheter in SHAPES:
-        runs = [depths(catheter, steps, seed) for seed in seeds]
+    for catheter in catheters:
+        runs = [depths(wire, catheter, steps, seed) for seed in seeds]
         all_depths, invalid = np.concatenate([run[0] for run in runs]), sum(not run[1] for run in runs)
         p99 = float(np.percentile(all_depths, 99))
         largest, broken = max(largest, p99), broken + invalid
@@ -189,6 +192,8 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3, help="of the expert; random motions take one more")
     parser.add_argument("--first-seed", type=int, help="of random motions, which then take as many as --seeds")
     parser.add_argument("--steps", type=int, default=20_000, help="of a run with random motions")
+    parser.add_argument("--wire", default="default", help="of random motions: a preset")
+    parser.add_argument("--catheters", default=",".join(SHAPES), help="of random motions, with commas between")
     arguments = parser.parse_args()
     quick, begin, parts = arguments.quick, time.perf_counter(), arguments.parts.split(",")
     if unknown := set(parts) - set(PARTS):
@@ -200,12 +205,13 @@ def main() -> None:
     if "theory" in parts:
         figures |= theory()
     if "stability" in parts:
-        figures |= stability(300 if quick else arguments.steps, range(1) if quick else motions)
+        steps, seeds = (300, range(1)) if quick else (arguments.steps, motions)
+        figures |= stability(steps, seeds, arguments.wire, arguments.catheters.split(","))
     if "speed" in parts:
         figures |= speeds(QUICK_ROUNDS if quick else ROUNDS, ("accurate",) if quick else ("accurate", "fast"))
     if "forces" in parts:
-        targets, seeds = (TARGETS[:1], 1) if quick else (TARGETS, arguments.seeds)
-        figures |= expert_forces(targets, seeds, QUICK_EXPERT if quick else TWO_DEVICES)
+        targets, searches = (TARGETS[:1], 1) if quick else (TARGETS, arguments.seeds)
+        figures |= expert_forces(targets, searches, QUICK_EXPERT if quick else TWO_DEVICES)
     rounded = {name: round(value, 4) for name, value in figures.items()}
     print(json.dumps(rounded | {"wall_s": round(time.perf_counter() - begin, 1)}))
 
