@@ -3,6 +3,7 @@
     python benchmarks/enn/shipped_policies.py [--policy generalist] [--arches 50] [--draw]
     python benchmarks/enn/shipped_policies.py --steep generalist_simmons2 --first 40400 --draw
     python benchmarks/enn/shipped_policies.py --steep generalist_simmons2 --setting random_steep --max-steps 600 --draw
+    python benchmarks/enn/shipped_policies.py --steep generalist_jb2 --catheter jb2_4f --wire radifocus_angled_025
     python benchmarks/enn/shipped_policies.py --anatomies scan.stl labels.nii.gz --episodes 5 --max-steps 600 --draw
     python benchmarks/enn/shipped_policies.py --anatomies scan.stl --draw --among generalist generalist_jb2
     python benchmarks/enn/shipped_policies.py --policy navigator --attempts 3
@@ -11,7 +12,7 @@
 Prints a row for each anatomy and target (all random arches together), with Wilson's 95 % interval, then rows by how far
 the target's ostium is set back behind the top of the arch, and one JSON object as its last line. --steep names the
 policy for targets set back by --steep-from mm or more, which the scan tells beforehand; a policy of two devices steers
-its own.
+its own, or those of --catheter and --wire.
 With --among the first policy, or from --steep-from mm on the second, plays an episode in each of three copies of the
 anatomy; if it fails in one of them, all of these policies, which see a roadmap, play in six copies, and the one that
 arrives most often plays the episodes (`pipeline.anatomies.device_trials`).
@@ -95,6 +96,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--episodes", type=int, default=5, help="in each file and towards each target")
     parser.add_argument("--max-steps", type=int, default=300, help="of an attempt")
     parser.add_argument("--attempts", type=int, default=1)
+    parser.add_argument("--catheter", metavar="NAME", help="instead of that which a policy of two devices learnt with")
+    parser.add_argument("--wire", default="default", metavar="NAME", help="in a catheter")
     parser.add_argument(
         "--exchange", action="store_true", help="then try the devices of the other policy, with --steep"
     )
@@ -133,9 +136,9 @@ def cells(given: argparse.Namespace) -> Iterator[tuple[str, str, list[tuple[int 
 def task_of(policy: Any, given: argparse.Namespace) -> UnseenTask:
     """The task of the tests, with the devices that a policy was trained with."""
     catheter = policy.metadata.get(TASK, {}).get("catheter")
-    usual = task_in_random_arches()
+    devices = {} if catheter is None else {"catheter": given.catheter or catheter, "wire": given.wire}
     max_steps = steps_of_attempts(given.max_steps, given.attempts)
-    rules = dataclasses.replace(usual, max_steps=max_steps, start_rotation_deg=180.0, catheter=catheter)
+    rules = dataclasses.replace(task_in_random_arches(), max_steps=max_steps, start_rotation_deg=180.0, **devices)
     return UnseenTask(GENERATED_TARGETS, rules, arches=given.setting)
 
 
@@ -151,10 +154,10 @@ def play(
 
     by_roadmap = isinstance(policy, Policy)
     if by_roadmap:
-        environment = task.test_environment(place, target, "default", policy.keys)
+        environment = task.test_environment(place, target, task.task.wire, policy.keys)
     else:
         side = task.task.image_size_px
-        bare = task.test_environment(place, target, "default", ("goal_image",))
+        bare = task.test_environment(place, target, task.task.wire, ("goal_image",))
         imaging = policy.imaging | ({"field": 1e-3 * given.field} if given.field else {})
         environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter), **imaging)
     controller = RetryingController(attempt, given.max_steps, given.attempts, seed, most_force=given.most_force)
