@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 STEEP_MM = 13.0
 CATHETER = "jb2"  # that reaches further
 WITH_POLICIES = (CATHETER, "simmons2")  # catheters over the wire that shipped policies steer, the better ones first
+# Two thirds and a sixth as stiff as the usual wire; the latter goes with a JB2 of 4F, a third as stiff as that of 5F.
+SOFTER_WIRES = ("radifocus_angled", "radifocus_angled_025")
+_SOFTER = f"{CATHETER}_4f"
 # mm; from here on the shipped policies of wire and catheter reach more targets than those of the wire alone (same page)
 CATHETER_BETTER_MM = 5.0
 
@@ -59,3 +62,15 @@ def with_catheter_where_steep(phantom: Phantom, target: TargetLike, task: Task, 
         else f"stage.catheter={CATHETER} reaches further",
     )
     return replace(task, catheter=CATHETER) if choose else task
+
+
+def softened(task: Task) -> Task:
+    """A task with a JB2 of 4F over a thin wire in place of one of 5F over the usual wire.
+
+    Policies that learnt with the latter bring the former to more targets, and press less (docs/results/rehearsal.md).
+    Another catheter stays, and so does a wire that somebody chose.
+    """
+    if task.catheter != CATHETER:
+        return task
+    wire = SOFTER_WIRES[-1] if task.wire == Task().wire else task.wire
+    return replace(task, wire=wire, catheter=_SOFTER)

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.device_trials import best_in_copies
 from pipeline.anatomies.known import TARGETS
-from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, WITH_POLICIES, set_back_mm
+from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, WITH_POLICIES, set_back_mm, softened
 from pipeline.seeds import ARCHES, held_out_seeds, unseen_arches
 from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
 from pipeline.store.errors import ConfigurationError
@@ -200,34 +200,47 @@ def open_scene(
         raise ConfigurationError(f"{described} has {wanted}: choose --target from {', '.join(known) or 'none'}")
     known_models = enn.models()
     of_both = [name for one in WITH_POLICIES if (name := f"{model}_{one}") in known_models] if catheter else []
+    rules: Task | None = None
     if of_both:
-        model, policy = _best_model([model, *of_both], place, chosen)
+        model, policy, rules = _best_model([model, *of_both], place, chosen)
     if TASK not in policy.metadata:
         raise ConfigurationError(
             f"the model {model!r} does not say which task it was trained for: choose another model"
         )
-    rules = Task(**policy.metadata[TASK])
+    rules = rules or Task(**policy.metadata[TASK])
     steps = rules.max_steps
     task = UnseenTask(TARGETS, replace(rules, max_steps=steps_of_attempts(steps, attempts)))
     start_seed = held_out_seeds(0, _ARCHES)[seed]
     return Scene(model, policy, _environment(task, place, chosen, policy), described, start_seed, steps, attempts)
 
 
-def _best_model(names: list[str], place: int | AnatomyFile, target: str) -> tuple[str, Policy | ImagePolicy]:
-    """The policy among those of the wire alone and of catheters over it, the usual catheter first; its name, too."""
+def _best_model(
+    names: list[str], place: int | AnatomyFile, target: str
+) -> tuple[str, Policy | ImagePolicy, Task | None]:
+    """The policy among those of the wire alone and of catheters over it, the usual catheter first.
+
+    Returns:
+        Its name, the policy, and its task with the devices that trials chose; None: as it was trained.
+    """
     import enn
     from enn.policy import Policy
 
     usual = int(_set_back(place, target) >= CATHETER_BETTER_MM)
     policy = enn.load(names[usual])
     if not (isinstance(place, AnatomyFile) and isinstance(policy, Policy)):
-        return names[usual], policy
-    policies = [one for one in map(enn.load, names) if isinstance(one, Policy) and TASK in one.metadata]
-    if len(policies) < len(names):  # what one without a task was trained for is not known
-        return names[usual], policy
-    tasks = [Task(**one.metadata[TASK]) for one in policies]
-    best = best_in_copies(policies, tasks, load_anatomy(place), target, usual=usual, seed=_FIRST_TRIAL)
-    return names[best], policies[best]
+        return names[usual], policy, None
+    loaded = [(name, enn.load(name)) for name in names]
+    trained = [
+        (name, one, Task(**one.metadata[TASK]))
+        for name, one in loaded
+        if isinstance(one, Policy) and TASK in one.metadata
+    ]
+    if len(trained) < len(names):  # what one without a task was trained for is not known
+        return names[usual], policy, None
+    softer = [(name, one, softened(task)) for name, one, task in trained if softened(task) != task]
+    tried = [*trained, *softer]
+    policies, tasks = [one for _, one, _ in tried], [task for _, _, task in tried]
+    return tried[best_in_copies(policies, tasks, load_anatomy(place), target, usual=usual, seed=_FIRST_TRIAL)]
 
 
 def _set_back(place: int | AnatomyFile, target: str) -> float:

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.device_trials import Tried, gentlest, try_in_copies
-from pipeline.anatomies.take_offs import CATHETER, WITH_POLICIES, with_catheter_where_steep
+from pipeline.anatomies.take_offs import CATHETER, SOFTER_WIRES, WITH_POLICIES, softened, with_catheter_where_steep
 from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Report
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 DEVICES = "devices"  # first part of the jobs' names
 WIRE_ALONE = "wire alone"
-SOFTER_WIRES = ("radifocus_angled", "radifocus_angled_025")  # two thirds and a sixth as stiff as the usual one
-SOFTER_CATHETER = f"{CATHETER}_4f"  # a third as stiff as that of 5F
 TRIALS = 4  # copies, in each of which a policy plays an episode
 _SECONDS = 10.0  # a guess: of the trials of one policy
 
@@ -84,8 +82,7 @@ def with_chosen_devices(
 def _with_catheters(task: Task) -> dict[str, Task]:
     """The wire alone, then with each catheter that policies come for, and with a softer one."""
     usual = {catheter or WIRE_ALONE: replace(task, catheter=catheter) for catheter in (None, *WITH_POLICIES)}
-    wire = SOFTER_WIRES[-1] if task.wire == Task().wire else task.wire
-    softer = replace(task, wire=wire, catheter=SOFTER_CATHETER)
+    softer = softened(usual[CATHETER])
     return usual | {softer.device_names: softer}
 
 

@@ -13,7 +13,7 @@ from cathsim.anatomy.generator.arch_parameters import ArchParameters
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.measurement.take_off import set_back
 from cathsim.anatomy.phantom import locate_targets
-from pipeline.anatomies.take_offs import STEEP_MM, with_catheter_where_steep
+from pipeline.anatomies.take_offs import STEEP_MM, softened, with_catheter_where_steep
 from pipeline.task import Task
 
 
@@ -50,3 +50,18 @@ def test_elsewhere_the_devices_stay_and_nothing_is_said(steep: Phantom, caplog: 
         ):
             assert with_catheter_where_steep(steep, target, given, choose=True) == given
     assert not caplog.text
+
+
+def test_softer_devices_are_those_of_a_jb2_over_the_usual_wire() -> None:
+    task = Task(catheter="jb2", max_steps=7)
+    soft = softened(task)
+    assert soft == replace(task, catheter="jb2_4f", wire="radifocus_angled_025")
+    usual, pair = task.pair(), soft.pair()
+    assert pair.wire is not None
+    assert usual.wire is not None
+    assert pair.wire.stiffness(0.2) + pair.catheter.stiffness(0.2) < 0.25 * (
+        usual.wire.stiffness(0.2) + usual.catheter.stiffness(0.2)
+    )
+    assert softened(replace(task, wire="stiff")) == replace(task, catheter="jb2_4f", wire="stiff")
+    for other in (Task(), Task(catheter="simmons2"), soft):
+        assert softened(other) == other

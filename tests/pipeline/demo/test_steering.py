@@ -15,7 +15,7 @@ from pipeline.demo import steering
 from pipeline.demo.steering import open_scene
 from pipeline.seeds import training_arches, unseen_arches
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import TASK
+from pipeline.task import TASK, Task
 from tests.pipeline.demo.small_policies import TASK_OF_DEMO, inside, ship, ship_for_two_devices
 
 
@@ -56,11 +56,11 @@ def test_a_catheter_is_over_the_wire_where_the_take_off_is_steep(shipped: Path) 
 
 def test_trials_choose_the_devices_in_an_anatomy_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(steering, "load_anatomy", lambda place: load_phantom("type_1"))
-    asked = []
+    asked, best = [], 1
 
     def trials(policies: Any, tasks: Any, phantom: Any, target: str, *, usual: int, seed: int) -> int:
-        asked.append((phantom.name, target, [task.catheter for task in tasks], usual))
-        return 1
+        asked.append((phantom.name, target, [(task.wire, task.catheter) for task in tasks], usual))
+        return best
 
     monkeypatch.setattr(steering, "best_in_copies", trials)
     policy = enn.load("generalist")
@@ -68,10 +68,16 @@ def test_trials_choose_the_devices_in_an_anatomy_of_ones_own(monkeypatch: pytest
     both.metadata[TASK] = policy.metadata[TASK] | {"catheter": "jb2"}
     monkeypatch.setattr(enn, "load", {"generalist": policy, "generalist_jb2": both}.__getitem__)
     names = ["generalist", "generalist_jb2"]
-    assert steering._best_model(names, AnatomyFile("own.stl"), "lcca")[0] == "generalist_jb2"
-    assert asked == [("type_1", "lcca", [None, "jb2"], 0)]
-    assert steering._best_model(names, 203, "lcca")[0] == "generalist"  # a random arch: by its shape
-    assert len(asked) == 1
+    name, _, task = steering._best_model(names, AnatomyFile("own.stl"), "lcca")
+    assert (name, task) == ("generalist_jb2", Task(**both.metadata[TASK]))
+    devices = [("default", None), ("default", "jb2"), ("radifocus_angled_025", "jb2_4f")]
+    assert asked == [("type_1", "lcca", devices, 0)]
+    best = 2
+    name, _, task = steering._best_model(names, AnatomyFile("own.stl"), "lcca")
+    assert task is not None
+    assert (name, task.wire, task.catheter) == ("generalist_jb2", *devices[2])
+    assert steering._best_model(names, 203, "lcca") == ("generalist", policy, None)  # a random arch: by its shape
+    assert len(asked) == 2
 
 
 def test_the_generalist_goes_by_the_scan() -> None:
