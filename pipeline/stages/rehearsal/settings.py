@@ -47,7 +47,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     name: str = "rehearsal"
     phantoms: FolderNames = field(default_factory=lambda: ["type_1"])  # one: that of the scan
     targets: FolderNames = field(default_factory=lambda: ["lcca"])  # one: any of the anatomy's
-    choose_catheter: bool = True  # by trials, and a softer wire; or the shape of the take-off; where none is named
+    choose_catheter: bool = True  # where none is named: by trials, of softer wires, too, or the shape of the take-off
     fit_steps: bool = True  # longer episodes than task.max_steps, where the way is long for them
     fresh: bool = False  # starts from nothing even where there is one
     walls_mm: _Millimetres = 1.0  # largest differences of a copy from the scan
