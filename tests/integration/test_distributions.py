@@ -68,7 +68,7 @@ def install_and_use(package: str, snippet: str, folder: Path) -> str:
     # This environment's pip works on the empty one: giving that a pip of its own would only cost time.
     pip = [sys.executable, "-m", "pip", "--python", str(python), "--disable-pip-version-check"]
     done = subprocess.run(
-        [*pip, "install", "-qq", "-c", str(constraints), str(source)],
+        [*pip, "install", "-qq", "--no-compile", "-c", str(constraints), str(source)],
         capture_output=True,
         text=True,
         timeout=300,

@@ -15,6 +15,8 @@ from pipeline.store.provenance import PROJECT_ROOT
 from pipeline.variants import variant_of
 from tests.conftest import PipelineProcess
 
+SMALL = ("stage.decisions=48", "stage.encoder_samples=150", "stage.expert_episodes=1")  # of the stage enn
+
 
 @pytest.mark.parametrize("launcher", ["basic", "joblib", "submitit_local", "ray"])
 def test_launcher_runs_every_job(launcher: str, pipeline_process) -> None:
@@ -57,7 +59,7 @@ def test_two_workers_learn_beside_each_other(launcher: str, expert_run: Pipeline
     workers = {"joblib": "hydra.launcher.n_jobs=2", "ray": "+hydra.launcher.ray.init.num_cpus=2"}[launcher]
     done = expert_run.run(
         "-m", "stage=enn", "budget=smoke", "name=sweep", f"seed={','.join(map(str, seeds))}", "phantom.name=type_1",
-        "target=bca", "modality=I", "stage.workers=1", f"hydra/launcher={launcher}", workers, timeout_s=900,
+        "target=bca", "modality=I", "stage.workers=1", *SMALL, f"hydra/launcher={launcher}", workers, timeout_s=900,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     for seed in seeds:
@@ -87,8 +89,7 @@ def test_variants_of_different_jobs_differ() -> None:
 @pytest.mark.slow
 def test_each_seed_of_a_sweep_learns_from_its_own_teacher(expert_run: PipelineProcess) -> None:
     common = ("budget=smoke", "name=sweep", "phantom.name=type_1", "target=bca", "modality=I+V+M")
-    small = ("stage.decisions=48", "stage.encoder_samples=150", "stage.expert_episodes=1")
-    for stage, further in (("enn", small), ("imitation", ("stage.workers=1",))):
+    for stage, further in (("enn", SMALL), ("imitation", ("stage.workers=1",))):
         done = expert_run.run("-m", "seed=0,1", f"stage={stage}", *further, *common, timeout_s=600)
         assert done.returncode == 0, done.stdout + done.stderr
     alone = expert_run.run("stage=imitation", "seed=1", *common, timeout_s=300)

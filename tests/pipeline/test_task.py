@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hydra import compose, initialize_config_dir
 
 from cathsim import load_catheter
 from cathsim.devices.device_file import preset_path
-from pipeline.config import BUDGETS, CONFIG_DIRECTORY, RunConfig, register_schemas, run_config
+from pipeline.config import BUDGETS
 from pipeline.recording.record import record_episode
 from pipeline.stages import available_stages, baselines, enn, force, imitation
 from pipeline.stages.expert import check_expert
@@ -36,13 +35,8 @@ from pipeline.task import (
     task_from,
     task_in_random_arches,
 )
+from tests.pipeline.composed import composed
 from tests.pipeline.stages.small_expert import TASK, context, write_expert
-
-
-def composed(*overrides: str) -> RunConfig:
-    register_schemas()
-    with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIRECTORY)):
-        return run_config(compose("config", overrides=list(overrides)))
 
 
 def stages_of(*overrides: str) -> dict[str, Any]:

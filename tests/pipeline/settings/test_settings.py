@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pipeline.config import CONFIG_DIRECTORY, RunConfig, register_schemas, run_config
+from pipeline.config import RunConfig, run_config
 from pipeline.explain import one_line
 from pipeline.settings.checks import sentence
 from pipeline.stages import available_stages, load_stage
 from pipeline.stages.expert import ExpertSettings
 from pipeline.store.errors import ConfigurationError
+from tests.pipeline.composed import unchecked
 
 SETTINGS = {name: load_stage(name).settings for name in available_stages()}
 NONSENSE = ("nan", "inf", "-inf", "-1", "1e300", "99999999999999999999999", "text", "true")
@@ -45,9 +45,7 @@ BAD_NAMES = ("../elsewhere", "/etc", "a/b", "..", "a b", "", "a" * 300, "a\\b")
 @pytest.fixture(scope="module")
 def composed() -> dict[str, DictConfig]:
     """Each stage's configuration as the command line composes it."""
-    register_schemas()
-    with initialize_config_dir(str(CONFIG_DIRECTORY), version_base="1.3"):
-        return {name: compose("config", overrides=[f"stage={name}"]) for name in SETTINGS}
+    return {name: unchecked(f"stage={name}") for name in SETTINGS}
 
 
 def given(config: DictConfig, override: str) -> RunConfig:

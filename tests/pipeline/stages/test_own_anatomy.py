@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
 
 from cathsim import load_phantom
 from cathsim.anatomy import import_mesh
 from pipeline.anatomies.anatomy_file import AnatomyFile
-from pipeline.config import CONFIG_DIRECTORY, RunConfig, register_schemas, run_config
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
 from pipeline.recording.record import record_episode
@@ -27,6 +25,7 @@ from pipeline.stages import load_stage, stage_module
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, entry_place
+from tests.pipeline.composed import composed
 from tests.pipeline.stages.small_expert import context, in_this_process
 
 TARGET = "left_carotid"
@@ -63,15 +62,9 @@ def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
 
 
-def composed(stage: str, *overrides: str) -> RunConfig:
-    register_schemas()
-    with initialize_config_dir(version_base="1.3", config_dir=str(CONFIG_DIRECTORY)):
-        return run_config(compose("config", overrides=[f"stage={stage}", "budget=smoke", *overrides]))
-
-
 def settled(stage: str, *overrides: str) -> Any:
     """A stage's settings as a run has them before its work begins."""
-    settings = composed(stage, *overrides).stage
+    settings = composed(f"stage={stage}", "budget=smoke", *overrides).stage
     load_stage(stage).prepare(settings)
     load_stage(stage).check(settings)
     return settings

@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from hydra import compose, initialize_config_dir
 
 from enn.reinforcement import DESK_PPO, DESK_SAC
-from pipeline.config import CONFIG_DIRECTORY, register_schemas, run_config
 from pipeline.stages.baselines import training_settings as of_baselines
 from pipeline.stages.enn import training_settings as of_enn
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
@@ -16,6 +14,7 @@ from pipeline.stages.learning.settings import BaselinesSettings, EnnSettings
 from pipeline.stages.unseen.roadmap_training import training_settings as of_unseen
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.store.errors import ConfigurationError
+from tests.pipeline.composed import composed
 
 PLACE = {"phantoms": ["type_1"], "targets": ["bca"]}
 CHANGES = {"learning_rate": 3e-4, "n_envs": 4, "hidden": [32, 32]}
@@ -42,9 +41,7 @@ def test_without_any_nothing_changes() -> None:
 @pytest.mark.parametrize("stage", ["baselines", "enn", "unseen", "rehearsal"])
 def test_the_command_line_takes_them(stage: str) -> None:
     words = [f"stage={stage}", "stage.training={learning_rate: 3e-4, hidden: [32, 32]}"]
-    register_schemas([stage])
-    with initialize_config_dir(str(CONFIG_DIRECTORY), version_base=None):
-        config = run_config(compose("config", overrides=words))
+    config = composed(*words)
     assert config.stage.training == {"learning_rate": 3e-4, "hidden": [32, 32]}
 
 
