@@ -133,7 +133,7 @@ class Player:
             perturbation=Perturbation().scaled(SHARE), wire=VARIETY, pace=VARIETY, catheter=self.catheter,
             observation=self.policy.keys, task=ArchVarietyTask(max_steps=self.bare.task.max_steps),
         )  # fmt: skip
-        outcome = try_in_copies(self.policy, environment, seed, copies=copies)
+        outcome = Tried.of(try_in_copies(self.policy, environment, seed, cases=range(copies)))
         environment.close()
         return outcome
 

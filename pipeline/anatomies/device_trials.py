@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 FIRST, TRIALS = 3, 6  # episodes of the usual devices, which are taken if all of them arrive; else of each policy
 CHANCE = 1  # episode of a few by which success may differ and mean nothing
 SHARE = 0.5  # of what may differ on the day, by which the copies for a choice differ from the scan
+Trial = tuple[bool, list[float]]  # of an episode: whether it arrived, the largest force of each step, N
 
 
 @dataclass(frozen=True)
@@ -45,40 +46,46 @@ class Tried:
     def __str__(self) -> str:
         return f"{self.reached} of {self.episodes} ({self.force_p95:.2f} N)"
 
+    @classmethod
+    def of(cls, trials: Sequence[Trial]) -> Tried:
+        """What some trials come to, at least one."""
+        forces = np.concatenate([forces for _, forces in trials])
+        reached = sum(reached for reached, _ in trials)
+        return cls(reached, len(trials), len(forces) / len(trials), float(np.percentile(forces, 95)))
+
 
 def try_in_copies(
     policy: Policy,
     environment: NavigateCopiesEnv,
     seed: int,
     *,
-    copies: int | None = None,
+    cases: Sequence[int],
     tick: Callable[[float], None] = lambda done: None,
-) -> Tried:
-    """Lets a policy by a roadmap play one episode in each copy of an environment, its actions drawn.
+) -> list[Trial]:
+    """Lets a policy by a roadmap play one episode in each of some copies of an environment, its actions drawn.
 
     Args:
         environment: with the devices of the policy and its observations, one target, and as many cases as copies.
-        seed: of the first episode; the next ones have the next seeds.
-        copies: the first ones; None: all of them.
+        seed: of the episode in case 0; that in case k has the k-th after it.
+        cases: which copies.
         tick: is given the share of the episodes that are done.
+
+    Returns:
+        For each episode whether it reached the target, and the largest resultant force of its steps, N.
     """
-    copies = len(environment.phantoms) if copies is None else copies
-    successes: list[bool] = []
-    lengths: list[int] = []
-    forces: list[float] = []
-    for case in range(copies):
+    trials: list[Trial] = []
+    for case in cases:
         controller = policy.controller(deterministic=False, seed=seed + case)
         observation, info = environment.reset(seed=seed + case, options={"case": case})
         ended = reached = False
-        begun = len(forces)
+        forces: list[float] = []
         while not ended:
             observation, _, reached, truncated, info = environment.step(controller(observation, info))
             forces.append(float(info["force"]))
             ended = bool(reached or truncated)
-        successes.append(bool(reached))
-        lengths.append(len(forces) - begun)
-        tick((case + 1) / copies)
-    return Tried(sum(successes), copies, float(np.mean(lengths)), float(np.percentile(forces, 95)))
+        trials.append((bool(reached), forces))
+        tick(len(trials) / len(cases))
+    return trials
 
 
 def best_in_copies(
@@ -108,7 +115,7 @@ def best_in_copies(
             **task.devices(),
             **task.rules(),
         )
-        outcome = try_in_copies(policy, environment, seed, copies=copies)
+        outcome = Tried.of(try_in_copies(policy, environment, seed, cases=range(copies)))
         environment.close()
         return outcome
 

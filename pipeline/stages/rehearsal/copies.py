@@ -31,7 +31,7 @@ class RehearsalJob:
         tested: for tests, the row of the table; None: for the training.
         copies: of a test: seeds.
         shown_by: of demonstrations: the policies that may give them; the first is `start`, where there is one.
-        part: of demonstrations: its number among those that are made beside each other.
+        part: of demonstrations and trials: its number among those that are made beside each other.
         force_price: of the training's reward, 1/N; None: what the settings say without trials.
     """
 

@@ -6,13 +6,12 @@ them reaches the target, and where there are no such policies, the shape of the 
 
 from __future__ import annotations
 
-import dataclasses
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from pipeline.anatomies.device_trials import Tried, gentlest, try_in_copies
+from pipeline.anatomies.device_trials import Trial, Tried, gentlest, try_in_copies
 from pipeline.anatomies.take_offs import CATHETER, SOFTER_WIRES, WITH_POLICIES, softened, with_catheter_where_steep
 from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.pool import Job, run_jobs
@@ -33,7 +32,8 @@ if TYPE_CHECKING:
 DEVICES = "devices"  # first part of the jobs' names
 WIRE_ALONE = "wire alone"
 TRIALS = 4  # copies, in each of which a policy plays an episode
-_SECONDS = 10.0  # a guess: of the trials of one policy
+PARTS = 2  # of the copies, beside each other
+_SECONDS = 5.0  # a guess: of a part of one policy's trials
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -54,29 +54,32 @@ def with_chosen_devices(
     """
     in_branch = phantom.target(target).branch != phantom.tree.root.name
     choice = task.catheter is None and task.entry == DESCENDING and in_branch
-    first = _jobs(settings, context, target, _with_catheters(task)) if choice else []
+    first = _trials(settings, context, target, _with_catheters(task)) if choice else {}
     if len(first) < 2:
         return with_catheter_where_steep(phantom, target, task, choose=True), None
 
-    def fared(those: Sequence[Job]) -> list[Tried]:
+    def fared(those: Mapping[str, RehearsalJob]) -> list[Tried]:
+        parts = {name: [_part(name, given, part) for part in range(PARTS)] for name, given in those.items()}
+        jobs = [job for both in parts.values() for job in both]
         label = f"devices in {phantom.name}"
-        outcomes = run_jobs(context.folder, those, workers=settings.workers, label=label, preload=PRELOAD)
-        return [Tried(**outcomes[job.key]) for job in those]
+        outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label=label, preload=PRELOAD)
+        return [Tried.of([trial for job in both for trial in outcomes[job.key]]) for both in parts.values()]
 
-    jobs = first[:1]
-    tried = fared(jobs)
+    usual = next(iter(first))
+    trials = {usual: first[usual]}
+    tried = fared(trials)
     if tried[0].reached < tried[0].episodes:  # else the wire alone is enough
-        jobs = first
+        trials = first
     if tried[0].reached and tried[0].force_p95 > PRESSING:
-        jobs = [*jobs, *_jobs(settings, context, target, _with_softer_wires(task))]
-    if len(jobs) > 1:
-        tried = fared(jobs)
-    told = ", ".join(f"{job.key.partition('/')[2]} {one}" for job, one in zip(jobs, tried, strict=True))
+        trials = trials | _trials(settings, context, target, _with_softer_wires(task))
+    if len(trials) > 1:
+        tried = fared(trials)
+    told = ", ".join(f"{name} {one}" for name, one in zip(trials, tried, strict=True))
     _LOGGER.info("copies of %s in which a policy reached %s, and how it pressed: %s", phantom.name, target, told)
     if not any(one.reached for one in tried):
         return with_catheter_where_steep(phantom, target, task, choose=True), None
     chosen = gentlest(tried, PRESSING)
-    return jobs[chosen].given.task, tried[chosen]
+    return list(trials.values())[chosen].task, tried[chosen]
 
 
 def _with_catheters(task: Task) -> dict[str, Task]:
@@ -91,26 +94,32 @@ def _with_softer_wires(task: Task) -> dict[str, Task]:
     return {wire: replace(task, wire=wire) for wire in SOFTER_WIRES if task.wire == Task().wire}
 
 
-def try_devices(job: RehearsalJob, report: Report) -> dict[str, Any]:
-    """Lets the policy to start from play in the job's copies; returns the fields of `Tried`."""
+def try_devices(job: RehearsalJob, report: Report) -> list[Trial]:
+    """Lets the policy to start from play in the copies of the job's part."""
     from enn.policy import Policy
 
     map_simulations()
     assert job.start is not None
     environment = copies_environment(job, job.copies)
-    tried = try_in_copies(Policy.load(job.start), environment, device_trial_seed(job.origin.training_seed), tick=report)
+    cases, seed = range(job.part, len(job.copies), PARTS), device_trial_seed(job.origin.training_seed)
+    trials = try_in_copies(Policy.load(job.start), environment, seed, cases=cases, tick=report)
     environment.close()
-    return dataclasses.asdict(tried)
+    return trials
 
 
-def _jobs(settings: RehearsalSettings, context: StageContext, target: str, tasks: Mapping[str, Task]) -> list[Job]:
+def _part(name: str, given: RehearsalJob, part: int) -> Job:
+    return Job(f"{DEVICES}/{name}/{part}", try_devices, replace(given, part=part), weight=_SECONDS)
+
+
+def _trials(
+    settings: RehearsalSettings, context: StageContext, target: str, tasks: Mapping[str, Task]
+) -> dict[str, RehearsalJob]:
     """Trials of the devices of tasks, by their names, as far as there are policies to start from."""
     origin = Origin("rehearsal", DEVICES, context.seed, context.budget)
     copies = tuple(training_copies(context.seed, TRIALS))
-    jobs = []
+    trials = {}
     for name, task in tasks.items():
         start = starting_policy(settings, context.run_path, context.seed, task)
         if start is not None:
-            given = RehearsalJob(context.path, origin, settings, task, target, start, copies=copies)
-            jobs.append(Job(f"{DEVICES}/{name}", try_devices, given, weight=_SECONDS))
-    return jobs
+            trials[name] = RehearsalJob(context.path, origin, settings, task, target, start, copies=copies)
+    return trials

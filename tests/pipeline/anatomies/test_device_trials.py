@@ -44,18 +44,20 @@ def copies(**changed: Any) -> NavigateCopiesEnv:
 def test_an_episode_in_each_copy_is_counted_as_it_went() -> None:
     near = copies(max_steps=120, success_radius=0.05)  # half way is enough
     policy, done = Straight(1.0), list[float]()
-    tried = try_in_copies(policy, near, 7, tick=done.append)  # type: ignore[arg-type]
+    trials = try_in_copies(policy, near, 7, cases=range(3), tick=done.append)  # type: ignore[arg-type]
+    tried = Tried.of(trials)
     assert (tried.reached, tried.episodes) == (3, 3)
     assert tried.steps < 120
     assert 0 < tried.force_p95 < 2
     assert policy.seeds == [7, 8, 9]
     assert done == pytest.approx([1 / 3, 2 / 3, 1])
-    still = try_in_copies(Straight(0.0), copies(max_steps=5), 7)  # type: ignore[arg-type]
+    still = Tried.of(try_in_copies(Straight(0.0), copies(max_steps=5), 7, cases=range(3)))  # type: ignore[arg-type]
     assert (still.reached, still.steps) == (0, 5)
     assert str(still) == f"0 of 3 ({still.force_p95:.2f} N)"
 
-    first = try_in_copies(policy, near, 7, copies=1)  # type: ignore[arg-type]
-    assert (first.reached, first.episodes) == (1, 1)
+    # each copy plays the same whichever others do
+    assert try_in_copies(policy, near, 7, cases=(1,)) == trials[1:2]  # type: ignore[arg-type]
+    assert policy.seeds[-1] == 8
 
 
 def test_the_most_arrivals_win_then_the_usual_devices_then_the_soonest() -> None:

@@ -35,10 +35,18 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         asked.clear()
 
         def run(folder: Any, jobs: Any, **_: Any) -> dict[str, Any]:
-            asked.append([job.key for job in jobs])
-            return {job.key: dataclasses.asdict(outcomes[job.key.partition("/")[2]]) for job in jobs}
+            assert [job.given.part for job in jobs] == [0, 1] * (len(jobs) // 2)
+            asked.append([job.key for job in jobs[::2]])
+            return {job.key: [job.key.split("/")[1]] for job in jobs}
+
+        class Told:  # what the trials come to
+            @staticmethod
+            def of(trials: list[str]) -> Tried:
+                assert trials[0] == trials[1]
+                return outcomes[trials[0]]
 
         monkeypatch.setattr(devices, "run_jobs", run)
+        monkeypatch.setattr(devices, "Tried", Told)
         monkeypatch.setattr(devices, "with_catheter_where_steep", lambda *_, choose: BY_SHAPE)
         settings = RehearsalSettings(**changed)
         return with_chosen_devices(settings, context(tmp_path, "rehearsal"), phantom, target, task or Task())
@@ -51,7 +59,7 @@ WITH_CATHETERS = ("wire alone", "jb2", "simmons2", SOFTER)
 
 
 def asked_for(*names: str) -> list[str]:
-    return [f"devices/{name}" for name in names]
+    return [f"devices/{name}/0" for name in names]
 
 
 def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: pytest.LogCaptureFixture) -> None:
@@ -122,8 +130,9 @@ def test_a_trial_plays_the_policy_in_copies_that_the_training_has_too(
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     task = Task(max_steps=6)
     named = {devices.WIRE_ALONE: task}
-    (first,) = devices._jobs(RehearsalSettings(task=task), context(tmp_path, "rehearsal"), "bca", named)
-    assert first.given.copies == tuple(training_copies(0, devices.TRIALS))
-    assert first.given.start.stem == "generalist"
-    tried = Tried(**try_devices(dataclasses.replace(first.given, copies=first.given.copies[:1]), Report()))
-    assert (tried.reached, tried.episodes, tried.steps) == (0, 1, 6)
+    (given,) = devices._trials(RehearsalSettings(task=task), context(tmp_path, "rehearsal"), "bca", named).values()
+    assert given.copies == tuple(training_copies(0, devices.TRIALS))
+    assert given.start is not None
+    assert given.start.stem == "generalist"
+    trials = try_devices(dataclasses.replace(given, copies=given.copies[:3], part=1), Report())
+    assert [(reached, len(forces)) for reached, forces in trials] == [(False, 6)]
