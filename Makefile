@@ -47,7 +47,9 @@ $(INSTALLED): $(INSTALL_INPUTS)
 	@echo "installing into $(VENV) (a minute or two)"
 	@# Build tools first, pinned like everything else: builds then need no environments of their own.
 	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt setuptools hatchling editables mujoco
-	@$(PY) -m pip install -qq --disable-pip-version-check --no-build-isolation -c constraints.txt -r requirements.txt
+	@# pip would compile on one core.
+	@$(PY) -m pip install -qq --disable-pip-version-check --no-compile --no-build-isolation -c constraints.txt -r requirements.txt
+	@$(PY) -m compileall -qq -j 0 $(VENV)/lib >/dev/null || true  # some files of libraries are for other versions
 	@$(PY) pipeline/installation.py after $(if $(GPU),--gpu)
 	@touch $@
 

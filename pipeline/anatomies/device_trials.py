@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 FIRST, TRIALS = 3, 6  # episodes of the usual devices, which are taken if all of them arrive; else of each policy
 CHANCE = 1  # episode of a few by which success may differ and mean nothing
+GENTLE = 0.15  # N, 95th percentile: what presses less is not chosen for that
 SHARE = 0.5  # of what may differ on the day, by which the copies for a choice differ from the scan
 Trial = tuple[bool, list[float]]  # of an episode: whether it arrived, the largest force of each step, N
 
@@ -143,7 +144,8 @@ def soonest(tried: Sequence[Tried], usual: int = 0) -> int:
 def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
     """Number of those that press least among those that reach the target in half of the copies, or else `soonest`.
 
-    Whoever reaches it in fewer copies than the best by more than `CHANCE` is left out unless the others press hard.
+    Whoever reaches it in fewer copies than the best by more than `CHANCE` is left out unless the others press hard. Of
+    those that press with at most `GENTLE` the ones that reach it most often are taken.
 
     Args:
         limit: 95th percentile of the force from which on they press too hard, N.
@@ -153,5 +155,10 @@ def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
         return soonest(tried)
     most = max(one.reached for one in tried)
     often = [number for number in half if tried[number].reached >= most - CHANCE]
-    least = min(often, key=lambda number: tried[number].force_p95)
+
+    def rank(number: int) -> tuple[float, int, float]:
+        force = tried[number].force_p95
+        return max(force, GENTLE), -tried[number].reached, force
+
+    least = min(often, key=rank)
     return least if tried[least].force_p95 <= limit else min(half, key=lambda number: tried[number].force_p95)

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 DEMONSTRATIONS = "demonstrations"  # folder, and first part of the jobs' names
 PARTS = 2  # of the copies, beside each other
 OFTEN = 0.5  # share of episodes: a policy that arrives as often learns from its own
+MOSTLY = 0.75  # share of them: half of the training is enough (docs/results/rehearsal.md)
 ROUNDS = 4  # of one policy at most
 EXPERT = "expert"
 FEW = 6  # one in so many of the demonstrations wanted: where policies show fewer, the expert is asked
@@ -72,7 +73,7 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
         for case in cases:
             text = f"{names[path]}: {sum(outcomes)} of {len(outcomes)} episodes arrived"
             report(min(arrivals() / wanted, 1.0), text)
-            file = job.folder / DEMONSTRATIONS / f"{names[path]}_{copies[case]}_{number}.npz"
+            file = _file(job, names[path], copies[case], number)
             if not file.is_file():
                 steered = steered or _Steered(job, path, copies)
                 write_arrays(file, demonstration_arrays(steered.episode(case, number)))
@@ -126,7 +127,7 @@ def _episodes_of_expert(
     for case in cases:
         if sum(outcomes) == ENOUGH or (len(outcomes) == TRIED[gentle] and not any(outcomes)):
             break
-        file = job.folder / DEMONSTRATIONS / f"{EXPERT}_{copies[case]}_{number}.npz"
+        file = _file(job, EXPERT, copies[case], number)
         if not file.is_file():
             share, text = len(outcomes) / len(cases), f"{name}: {sum(outcomes)} of {len(outcomes)} episodes arrived"
             shown = demonstrate(
@@ -144,6 +145,18 @@ def _episodes_of_expert(
         outcomes.append(arrived(file))
     environment.close()
     return outcomes
+
+
+def mostly_arrives(job: RehearsalJob) -> bool:
+    """Whether the policy that a rehearsal starts from arrived in three quarters of its first round, or more."""
+    if job.start is None:
+        return False
+    files = [_file(job, job.start.stem, copy, 0) for copy in job.training_cases]
+    return all(file.is_file() for file in files) and sum(map(arrived, files)) >= MOSTLY * len(files)
+
+
+def _file(job: RehearsalJob, name: str, copy: int, number: int) -> Path:
+    return job.folder / DEMONSTRATIONS / f"{name}_{copy}_{number}.npz"
 
 
 def _names(policies: Sequence[Path]) -> dict[Path, str]:

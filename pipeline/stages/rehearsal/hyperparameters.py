@@ -24,12 +24,18 @@ def threads_of(settings: RehearsalSettings) -> int:
     return settings.threads or min(available_workers(), MOST_THREADS)
 
 
-def training_settings(job: RehearsalJob, device: str) -> TrainingSettings:
-    """Settings of the training, but for what the policy that it starts from brings."""
+def training_settings(job: RehearsalJob, device: str, *, fewer: bool = False) -> TrainingSettings:
+    """Settings of the training, but for what the policy that it starts from brings.
+
+    Args:
+        fewer: with the settings' share of the decisions, and a rate higher by as much (SAC).
+    """
     from enn.reinforcement.rehearsal import REHEARSAL
     from enn.reinforcement.training import DESK_PPO
 
     settings = job.settings
+    share = settings.share_of_decisions if fewer and settings.algorithm == SAC else 1.0
+    decisions = math.ceil(share * settings.decisions)
     # without demonstrations, whose actions would be cloned, it has to explore
     preset = replace(
         DESK_PPO,
@@ -42,14 +48,15 @@ def training_settings(job: RehearsalJob, device: str) -> TrainingSettings:
         cloning_weight=0.0,
     )
     if settings.algorithm == SAC:
-        preset = replace(REHEARSAL, buffer_size=max(settings.decisions, 1000))
+        rate = REHEARSAL.learning_rate / share
+        preset = replace(REHEARSAL, learning_rate=rate, buffer_size=max(decisions, 1000))
     training = replace(
         preset,
         hidden=(settings.hidden, settings.hidden),
-        decisions=settings.decisions,
+        decisions=decisions,
         n_envs=settings.environments,
         threads=threads_of(settings),
-        evaluate_every=math.ceil(settings.decisions / EVALUATIONS),
+        evaluate_every=math.ceil(decisions / EVALUATIONS),
         evaluation_episodes=settings.validation_copies + 1,
         keep_latest=True,
         device=device,

@@ -25,7 +25,7 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import controllers, retrying, run_trials
 from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, validation_copies
 from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.demonstrations import read_demonstrations
+from pipeline.stages.rehearsal.demonstrations import mostly_arrives, read_demonstrations
 from pipeline.stages.rehearsal.hyperparameters import held_steps, threads_of, training_settings
 from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import stopping_the_stage
@@ -51,7 +51,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     begun = time.process_time()
     copies = job.training_cases
     starts, shown = _laid_starts(job, copies, report), read_demonstrations(job.folder)
-    training = training_settings(job, report.device)
+    training = training_settings(job, report.device, fewer=mostly_arrives(job))
     with stopping_the_stage(CheckpointError, ValueError):
         policy = None if job.start is None else Policy.load(job.start, report.device)
         environment = partial(copies_environment, job, observe_every=held_steps(job))

@@ -112,3 +112,10 @@ def test_the_gentlest_is_chosen_among_those_that_arrive_about_as_often_as_the_be
     assert gentlest([wire, both, never], 0.4) == 1
     assert gentlest([wire, both, never], 0.3) == 0  # the best presses too hard
     assert gentlest([Tried(1, 4, 90.0, 0.1), both, never], 0.3) == 1  # nothing else arrives in half
+
+
+def test_of_those_that_hardly_press_the_most_arrivals_decide() -> None:
+    thin, soft, pair = Tried(3, 4, 90.0, 0.03), Tried(4, 4, 80.0, 0.12), Tried(4, 4, 95.0, 0.05)
+    assert gentlest([thin, soft, pair], 0.3) == 2
+    assert gentlest([thin, soft], 0.3) == 1
+    assert gentlest([thin, Tried(4, 4, 80.0, 0.19)], 0.3) == 0

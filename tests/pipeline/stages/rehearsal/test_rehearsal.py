@@ -21,13 +21,14 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.seeds import ANATOMY_COPIES
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record_demonstrations
+from pipeline.stages.rehearsal.demonstrations import mostly_arrives, read_demonstrations, record_demonstrations
 from pipeline.stages.rehearsal.film import film_scan
 from pipeline.stages.rehearsal.hyperparameters import training_settings
 from pipeline.stages.rehearsal.jobs import play, train
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.stage import plan, row, run_rehearsal, shown_by
 from pipeline.stages.rehearsal.starting_policy import advising_policies
+from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
 from tests.pipeline.stages.small_expert import context
@@ -65,6 +66,25 @@ def test_a_training_has_a_thread_for_each_core_within_reason(
 ) -> None:
     monkeypatch.setattr("pipeline.stages.rehearsal.hyperparameters.available_workers", lambda: cores)
     assert training_settings(job_of(tmp_path, threads=asked), "cpu").threads == threads
+
+
+@pytest.mark.parametrize(
+    ("arrivals", "decisions"),
+    [((True, True, True, False), 24), ((True, True, False, False), 48), ((True, True, True), 48), ((), 48)],
+    ids=["three of four", "two of four", "one copy was not played", "none was played"],
+)
+def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
+    tmp_path: Path, arrivals: tuple[bool, ...], decisions: int
+) -> None:
+    job = job_of(tmp_path, copies=3, share_of_decisions=0.5)
+    for copy, arrives in zip(job.training_cases, arrivals, strict=False):
+        write_arrays(tmp_path / f"demonstrations/generalist_{copy}_0.npz", {"terminated": np.array(arrives)})
+        write_arrays(tmp_path / f"demonstrations/navigator_{copy}_0.npz", {"terminated": np.array(True)})
+    assert not mostly_arrives(job)  # of nothing
+    training = training_settings(job, "cpu", fewer=mostly_arrives(dataclasses.replace(job, start=GENERALIST)))
+    assert (training.decisions, training.evaluate_every) == (decisions, decisions // 3)
+    assert training.learning_rate * decisions == pytest.approx(48 * training_settings(job, "cpu").learning_rate)
+    assert training_settings(job_of(tmp_path, algorithm="ppo"), "cpu", fewer=True).decisions == 48
 
 
 @pytest.mark.parametrize(
