@@ -70,8 +70,14 @@ def test_a_training_has_a_thread_for_each_core_within_reason(
 
 @pytest.mark.parametrize(
     ("arrivals", "decisions"),
-    [((True, True, True, False), 24), ((True, True, False, False), 48), ((True, True, True), 48), ((), 48)],
-    ids=["three of four", "two of four", "one copy was not played", "none was played"],
+    [
+        ((True, True, True, False), 24),
+        ((True, True, True, True), 48),
+        ((True, True, False, False), 48),
+        ((True, True, True), 48),
+        ((), 48),
+    ],
+    ids=["three of four", "all", "two of four", "one copy was not played", "none was played"],
 )
 def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
     tmp_path: Path, arrivals: tuple[bool, ...], decisions: int
