@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import field
 from typing import TYPE_CHECKING, Annotated
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Le
 
 from pipeline.anatomies.settings import ChosenAnatomies
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
@@ -73,7 +73,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     decisions: Decisions = 20_000
     # of them that is enough where the policy to start from arrives in three quarters of the training's copies, but not
     # in all; SAC's rate is higher by as much
-    share_of_decisions: Annotated[float, Gt(0), Le(1)] = 0.5
+    share_of_decisions: Annotated[float, Ge(0.1), Le(1)] = 0.5
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
     hidden: Units = 256  # units of both layers, where it starts from nothing
     training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings

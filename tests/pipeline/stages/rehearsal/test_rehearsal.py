@@ -284,6 +284,7 @@ def test_a_row_pools_the_forces_of_all_steps() -> None:
         ({"policy": __file__, "fresh": True}, "stage.fresh=true starts from nothing"),
         ({"file": __file__, "phantom": "type_1"}, "phantom.file brings the anatomy"),
         ({"walls_mm": 50.0}, "stage.walls_mm must be 20"),
+        ({"share_of_decisions": 0.01}, "stage.share_of_decisions must be 0.1"),
     ],
 )
 def test_bad_settings_are_one_sentence(values: dict[str, Any], message: str) -> None:
