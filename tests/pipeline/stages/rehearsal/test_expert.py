@@ -15,7 +15,7 @@ from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record
 from pipeline.stages.rehearsal.jobs import train
 from pipeline.stages.rehearsal.stage import plan
 from pipeline.task import Task
-from tests.pipeline.stages.rehearsal.test_rehearsal import GENERALIST, job_of
+from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
 from tests.pipeline.stages.small_expert import context
 
 

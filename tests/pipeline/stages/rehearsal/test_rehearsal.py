@@ -13,84 +13,29 @@ import pytest
 
 from cathsim import load_phantom
 from enn.policy import Policy
-from enn.shipped import weight_files
 from enn.trajectory import Trajectory
 from pipeline.anatomies.settings import check_anatomies, fitted_steps, fitted_task
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
-from pipeline.recording.trials import Origin
 from pipeline.seeds import ANATOMY_COPIES
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.demonstrations import mostly_arrives, read_demonstrations, record_demonstrations
+from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record_demonstrations
 from pipeline.stages.rehearsal.film import film_scan
-from pipeline.stages.rehearsal.hyperparameters import training_settings
 from pipeline.stages.rehearsal.jobs import play, train
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.stage import plan, row, run_rehearsal, shown_by
 from pipeline.stages.rehearsal.starting_policy import advising_policies
-from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
+from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, TINY, job_of
 from tests.pipeline.stages.small_expert import context
 
-GENERALIST = next(file for file in weight_files() if file.stem == "generalist")
 FIRST = ANATOMY_COPIES["test"].first
-TINY: dict[str, Any] = {
-    "copies": 1,
-    "validation_copies": 1,
-    "test_copies": 2,
-    "scan_episodes": 1,
-    "decisions": 48,
-    "environments": 4,
-    "hidden": 16,
-    "accuracy": "fast",
-    "fit_steps": False,
-    "expert": "never",
-    "task": Task(start_rotation_deg=180.0, max_steps=12),
-}
 
 
 @pytest.fixture(autouse=True)
 def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-
-
-def job_of(folder: Path, **changed: Any) -> RehearsalJob:
-    settings = RehearsalSettings(**TINY | changed)
-    return RehearsalJob(folder, Origin("rehearsal", "after", 0, "smoke"), settings, settings.task, "bca")
-
-
-@pytest.mark.parametrize(("cores", "asked", "threads"), [(1, 0, 1), (2, 0, 2), (16, 0, 4), (2, 3, 3)])
-def test_a_training_has_a_thread_for_each_core_within_reason(
-    cores: int, asked: int, threads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pipeline.stages.rehearsal.hyperparameters.available_workers", lambda: cores)
-    assert training_settings(job_of(tmp_path, threads=asked), "cpu").threads == threads
-
-
-@pytest.mark.parametrize(
-    ("arrivals", "decisions"),
-    [
-        ((True, True, True, False), 24),
-        ((True, True, True, True), 48),
-        ((True, True, False, False), 48),
-        ((True, True, True), 48),
-        ((), 48),
-    ],
-    ids=["three of four", "all", "two of four", "one copy was not played", "none was played"],
-)
-def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
-    tmp_path: Path, arrivals: tuple[bool, ...], decisions: int
-) -> None:
-    job = job_of(tmp_path, copies=3, share_of_decisions=0.5)
-    for copy, arrives in zip(job.training_cases, arrivals, strict=False):
-        write_arrays(tmp_path / f"demonstrations/generalist_{copy}_0.npz", {"terminated": np.array(arrives)})
-        write_arrays(tmp_path / f"demonstrations/navigator_{copy}_0.npz", {"terminated": np.array(True)})
-    assert not mostly_arrives(job)  # of nothing
-    training = training_settings(job, "cpu", fewer=mostly_arrives(dataclasses.replace(job, start=GENERALIST)))
-    assert (training.decisions, training.evaluate_every) == (decisions, decisions // 3)
-    assert training.learning_rate * decisions == pytest.approx(48 * training_settings(job, "cpu").learning_rate)
-    assert training_settings(job_of(tmp_path, algorithm="ppo"), "cpu", fewer=True).decisions == 48
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ from pipeline.stages.rehearsal.starting_policy import (
 )
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task
-from tests.pipeline.stages.rehearsal.test_rehearsal import GENERALIST, TINY
+from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, TINY
 from tests.pipeline.stages.small_expert import context
 
 OF_SIMMONS = next(file for file in weight_files() if file.stem == "generalist_simmons2")

@@ -1,0 +1,47 @@
+"""How long a rehearsal trains, at which rate and with how many threads."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.stages.rehearsal.demonstrations import mostly_arrives
+from pipeline.stages.rehearsal.hyperparameters import training_settings
+from pipeline.store.atomic_files import write_arrays
+from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
+
+
+@pytest.mark.parametrize(("cores", "asked", "threads"), [(1, 0, 1), (2, 0, 2), (16, 0, 4), (2, 3, 3)])
+def test_a_training_has_a_thread_for_each_core_within_reason(
+    cores: int, asked: int, threads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pipeline.stages.rehearsal.hyperparameters.available_workers", lambda: cores)
+    assert training_settings(job_of(tmp_path, threads=asked), "cpu").threads == threads
+
+
+@pytest.mark.parametrize(
+    ("arrivals", "decisions"),
+    [
+        ((True, True, True, False), 24),
+        ((True, True, True, True), 48),
+        ((True, True, False, False), 48),
+        ((True, True, True), 48),
+        ((), 48),
+    ],
+    ids=["three of four", "all", "two of four", "one copy was not played", "none was played"],
+)
+def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
+    tmp_path: Path, arrivals: tuple[bool, ...], decisions: int
+) -> None:
+    job = job_of(tmp_path, copies=3, share_of_decisions=0.5)
+    for copy, arrives in zip(job.training_cases, arrivals, strict=False):
+        write_arrays(tmp_path / f"demonstrations/generalist_{copy}_0.npz", {"terminated": np.array(arrives)})
+        write_arrays(tmp_path / f"demonstrations/navigator_{copy}_0.npz", {"terminated": np.array(True)})
+    assert not mostly_arrives(job)  # of nothing
+    training = training_settings(job, "cpu", fewer=mostly_arrives(dataclasses.replace(job, start=GENERALIST)))
+    assert (training.decisions, training.evaluate_every) == (decisions, decisions // 3)
+    assert training.learning_rate * decisions == pytest.approx(48 * training_settings(job, "cpu").learning_rate)
+    assert training_settings(job_of(tmp_path, algorithm="ppo"), "cpu", fewer=True).decisions == 48
