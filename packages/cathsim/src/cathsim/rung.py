@@ -12,7 +12,7 @@ from cathsim.arena import FEEDER
 from cathsim.blood.drag import Drag
 from cathsim.contact.breathing import Breathing
 from cathsim.contact.compliance import N_PER_MM
-from cathsim.contact.native import SimulationStruct
+from cathsim.contact.native import SimulationStruct, library
 from cathsim.contact.sdf import GEOM_NAME, Vessel
 from cathsim.guidewire import LINK_NAME, TIP_SITE
 from cathsim.presets import Accuracy
@@ -47,6 +47,7 @@ class Rung:
         self.data = mujoco.MjData(self.model)
         self._kept = kept
         self._saved = np.zeros(self.model.nq + 2 * self.model.nv)
+        self._room = np.empty(library().cathsim_solver_room(self.model.nv))
         first = self.model.geom(LINK_NAME.format(0)).id
         self.loads = np.zeros((links if drag else 0, 6))
         self.struct = SimulationStruct(
@@ -55,6 +56,8 @@ class Rung:
             finest=finest,
             data=self.data._address,
             saved=self._saved.ctypes.data,
+            room=self._room.ctypes.data,
+            solver_rows=library().cathsim_solver_rows(),
             vessel_geom=self.model.geom(GEOM_NAME).id,
             hulls=vessel.wall_parts(self.model),
             first_geom=first,

@@ -28,15 +28,18 @@ def _fields(kind: Any, *names: str) -> tuple[tuple[str, Any], ...]:
 class Engine(ctypes.Structure):
     """MuJoCo functions that the native code calls (struct Engine of step.h)."""
 
-    _fields_ = _fields(ctypes.c_void_p, "step", "first_half", "forward", "second_half", "kinematics", "contact_force")
+    _fields_ = (
+        *_fields(ctypes.c_void_p, "first_half", "forward", "second_half", "kinematics", "contact_force"),
+        *_fields(ctypes.c_void_p, "check_acceleration", "integrate"),
+    )
 
 
 class SimulationStruct(ctypes.Structure):
     """One simulation (struct Simulation of step.h)."""
 
     _fields_ = (
-        *_fields(ctypes.c_void_p, "model", "fine", "finest", "data", "saved"),
-        *_fields(ctypes.c_int, "vessel_geom", "hulls", "first_geom", "last_geom", "refinement"),
+        *_fields(ctypes.c_void_p, "model", "fine", "finest", "data", "saved", "room"),
+        *_fields(ctypes.c_int, "solver_rows", "vessel_geom", "hulls", "first_geom", "last_geom", "refinement"),
         *_fields(ctypes.c_double, "tolerance", "rise", "deep"),
         *_fields(ctypes.c_int, "depth_samples"),
         *_fields(ctypes.c_double, "depth"),
@@ -200,5 +203,6 @@ def layout_expected(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, int
 @functools.cache
 def engine() -> Engine:
     """Addresses of MuJoCo's functions for the native code."""
-    names = ("mj_step", "mj_step1", "mj_forwardSkip", "mj_step2", "mj_kinematics", "mj_contactForce")
+    names = ("mj_step1", "mj_forwardSkip", "mj_step2", "mj_kinematics", "mj_contactForce", "mj_checkAcc")
+    names = (*names, "mj_integratePos")
     return Engine(*(ctypes.cast(getattr(mujoco_library(), name), ctypes.c_void_p).value for name in names))

@@ -1,5 +1,7 @@
 #include "step.h"
 
+#include "contact_solver.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -172,6 +174,30 @@ static void move_walls(const Simulation* s) {
   }
 }
 
+/* The second half of MuJoCo's step, with the contacts solved here where they are few. */
+static void finish_step(const Simulation* s, const Engine* engine, const mjModel* model) {
+  mjData* d = s->data;
+  if (s->solver_rows < 1 || !contact_solvable(model, d, s->solver_rows)) {
+    engine->second_half(model, d);
+    return;
+  }
+  /* everything up to the acceleration without contacts, and as little as can be of what comes after it; one iteration is
+   * enough for that acceleration, none is not */
+  mjModel unsolved = *model;
+  unsolved.opt.solver = mjSOL_CG;
+  unsolved.opt.iterations = 1;
+  unsolved.opt.tolerance = 1e30;
+  unsolved.opt.disableflags |= mjDSBL_WARMSTART;
+  engine->forward(&unsolved, d, mjSTAGE_VEL, 1);
+  contact_solve(model, d, s->room);
+  engine->check_acceleration(model, d);
+  const double h = model->opt.timestep;
+  for (int i = 0; i < model->nv; i++) d->qvel[i] += h * d->qacc[i];
+  engine->integrate(model, d->qpos, d->qvel, h);
+  d->time += h;
+  memcpy(d->qacc_warmstart, d->qacc, sizeof(double) * model->nv);
+}
+
 /* One step of `model`. In a compliant wall every contact is a spring of `wall_stiffness`, without damping, integrated
  * implicitly. MuJoCo's regularisation of a contact is (1 - d) / d times the diagonal A of the constraint's inverse
  * inertia, which it knows only once it has solved: the state is solved twice, and d set between. Its discrete integrator
@@ -179,21 +205,9 @@ static void move_walls(const Simulation* s) {
  * regularisation must be 1 / (3 h^2 K). */
 static void step_engine(const Simulation* s, const Engine* engine, const mjModel* model) {
   mjData* d = s->data;
-  if (s->breath_rate > 0) {
-    move_vessel(s, model->opt.timestep);
-    if (!(s->wall_stiffness > 0)) {
-      engine->first_half(model, d);
-      move_walls(s);
-      engine->second_half(model, d);
-      return;
-    }
-  }
-  if (!(s->wall_stiffness > 0)) {
-    engine->step(model, d);
-    return;
-  }
-  const double h = model->opt.timestep, compliance = 1 / (3 * h * h * s->wall_stiffness);
-  if (s->rod) { /* its models differ in the timestep alone, and share what contacts are made with */
+  const double h = model->opt.timestep;
+  if (s->breath_rate > 0) move_vessel(s, h);
+  if (s->wall_stiffness > 0 && s->rod) { /* its models differ in the timestep alone, and share what contacts are made with */
     for (int g = s->first_geom; g <= s->last_geom; g++) {
       model->geom_solref[mjNREF * g] = -model->geom_solimp[mjNIMP * g] / (h * h);
       model->geom_solref[mjNREF * g + 1] = -model->geom_solimp[mjNIMP * g] / h;
@@ -201,16 +215,19 @@ static void step_engine(const Simulation* s, const Engine* engine, const mjModel
   }
   engine->first_half(model, d);
   if (s->breath_rate > 0) move_walls(s);
-  engine->forward(model, d, mjSTAGE_VEL, 1);
-  for (int i = 0; i < d->ncon; i++) {
-    mjContact* c = d->contact + i;
-    if (c->geom[1] < s->vessel_geom || c->geom[1] > s->vessel_geom + s->hulls || c->efc_address < 0) continue;
-    const double diagonal = d->efc_diagA[c->efc_address], impedance = diagonal / (diagonal + compliance);
-    c->solimp[0] = c->solimp[1] = impedance;
-    c->solref[0] = -impedance / (h * h);
-    c->solref[1] = -impedance / h;
+  if (s->wall_stiffness > 0) {
+    const double compliance = 1 / (3 * h * h * s->wall_stiffness);
+    engine->forward(model, d, mjSTAGE_VEL, 1);
+    for (int i = 0; i < d->ncon; i++) {
+      mjContact* c = d->contact + i;
+      if (c->geom[1] < s->vessel_geom || c->geom[1] > s->vessel_geom + s->hulls || c->efc_address < 0) continue;
+      const double diagonal = d->efc_diagA[c->efc_address], impedance = diagonal / (diagonal + compliance);
+      c->solimp[0] = c->solimp[1] = impedance;
+      c->solref[0] = -impedance / (h * h);
+      c->solref[1] = -impedance / h;
+    }
   }
-  engine->second_half(model, d);
+  finish_step(s, engine, model);
 }
 
 /* `count` steps of `model`, which last `share` of the control step together; returns the penetration after them. */

@@ -8,12 +8,13 @@
 
 /* MuJoCo's functions; their addresses come from the running library, so nothing is linked against it. */
 typedef struct {
-  void (*step)(const mjModel* m, mjData* d);
   void (*first_half)(const mjModel* m, mjData* d);  /* mj_step1, mj_forwardSkip and mj_step2 */
   void (*forward)(const mjModel* m, mjData* d, int skip_stage, int skip_sensors);
   void (*second_half)(const mjModel* m, mjData* d);
   void (*kinematics)(const mjModel* m, mjData* d);
   void (*contact_force)(const mjModel* m, const mjData* d, int id, mjtNum result[6]);
+  void (*check_acceleration)(const mjModel* m, mjData* d);
+  void (*integrate)(const mjModel* m, mjtNum* qpos, const mjtNum* qvel, mjtNum h); /* mj_integratePos */
 } Engine;
 
 /* A simulation: `fine` is `model` with a timestep `refinement` times shorter, `finest` is `fine` likewise. */
@@ -23,6 +24,8 @@ typedef struct {
   const mjModel* finest;
   mjData* data;
   double* saved;          /* room for nq + 2 nv numbers */
+  double* room;           /* for cathsim_solver_room(nv) numbers */
+  int solver_rows;        /* contact rows up to which this code solves, at most SOLVER_ROWS; 0: MuJoCo does */
   int vessel_geom;
   int hulls;              /* convex hulls that stand for its wall: the geoms after it; 0: the grid makes the contacts */
   int first_geom;         /* the wire's capsules are geoms first_geom..last_geom */
