@@ -203,6 +203,6 @@ def layout_expected(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, int
 @functools.cache
 def engine() -> Engine:
     """Addresses of MuJoCo's functions for the native code."""
-    names = ("mj_step1", "mj_forwardSkip", "mj_step2", "mj_kinematics", "mj_contactForce", "mj_checkAcc")
-    names = (*names, "mj_integratePos")
+    halves = "mj_step1", "mj_forwardSkip", "mj_step2"
+    names = (*halves, "mj_kinematics", "mj_contactForce", "mj_checkAcc", "mj_integratePos")
     return Engine(*(ctypes.cast(getattr(mujoco_library(), name), ctypes.c_void_p).value for name in names))
