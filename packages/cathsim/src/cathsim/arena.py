@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from cathsim.contact.breathing import let_vessel_move
+from cathsim.contact.breathing import let_vessel_move, let_walls_slide
 from cathsim.contact.sdf import Vessel
 from cathsim.guidewire import Guidewire
 from cathsim.presets import Accuracy
@@ -69,6 +69,18 @@ def model_spec(
             motor = spec.add_actuator(name=f"{joint.name}_motor", target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
     return spec
+
+
+def compiled_model(
+    vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motors: bool = False, breathes: bool = False
+) -> mujoco.MjModel:
+    """The model that a simulation steps; arguments as of `model_spec`."""
+    model = model_spec(vessel, wire, numerics, tip_motors=tip_motors, breathes=breathes).compile()
+    if not vessel.wall_parts(model):  # a tree of boxes saves nothing where one geom is the wall
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
+    if breathes:
+        let_walls_slide(model)
+    return model
 
 
 def _add_servo(spec: mujoco.MjSpec, joint: str, *, stiffness: float, damping: float, limit: float) -> None:

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from cathsim.arena import PROTRUSION, RESERVE, model_spec
-from cathsim.contact.breathing import let_walls_slide
+from cathsim.arena import PROTRUSION, RESERVE, compiled_model
 from cathsim.contact.compliance import soften_contacts
 from cathsim.contact.sdf import Vessel
 from cathsim.guidewire import Guidewire
@@ -69,9 +68,7 @@ def rung_models(
         compliant: the wall's contacts are springs integrated implicitly, whose stiffness the native step sets.
         breathes: the vessel moves, as the native step says.
     """
-    model = model_spec(vessel, wire, numerics, tip_motors=tip_motors, breathes=breathes).compile()
-    if breathes:
-        let_walls_slide(model)
+    model = compiled_model(vessel, wire, numerics, tip_motors=tip_motors, breathes=breathes)
     fine, finest = model.__copy__(), model.__copy__()
     fine.opt.timestep = numerics.timestep / numerics.refinement
     finest.opt.timestep = fine.opt.timestep / numerics.refinement

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.entry import EntryLike
-from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, max_insertion, model_spec
+from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, compiled_model, max_insertion
 from cathsim.blood.flow import BloodFlow
-from cathsim.contact.breathing import Breathing, let_walls_slide
+from cathsim.contact.breathing import Breathing
 from cathsim.contact.compliance import soften_contacts
 from cathsim.contact.sdf import Vessel
 from cathsim.devices.device_points import points_behind
@@ -42,9 +42,7 @@ def covered_model(
     inner = next(table for table in tables if table)
     spread = pair.chain(both, pair.radius).distal(len(chain.links))
     bare = pair.chain(inner.linear_density, inner.struct.radius).distal(len(chain.links))
-    models = [model_spec(vessel, one, numerics, breathes=breathes).compile() for one in (bare, spread)]
-    if breathes:
-        let_walls_slide(models[1])
+    models = [compiled_model(vessel, one, numerics, breathes=breathes) for one in (bare, spread)]
     first = models[0].body(FEEDER).id
     weights = np.stack([model.body_invweight0[first : first + len(chain.links)] for model in models])
     return models[1], weights.copy()

@@ -4,9 +4,9 @@
  *
  *   least over y of  y'A y / 2 + s(z0 + A y),   A = J H^-1 J',   z0 = J a0 - aref,
  *
- * where H is the mass with the implicit damping and stiffness, a0 the acceleration without contacts and s MuJoCo's cost of
- * the contacts, whose negative gradient are the forces. Newton's method makes the same iterates as in the joints' space, at
- * the cost of the contacts' size; at the end y are the forces. */
+ * where H is the mass with the implicit damping and stiffness, which MuJoCo has factored, a0 the acceleration without
+ * contacts and s MuJoCo's cost of the contacts, whose negative gradient are the forces. Newton's method makes the iterates of
+ * the joints' space at the cost of the contacts' size; at the end y are the forces. */
 #include "contact_solver.h"
 
 #include <math.h>
@@ -31,13 +31,15 @@ typedef struct {
 } Problem;
 
 int cathsim_solver_room(int nv) {
-  return nv * (nv + SOLVER_ROWS + 1) + 3 * SOLVER_ROWS * SOLVER_ROWS + 10 * SOLVER_ROWS;
+  return nv * (SOLVER_ROWS + 2) + 3 * SOLVER_ROWS * SOLVER_ROWS + 10 * SOLVER_ROWS;
 }
 
 int cathsim_solver_rows(void) { return SOLVER_ROWS; }
 
 int contact_solvable(const mjModel* m, const mjData* d, int rows) {
   if (d->nefc > rows || m->opt.jacobian != mjJAC_SPARSE) return 0;
+  for (int i = 0; i < m->nv; i++)
+    if (m->M_rownnz[i] != i + 1) return 0; /* not one chain */
   for (int i = 0; i < d->nefc; i++) {
     if (d->efc_type[i] == mjCNSTR_CONTACT_FRICTIONLESS) continue;
     if (d->efc_type[i] != mjCNSTR_CONTACT_ELLIPTIC || d->contact[d->efc_id[i]].dim != 3) return 0;
@@ -87,9 +89,9 @@ static int factorise(double* a, int n) {
   return 1;
 }
 
-/* x = U'^-1 x, whose entries before `first` are 0 */
-static inline void solve_forward(const double* u, double* x, int n, int first) {
-  for (int j = first; j < n; j += 2) {
+/* x = U'^-1 x */
+static void solve_forward(const double* u, double* x, int n) {
+  for (int j = 0; j < n; j += 2) {
     const double *row = u + j * n, *next = row + n;
     x[j] /= row[j];
     if (j + 1 == n) break;
@@ -99,25 +101,8 @@ static inline void solve_forward(const double* u, double* x, int n, int first) {
 }
 
 /* x = U^-1 x */
-static inline void solve_back(const double* u, double* x, int n) {
+static void solve_back(const double* u, double* x, int n) {
   for (int j = n - 1; j >= 0; j--) x[j] = (x[j] - dot(u + j * n + j + 1, x + j + 1, n - j - 1)) / u[j * n + j];
-}
-
-/* The mass with the damping and stiffness of joints and actuators over a timestep h, M + h D + h^2 K, from the last degree of
- * freedom to the first, so that what a contact does not move comes first: its upper triangle. */
-static void implicit_mass(const mjModel* m, const mjData* d, double* mass) {
-  const int n = m->nv, last = n - 1;
-  const double h = m->opt.timestep;
-  memset(mass, 0, sizeof(double) * n * n);
-  for (int i = 0; i < n; i++)
-    for (int k = m->M_rowadr[i]; k < m->M_rowadr[i] + m->M_rownnz[i]; k++)
-      mass[(last - i) * n + last - m->M_colind[k]] = d->M[k];
-  for (int j = 0; j < m->njnt; j++) mass[(last - m->jnt_dofadr[j]) * (n + 1)] += h * h * m->jnt_stiffness[j];
-  for (int i = 0; i < n; i++) mass[(last - i) * (n + 1)] += h * m->dof_damping[i];
-  for (int u = 0; u < m->nu; u++) {
-    const double* bias = m->actuator_biasprm + mjNBIAS * u;
-    mass[(last - m->jnt_dofadr[m->actuator_trnid[2 * u]]) * (n + 1)] -= h * h * bias[1] + h * bias[2];
-  }
 }
 
 static void add_column(Problem* p, int row, int count, double first, double second, double third) {
@@ -203,7 +188,7 @@ static int direction(const Problem* p, const double* r, const double* ar, double
     inner[a * (columns + 1)] += 1;
   }
   if (!factorise(inner, columns)) return 0;
-  solve_forward(inner, right, columns, 0);
+  solve_forward(inner, right, columns);
   solve_back(inner, right, columns);
   scatter(p, -1, right, result);
   return 1;
@@ -234,24 +219,28 @@ static double line_search(Problem* p, const double* dz, double slope, double ben
   return t;
 }
 
-/* Rows of L^-1 J', where L L' is the mass; their products are A. */
-static void project(const mjModel* m, const mjData* d, const double* mass, double* reached, double* A) {
+/* Rows x = D^-1/2 L'^-1 J', where L'DL is the mass with the implicit damping and stiffness, as MuJoCo has factored it; `scale`
+ * is D^-1/2. Their products are A. */
+static void project(const mjModel* m, const mjData* d, const double* scale, double* reached, double* A) {
   const int nv = m->nv, n = d->nefc;
-  int first[SOLVER_ROWS];
+  int count[SOLVER_ROWS]; /* what a contact does not move comes last */
   for (int i = 0; i < n; i++) {
-    double* row = reached + i * nv;
-    memset(row, 0, sizeof(double) * nv);
-    first[i] = nv;
+    double* x = reached + i * nv;
+    memset(x, 0, sizeof(double) * nv);
+    count[i] = 0;
     for (int k = d->efc_J_rowadr[i]; k < d->efc_J_rowadr[i] + d->efc_J_rownnz[i]; k++) {
-      const int at = nv - 1 - d->efc_J_colind[k];
-      row[at] = d->efc_J[k];
-      if (at < first[i]) first[i] = at;
+      x[d->efc_J_colind[k]] = d->efc_J[k];
+      if (d->efc_J_colind[k] >= count[i]) count[i] = d->efc_J_colind[k] + 1;
     }
-    solve_forward(mass, row, nv, first[i]);
-    for (int j = 0; j <= i; j++) {
-      const int from = first[i] > first[j] ? first[i] : first[j];
-      A[i * n + j] = A[j * n + i] = dot(row + from, reached + j * nv + from, nv - from);
+    int c = count[i] - 1;
+    for (; c > 0; c -= 2) {
+      const double *row = d->qH + m->M_rowadr[c], *next = d->qH + m->M_rowadr[c - 1];
+      x[c - 1] -= x[c] * row[c - 1];
+      add_two(x, -x[c], row, -x[c - 1], next, c - 1);
     }
+    for (c = 0; c < count[i]; c++) x[c] *= scale[c];
+    for (int j = 0; j <= i; j++)
+      A[i * n + j] = A[j * n + i] = dot(x, reached + j * nv, count[i] < count[j] ? count[i] : count[j]);
   }
 }
 
@@ -279,16 +268,15 @@ static void begin(Problem* p, const double* z0, double* y, double* ay, double* r
 
 void contact_solve(const mjModel* m, mjData* d, double* room) {
   const int nv = m->nv, n = d->nefc;
-  double *mass = room, *reached = mass + nv * nv, *acceleration = reached + nv * SOLVER_ROWS, *A = acceleration + nv;
+  double *reached = room, *acceleration = reached + nv * SOLVER_ROWS, *scale = acceleration + nv, *A = scale + nv;
   double *z0 = A + n * n, *z = z0 + n, *y = z + n, *ay = y + n, *r = ay + n, *ar = r + n, *dy = ar + n, *dz = dy + n;
   double *trial = dz + n, *work = trial + n;
   memset(d->qfrc_constraint, 0, sizeof(double) * nv);
   memcpy(d->qacc, d->qacc_smooth, sizeof(double) * nv);
   d->solver_niter[0] = 0;
   if (!n) return;
-  implicit_mass(m, d, mass);
-  if (!factorise(mass, nv)) return; /* the state is not finite: MuJoCo's checks tell */
-  project(m, d, mass, reached, A);
+  for (int j = 0; j < nv; j++) scale[j] = sqrt(d->qHDiagInv[j]);
+  project(m, d, scale, reached, A);
   for (int i = 0; i < n; i++) {
     z0[i] = z[i] = -d->efc_aref[i];
     for (int k = d->efc_J_rowadr[i]; k < d->efc_J_rowadr[i] + d->efc_J_rownnz[i]; k++) {
@@ -315,8 +303,10 @@ void contact_solve(const mjModel* m, mjData* d, double* room) {
   d->solver_niter[0] = iteration;
   memset(acceleration, 0, sizeof(double) * nv);
   for (int i = 0; i < n; i++) add(acceleration, p.force[i], reached + i * nv, nv);
-  solve_back(mass, acceleration, nv);
-  for (int j = 0; j < nv; j++) d->qacc[j] += acceleration[nv - 1 - j];
+  for (int j = 0; j < nv; j++) {
+    acceleration[j] = scale[j] * acceleration[j] - dot(d->qH + m->M_rowadr[j], acceleration, j);
+    d->qacc[j] += acceleration[j];
+  }
   for (int i = 0; i < n; i++)
     for (int k = d->efc_J_rowadr[i]; k < d->efc_J_rowadr[i] + d->efc_J_rownnz[i]; k++)
       d->qfrc_constraint[d->efc_J_colind[k]] += d->efc_J[k] * p.force[i];
