@@ -145,7 +145,8 @@ def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
     """Number of those that press least among those that reach the target in half of the copies, or else `soonest`.
 
     Whoever reaches it in fewer copies than the best by more than `CHANCE` is left out unless the others press hard. Of
-    those that press with at most `GENTLE` the ones that reach it most often are taken.
+    those that press with at most `GENTLE` the ones that reach it most often are taken. Where all that reach it in half
+    press too hard, it is the gentlest of all that ever reach it and do not.
 
     Args:
         limit: 95th percentile of the force from which on they press too hard, N.
@@ -161,4 +162,7 @@ def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
         return max(force, GENTLE), -tried[number].reached, force
 
     least = min(often, key=rank)
-    return least if tried[least].force_p95 <= limit else min(half, key=lambda number: tried[number].force_p95)
+    if tried[least].force_p95 <= limit:
+        return least
+    softer = [number for number, one in enumerate(tried) if one.reached and one.force_p95 <= limit]
+    return min([number for number in softer if number in half] or softer or half, key=rank)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 DEVICES = "devices"  # first part of the jobs' names
 WIRE_ALONE = "wire alone"
-TRIALS = 4  # copies, in each of which a policy plays an episode
+TRIALS = 4  # copies, in each of which a policy plays an episode; as many more where all that arrive press too hard
 PARTS = 2  # of the copies, beside each other
 _SECONDS = 5.0  # a guess: of a part of one policy's trials
 
@@ -58,28 +58,36 @@ def with_chosen_devices(
     if len(first) < 2:
         return with_catheter_where_steep(phantom, target, task, choose=True), None
 
-    def fared(those: Mapping[str, RehearsalJob]) -> list[Tried]:
-        parts = {name: [_part(name, given, part) for part in range(PARTS)] for name, given in those.items()}
+    def fared(those: Mapping[str, RehearsalJob], turn: int = 0) -> list[list[Trial]]:
+        parts = {name: [_part(name, given, PARTS * turn + k) for k in range(PARTS)] for name, given in those.items()}
         jobs = [job for both in parts.values() for job in both]
         label = f"devices in {phantom.name}"
         outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label=label, preload=PRELOAD)
-        return [Tried.of([trial for job in both for trial in outcomes[job.key]]) for both in parts.values()]
+        return [[trial for job in both for trial in outcomes[job.key]] for both in parts.values()]
 
     usual = next(iter(first))
-    trials = {usual: first[usual]}
-    tried = fared(trials)
-    if tried[0].reached < tried[0].episodes:  # else the wire alone is enough
-        trials = first
-    if tried[0].reached and tried[0].force_p95 > PRESSING:
-        trials = trials | _trials(settings, context, target, _with_softer_wires(task))
-    if len(trials) > 1:
-        tried = fared(trials)
-    told = ", ".join(f"{name} {one}" for name, one in zip(trials, tried, strict=True))
+    jobs = {usual: first[usual]}
+    trials = fared(jobs)
+    alone = Tried.of(trials[0])
+    if alone.reached < alone.episodes:  # else the wire alone is enough
+        jobs = first
+    if alone.reached and alone.force_p95 > PRESSING:
+        jobs = jobs | _trials(settings, context, target, _with_softer_wires(task))
+    if len(jobs) > 1:
+        trials = fared(jobs)
+    tried = [Tried.of(one) for one in trials]
+    if any(one.reached for one in tried) and tried[gentlest(tried, PRESSING)].force_p95 > PRESSING:
+        # that nothing gentler arrives may be chance
+        softer = {name: number for number, name in enumerate(jobs) if tried[number].force_p95 <= PRESSING}
+        more = fared({name: jobs[name] for name in softer}, turn=1) if softer else []
+        for number, further in zip(softer.values(), more, strict=True):
+            tried[number] = Tried.of(trials[number] + further)
+    told = ", ".join(f"{name} {one}" for name, one in zip(jobs, tried, strict=True))
     _LOGGER.info("copies of %s in which a policy reached %s, and how it pressed: %s", phantom.name, target, told)
     if not any(one.reached for one in tried):
         return with_catheter_where_steep(phantom, target, task, choose=True), None
     chosen = gentlest(tried, PRESSING)
-    return list(trials.values())[chosen].task, tried[chosen]
+    return list(jobs.values())[chosen].task, tried[chosen]
 
 
 def _with_catheters(task: Task) -> dict[str, Task]:
@@ -95,13 +103,14 @@ def _with_softer_wires(task: Task) -> dict[str, Task]:
 
 
 def try_devices(job: RehearsalJob, report: Report) -> list[Trial]:
-    """Lets the policy to start from play in the copies of the job's part."""
+    """Lets the policy to start from play in the copies of the job's part: every other of four, or of the next four."""
     from enn.policy import Policy
 
     map_simulations()
     assert job.start is not None
     environment = copies_environment(job, job.copies)
-    cases, seed = range(job.part, len(job.copies), PARTS), device_trial_seed(job.origin.training_seed)
+    turn, part = divmod(job.part, PARTS)
+    cases, seed = range(TRIALS * turn + part, TRIALS * (turn + 1), PARTS), device_trial_seed(job.origin.training_seed)
     trials = try_in_copies(Policy.load(job.start), environment, seed, cases=cases, tick=report)
     environment.close()
     return trials
@@ -116,7 +125,7 @@ def _trials(
 ) -> dict[str, RehearsalJob]:
     """Trials of the devices of tasks, by their names, as far as there are policies to start from."""
     origin = Origin("rehearsal", DEVICES, context.seed, context.budget)
-    copies = tuple(training_copies(context.seed, TRIALS))
+    copies = tuple(training_copies(context.seed, 2 * TRIALS))
     trials = {}
     for name, task in tasks.items():
         start = starting_policy(settings, context.run_path, context.seed, task)

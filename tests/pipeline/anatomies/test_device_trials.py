@@ -111,7 +111,10 @@ def test_the_gentlest_is_chosen_among_those_that_arrive_about_as_often_as_the_be
     assert gentlest([never, Tried(1, 4, 250.0, 0.5)]) == 1  # none arrives as often
     assert gentlest([wire, both, never], 0.4) == 1
     assert gentlest([wire, both, never], 0.3) == 0  # the best presses too hard
-    assert gentlest([Tried(1, 4, 90.0, 0.1), both, never], 0.3) == 1  # nothing else arrives in half
+    rarely = Tried(1, 4, 90.0, 0.1)
+    assert gentlest([rarely, both, never], 0.4) == 1
+    assert gentlest([rarely, both, never], 0.3) == 0  # all that arrive in half press too hard
+    assert gentlest([Tried(1, 4, 90.0, 0.35), both, never], 0.3) == 1  # and nothing gentler arrives
 
 
 def test_of_those_that_hardly_press_the_most_arrivals_decide() -> None:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cathsim import load_phantom
-from pipeline.anatomies.device_trials import Tried
+from pipeline.anatomies.device_trials import Trial, Tried, try_in_copies
 from pipeline.jobs.worker import Report
 from pipeline.seeds import training_copies
 from pipeline.stages.rehearsal import devices
@@ -35,15 +36,15 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         asked.clear()
 
         def run(folder: Any, jobs: Any, **_: Any) -> dict[str, Any]:
-            assert [job.given.part for job in jobs] == [0, 1] * (len(jobs) // 2)
+            assert [job.given.part % 2 for job in jobs] == [0, 1] * (len(jobs) // 2)
             asked.append([job.key for job in jobs[::2]])
             return {job.key: [job.key.split("/")[1]] for job in jobs}
 
         class Told:  # what the trials come to
             @staticmethod
             def of(trials: list[str]) -> Tried:
-                assert trials[0] == trials[1]
-                return outcomes[trials[0]]
+                assert set(trials) == {trials[0]}
+                return outcomes[trials[0] + " again" * (len(trials) > 2)]
 
         monkeypatch.setattr(devices, "run_jobs", run)
         monkeypatch.setattr(devices, "Tried", Told)
@@ -76,6 +77,19 @@ def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: 
     assert choose(outcomes) == (soft, outcomes[SOFTER])
     outcomes["stiff in jb2_4f"] = outcomes[SOFTER]  # a wire that was chosen stays
     assert choose(outcomes, Task(wire="stiff"))[0] == Task(wire="stiff", catheter="jb2_4f")
+
+
+def test_where_what_arrives_presses_too_hard_the_gentler_ones_get_four_copies_more(chosen: Any) -> None:
+    choose, asked = chosen
+    never, jb2 = Tried(0, 4, 300.0, 0.2), Tried(2, 4, 150.0, 0.32)
+    outcomes = {"wire alone": never, "jb2": jb2, "simmons2": Tried(1, 4, 300.0, 0.5), SOFTER: Tried(0, 4, 300.0, 0.1)}
+    outcomes |= {"wire alone again": Tried(0, 8, 300.0, 0.2), f"{SOFTER} again": Tried(2, 8, 250.0, 0.1)}
+    soft = Task(wire="radifocus_angled_025", catheter="jb2_4f")
+    assert choose(outcomes) == (soft, outcomes[f"{SOFTER} again"])
+    assert asked[1:] == [asked_for(*WITH_CATHETERS), ["devices/wire alone/2", f"devices/{SOFTER}/2"]]
+
+    outcomes[f"{SOFTER} again"] = Tried(0, 8, 300.0, 0.1)
+    assert choose(outcomes) == (Task(catheter="jb2"), jb2)  # nothing gentler arrives
 
 
 def test_where_the_wire_alone_always_arrives_nothing_else_is_tried(chosen: Any) -> None:
@@ -131,8 +145,16 @@ def test_a_trial_plays_the_policy_in_copies_that_the_training_has_too(
     task = Task(max_steps=6)
     named = {devices.WIRE_ALONE: task}
     (given,) = devices._trials(RehearsalSettings(task=task), context(tmp_path, "rehearsal"), "bca", named).values()
-    assert given.copies == tuple(training_copies(0, devices.TRIALS))
+    assert given.copies == tuple(training_copies(0, 2 * devices.TRIALS))
     assert given.start is not None
     assert given.start.stem == "generalist"
-    trials = try_devices(dataclasses.replace(given, copies=given.copies[:3], part=1), Report())
-    assert [(reached, len(forces)) for reached, forces in trials] == [(False, 6)]
+    played: list[Sequence[int]] = []
+
+    def noted(*arguments: Any, cases: Sequence[int], **further: Any) -> list[Trial]:
+        played.append(cases)
+        return try_in_copies(*arguments, cases=cases[:1], **further)
+
+    monkeypatch.setattr(devices, "try_in_copies", noted)
+    trials = [one for part in range(4) for one in try_devices(dataclasses.replace(given, part=part), Report())]
+    assert [(reached, len(forces)) for reached, forces in trials] == 4 * [(False, 6)]
+    assert [list(cases) for cases in played] == [[0, 2], [1, 3], [4, 6], [5, 7]]

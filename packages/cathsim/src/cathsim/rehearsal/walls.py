@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import threading
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -65,8 +65,7 @@ def wall_field(points: NDArray[np.floating[Any]], seed: int) -> NDArray[np.float
     return np.clip(total / np.float32(2 * np.sqrt(MODES / 2)), -1.0, 1.0)
 
 
-@dataclasses.dataclass(frozen=True)
-class _Walls:
+class _Walls(NamedTuple):
     """The nodes of a scan's grid near its walls, which every copy displaces."""
 
     indices: NDArray[np.integer[Any]]  # of all nodes that know their distance. Shape (m, 3).
