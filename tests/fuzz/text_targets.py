@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import hypothesis
-from hydra import compose, initialize_config_dir
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from hypothesis import HealthCheck, Phase, given
@@ -20,12 +19,13 @@ from omegaconf.errors import OmegaConfBaseException
 from cathsim.console.controls import Controls
 from cathsim.console.questionnaire import check_answers
 from cathsim.console.web.requests import KINDS, LONGEST_REQUEST, read_request
-from pipeline.config import CONFIG_DIRECTORY, register_schemas, run_config
+from pipeline.config import run_config
 from pipeline.explain import one_line
 from pipeline.stages import available_stages, load_stage
 from pipeline.store.errors import PipelineError
 from tests.fuzz.mutations import NASTY
 from tests.fuzz.target import Target, WrongError, refused
+from tests.pipeline.composed import unchecked
 
 _FIELDS = ("advance", "rotate", "sequence", "catheter", "phantom", "target", "answers", "more")
 EXAMPLES = 25  # of a seed
@@ -60,9 +60,7 @@ class SettingsTarget(Target):
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder)
-        register_schemas()
-        with initialize_config_dir(str(CONFIG_DIRECTORY), version_base="1.3"):
-            self.composed = {name: compose("config", overrides=[f"stage={name}"]) for name in SETTINGS}
+        self.composed = {name: unchecked(f"stage={name}") for name in SETTINGS}
         keys = {
             name: [f"stage.{f.name}" for f in dataclasses.fields(settings)]  # type: ignore[arg-type]
             + ["name", "seed", "runs_dir", "target", "modality", "phantom.name", "phantom.names", "force", "stage.none"]

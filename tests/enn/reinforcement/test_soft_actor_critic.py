@@ -86,10 +86,10 @@ def test_demonstrated_actions_are_cloned_where_the_critics_prefer_them(point_env
         assert {tuple(one) for one in data.actions[-32:].tolist()} <= {tuple(one) for one in given.actions.tolist()}
         # nothing is cloned where the policy's own actions are worth more, all of it where they are worth less
         own = torch.full((64, 1), 1e6)
-        assert model._cloning_loss(data, own, 32).item() == 0.0
-        mean, _ = action_distribution(model.policy, {"place": data.observations["place"][-32:]})
-        expected = 1e6 * (mean.tanh() - data.actions[-32:]).square().sum(1).mean()
-        torch.testing.assert_close(model._cloning_loss(data, -own, 32), expected)
+        mean, _ = action_distribution(model.policy, data.observations)
+        assert model._cloning_loss(data, mean, own, 32).item() == 0.0
+        expected = 1e6 * (mean[-32:].tanh() - data.actions[-32:]).square().sum(1).mean()
+        torch.testing.assert_close(model._cloning_loss(data, mean, -own, 32), expected)
         model.train(200, 64)
         mean, _ = action_distribution(model.policy, given.observations)
         far.append((mean.tanh() - given.actions).square().mean().item())
@@ -99,8 +99,9 @@ def test_demonstrated_actions_are_cloned_where_the_critics_prefer_them(point_env
 def test_log_probability_is_that_of_the_squashed_gaussian(point_env: Any) -> None:
     learner = SacLearner(SMALL, SampledEnvs([point_env], seed=0), 0)
     observations = {"place": torch.randn(50, 2, generator=torch.Generator().manual_seed(0))}
-    actions, log_prob = learner.model.sample_actions(observations)
+    actions, log_prob, drawn_about = learner.model.sample_actions(observations)
     mean, log_std = action_distribution(learner.policy, observations)
+    torch.testing.assert_close(drawn_about, mean)
     raw = torch.atanh(actions.double().clamp(-1 + 1e-9, 1 - 1e-9))
     expected = torch.distributions.Normal(mean.double(), log_std.double().exp()).log_prob(raw)
     expected -= torch.log(1 - actions.double() ** 2)

@@ -142,7 +142,7 @@ class Rod:
         before = np.concatenate(([0.0], halves[:-1]))[first:].copy()
         after = halves[first:].copy()
         joints = len(from_end)
-        cells, room = np.zeros((joints, _CELL_NUMBERS)), np.zeros((4, joints))
+        cells, room = np.zeros((joints, _CELL_NUMBERS)), np.zeros((8, joints))
         weight = np.ascontiguousarray(inverse_weight, np.float64)
         if twist.shape != (DEVICES, joints) or weight.shape != (2, len(links), 2):
             raise ValueError(

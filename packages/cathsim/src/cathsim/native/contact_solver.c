@@ -31,7 +31,7 @@ typedef struct {
 } Problem;
 
 int cathsim_solver_room(int nv) {
-  return nv * (SOLVER_ROWS + 2) + 3 * SOLVER_ROWS * SOLVER_ROWS + 10 * SOLVER_ROWS;
+  return nv * (SOLVER_ROWS + 2) + 3 * SOLVER_ROWS * SOLVER_ROWS + 12 * SOLVER_ROWS;
 }
 
 int cathsim_solver_rows(void) { return SOLVER_ROWS; }
@@ -176,7 +176,7 @@ static void scatter(const Problem* p, double factor, const double* x, double* y)
 /* Newton's direction (I + S A)^-1 r with S = G G': r - G (I + G'A G)^-1 G' A r; `room`: two matrices and a vector. */
 static int direction(const Problem* p, const double* r, const double* ar, double* result, double* room) {
   const int n = p->rows, columns = p->columns;
-  double *ga = room, *inner = ga + SOLVER_ROWS * SOLVER_ROWS, *right = inner + columns * columns;
+  double *ga = room, *inner = ga + columns * n, *right = inner + columns * columns;
   memcpy(result, r, sizeof(double) * n);
   gather(p, ar, right);
   for (int a = 0; a < columns; a++) {

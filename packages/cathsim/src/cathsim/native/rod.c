@@ -158,11 +158,28 @@ static const double* bend_of(const Rod* rod, const mjData* data, int joint) {
 /* Angle by which a joint's two hinges, one after the other, turn the link about its own axis, rad. */
 static double own_turn(const double bend[2]) { return 2 * atan(tan(0.5 * bend[0]) * tan(0.5 * bend[1])); }
 
-/* A device's rest bend at a joint, turned by an angle. */
-static void turned(const double rest[2], double angle, double result[2]) {
-  const double c = cos(angle), s = sin(angle);
-  result[0] = c * rest[0] - s * rest[1];
-  result[1] = s * rest[0] + c * rest[1];
+/* Cosine and sine of a device's twist at each joint, of the moment when `spin` was called. */
+static double* spins_of(const Rod* rod, int device) { return rod->room + (4 + 2 * device) * rod->joints; }
+
+static void spin(const Rod* rod, int device) {
+  double* spins = spins_of(rod, device);
+  for (int j = 0; j < rod->joints; j++) {
+    spins[2 * j] = cos(rod->twist[device][j]);
+    spins[2 * j + 1] = sin(rod->twist[device][j]);
+  }
+}
+
+/* A device's rest bend at a joint, turned by an angle that is given by its cosine and sine. */
+static void turned(const double rest[2], const double by[2], double result[2]) {
+  result[0] = by[0] * rest[0] - by[1] * rest[1];
+  result[1] = by[1] * rest[0] + by[0] * rest[1];
+}
+
+/* The coupling of both rest curvatures at a joint, turned by the angle between the devices. */
+static void coupling(const Rod* rod, const Cell* cell, int joint, double result[2]) {
+  const double *w = spins_of(rod, ROD_WIRE) + 2 * joint, *c = spins_of(rod, ROD_CATHETER) + 2 * joint;
+  const double between[2] = {w[0] * c[0] + w[1] * c[1], w[1] * c[0] - w[0] * c[1]};
+  turned(cell->mixed, between, result);
 }
 
 /* Derivative of a joint's energy of bending by one device's turn, N m, and a bound of its second one. */
@@ -171,9 +188,9 @@ static double turning(const Rod* rod, const double bend[2], int joint, int devic
   const int other = 1 - device;
   const double k = 1 / cell->flexibility;
   double mine[2], theirs[2], mixed[2];
-  turned(cell->rest[device], rod->twist[device][joint], mine);
-  turned(cell->rest[other], rod->twist[other][joint], theirs);
-  turned(cell->mixed, rod->twist[ROD_WIRE][joint] - rod->twist[ROD_CATHETER][joint], mixed);
+  turned(cell->rest[device], spins_of(rod, device) + 2 * joint, mine);
+  turned(cell->rest[other], spins_of(rod, other) + 2 * joint, theirs);
+  coupling(rod, cell, joint, mixed);
   const double left[2] = {bend[0] - theirs[0], bend[1] - theirs[1]};
   *curvature = k * sqrt((left[0] * left[0] + left[1] * left[1]) * (mine[0] * mine[0] + mine[1] * mine[1])) +
                sqrt(mixed[0] * mixed[0] + mixed[1] * mixed[1]);
@@ -231,9 +248,15 @@ static double relax_twist(Rod* rod, const mjData* data, int device) {
   return largest;
 }
 
+/* What a change of the twists begins with: how each link is turned by its hinges, and the spins. */
+static void prepare_twists(Rod* rod, const mjData* data) {
+  for (int j = 0; j < rod->joints; j++) rod->room[j] = own_turn(bend_of(rod, data, j));
+  for (int d = 0; d < ROD_DEVICES; d++) spin(rod, d);
+}
+
+/* After `prepare_twists` with the same bends. */
 static double relax_twists(Rod* rod, const mjData* data) {
   double largest = 0;
-  for (int j = 0; j < rod->joints; j++) rod->room[j] = own_turn(bend_of(rod, data, j));
   for (int d = 0; d < ROD_DEVICES; d++) {
     if (!rod->device[d]) continue;
     if (rod->rigid) {
@@ -243,6 +266,7 @@ static double relax_twists(Rod* rod, const mjData* data) {
       const double change = relax_twist(rod, data, d);
       if (change > largest) largest = change;
     }
+    spin(rod, d);
   }
   return largest;
 }
@@ -269,7 +293,7 @@ static void set_rest(Rod* rod, const mjData* data) {
     double rest[2] = {0, 0}, part[2];
     for (int d = 0; d < ROD_DEVICES; d++) {
       if (!rod->device[d]) continue;
-      turned(cell->rest[d], rod->twist[d][j], part);
+      turned(cell->rest[d], spins_of(rod, d) + 2 * j, part);
       for (int k = 0; k < 2; k++) rest[k] += part[k];
     }
     const double tx = tan(0.5 * bend[0]), ty = tan(0.5 * bend[1]), below = 1 + tx * tx * ty * ty;
@@ -284,6 +308,7 @@ void rod_update(Rod* rod, const mjData* data, double share) {
   for (int d = 0; d < ROD_DEVICES; d++)
     rod->hub[d] = share < 1 ? rod->hub_from[d] + share * (rod->hub_to[d] - rod->hub_from[d]) : rod->hub_to[d];
   show(rod);
+  prepare_twists(rod, data);
   for (int i = 0; i < (rod->rigid ? 1 : ITERATIONS); i++) relax_twists(rod, data);
   set_rest(rod, data);
 }
@@ -291,6 +316,7 @@ void rod_update(Rod* rod, const mjData* data, double share) {
 int rod_untwist(Rod* rod, const mjData* data, int most, double tolerance) {
   int i = 0;
   show(rod);
+  prepare_twists(rod, data);
   while (i < most) {
     i++;
     if (!(relax_twists(rod, data) > tolerance)) break;
@@ -301,6 +327,7 @@ int rod_untwist(Rod* rod, const mjData* data, int most, double tolerance) {
 
 double rod_energy(const Rod* rod, const mjData* data, double lead) {
   double energy = 0;
+  for (int d = 0; d < ROD_DEVICES; d++) spin(rod, d);
   for (int j = 0; j < rod->joints; j++) {
     Cell cell;
     fill_cell(rod, lead, j, &cell);
@@ -308,10 +335,10 @@ double rod_energy(const Rod* rod, const mjData* data, double lead) {
     double left[2] = {bend[0], bend[1]}, part[2];
     for (int d = 0; d < ROD_DEVICES; d++) {
       if (!rod->device[d]) continue;
-      turned(cell.rest[d], rod->twist[d][j], part);
+      turned(cell.rest[d], spins_of(rod, d) + 2 * j, part);
       for (int k = 0; k < 2; k++) left[k] -= part[k];
     }
-    turned(cell.mixed, rod->twist[ROD_WIRE][j] - rod->twist[ROD_CATHETER][j], part);
+    coupling(rod, &cell, j, part);
     energy += 0.5 * (left[0] * left[0] + left[1] * left[1]) / cell.flexibility + cell.own - part[0];
   }
   return energy;
@@ -319,6 +346,7 @@ double rod_energy(const Rod* rod, const mjData* data, double lead) {
 
 void rod_report(Rod* rod, const mjData* data) {
   double turn = 0.5 * own_turn(bend_of(rod, data, 0));
+  for (int d = 0; d < ROD_DEVICES; d++) spin(rod, d);
   for (int d = 0; d < ROD_DEVICES; d++) {
     rod->feeder_force[d] = rod->hub_torque[d] = 0;
     if (!rod->device[d] || rod->rigid) continue;

@@ -35,15 +35,19 @@ class FastSAC(SAC):
     losses: dict[str, Tensor]
     _entropy_weight: Tensor | None = None
 
-    def sample_actions(self, observations: Any) -> tuple[Tensor, Tensor]:
-        """Draws squashed actions and their log-probability. Shapes (N, actions), (N, 1)."""
+    def sample_actions(self, observations: Any) -> tuple[Tensor, Tensor, Tensor]:
+        """Draws squashed actions; also their log-probability, and the mean before squashing.
+
+        Returns:
+            Shapes (N, actions), (N, 1) and (N, actions).
+        """
         mean, log_std = action_distribution(self.policy, observations)
         noise = torch.randn(mean.shape, generator=self.noise).to(mean.device)
         raw = mean + log_std.exp() * noise
         # log(1 - tanh^2) in the form that does not lose precision far out
         squash = 2.0 * (LOG_2 - raw - functional.softplus(-2.0 * raw))
         log_prob = (-0.5 * noise.square() - log_std - HALF_LOG_2_PI - squash).sum(dim=1, keepdim=True)
-        return raw.tanh(), log_prob
+        return raw.tanh(), log_prob, mean
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
         """Updates critic, actor and entropy weight.
@@ -59,12 +63,12 @@ class FastSAC(SAC):
             data = self.replay_buffer.sample(batch_size)
             acts = step % self.actor_every == 0
             if acts:
-                actions, log_prob = self.sample_actions(data.observations)
+                actions, log_prob, mean = self.sample_actions(data.observations)
                 self._learn_entropy_weight(log_prob)
             entropy_weight = self._entropy_weight
             assert entropy_weight is not None
             with torch.no_grad():
-                next_actions, next_log_prob = self.sample_actions(data.next_observations)
+                next_actions, next_log_prob, _ = self.sample_actions(data.next_observations)
                 values = torch.minimum(*self.critic_target(data.next_observations, next_actions))
                 target = data.rewards + (1 - data.dones) * self.gamma * (values - entropy_weight * next_log_prob)
             first, second = self.critic(data.observations, data.actions)
@@ -74,14 +78,16 @@ class FastSAC(SAC):
             self.critic.optimizer.step()
 
             if acts:
-                self._learn_actor(data, actions, log_prob, entropy_weight)
+                self._learn_actor(data, actions, log_prob, mean, entropy_weight)
             if step % self.target_update_interval == 0:
                 with torch.no_grad():
                     torch._foreach_lerp_(targets, sources, self.tau)
             self.losses |= {"critic_loss": critic_loss.detach(), "ent_coef": entropy_weight}
         self._n_updates += gradient_steps
 
-    def _learn_actor(self, data: Any, actions: Tensor, log_prob: Tensor, entropy_weight: Tensor) -> None:
+    def _learn_actor(
+        self, data: Any, actions: Tensor, log_prob: Tensor, mean: Tensor, entropy_weight: Tensor
+    ) -> None:
         # the gradients of what the critic's optimiser learns would be thrown away here
         critic = [parameter for group in self.critic.optimizer.param_groups for parameter in group["params"]]
         for parameter in critic:
@@ -91,7 +97,7 @@ class FastSAC(SAC):
         assert isinstance(self.replay_buffer, ReplayBuffer)
         shown = self.replay_buffer.shown_in(len(actions)) if self.cloning_weight else 0
         if shown:
-            loss = loss + self.cloning_weight * self._cloning_loss(data, value.detach(), shown)
+            loss = loss + self.cloning_weight * self._cloning_loss(data, mean, value.detach(), shown)
         self.actor.optimizer.zero_grad()
         loss.backward()
         self.actor.optimizer.step()
@@ -99,17 +105,21 @@ class FastSAC(SAC):
             parameter.requires_grad_(True)
         self.losses |= {"actor_loss": loss.detach(), "entropy": -log_prob.detach().mean()}
 
-    def _cloning_loss(self, data: Any, value: Tensor, shown: int) -> Tensor:
-        """Squared distance of the best action to that of the last `shown` rows, where the critics prefer the latter."""
+    def _cloning_loss(self, data: Any, mean: Tensor, value: Tensor, shown: int) -> Tensor:
+        """Squared distance of the best action to that of the last `shown` rows, where the critics prefer the latter.
+
+        Args:
+            mean: before squashing. Shape (N, actions).
+            value: of the actions that were drawn. Shape (N, 1).
+        """
         observations = data.observations
         if isinstance(observations, dict):
             observations = {name: rows[-shown:] for name, rows in observations.items()}
         else:
             observations = observations[-shown:]
-        mean, _ = action_distribution(self.policy, observations)
         with torch.no_grad():
             better = torch.minimum(*self.critic(observations, data.actions[-shown:])) > value[-shown:]
-        distance = (mean.tanh() - data.actions[-shown:]).square().sum(dim=1, keepdim=True)
+        distance = (mean[-shown:].tanh() - data.actions[-shown:]).square().sum(dim=1, keepdim=True)
         return value.abs().mean() * (distance * better).mean()
 
     def _learn_entropy_weight(self, log_prob: Tensor) -> None:
