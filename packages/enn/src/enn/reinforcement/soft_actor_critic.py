@@ -85,9 +85,7 @@ class FastSAC(SAC):
             self.losses |= {"critic_loss": critic_loss.detach(), "ent_coef": entropy_weight}
         self._n_updates += gradient_steps
 
-    def _learn_actor(
-        self, data: Any, actions: Tensor, log_prob: Tensor, mean: Tensor, entropy_weight: Tensor
-    ) -> None:
+    def _learn_actor(self, data: Any, actions: Tensor, log_prob: Tensor, mean: Tensor, entropy_weight: Tensor) -> None:
         # the gradients of what the critic's optimiser learns would be thrown away here
         critic = [parameter for group in self.critic.optimizer.param_groups for parameter in group["params"]]
         for parameter in critic:
