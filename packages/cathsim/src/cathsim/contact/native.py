@@ -18,6 +18,7 @@ LAYOUT_FIELDS = (
     *("geom_bodyid", "body_mass", "xanchor", "xaxis", "qfrc_applied"),
     *("efc_diagA", "contact_solref", "contact_solimp", "contact_surfacevel"),
     *("nuserdata", "userdata"),
+    *("nefc", "M_rowadr", "qH", "qHDiagInv", "qacc_smooth", "efc_J", "efc_D", "efc_aref", "efc_force", "contact_mu"),
 )
 
 
@@ -196,6 +197,11 @@ def layout_expected(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, int
         int(contact.surfacevel[0, 0] * 1e9) if some else 0,
         model.nuserdata,
         data.userdata.ctypes.data if model.nuserdata else 0,
+        data.nefc,
+        model.M_rowadr.ctypes.data,
+        *(array.ctypes.data for array in (data.qH, data.qHDiagInv, data.qacc_smooth)),
+        *(array.ctypes.data for array in (data.efc_J, data.efc_D, data.efc_aref, data.efc_force)),
+        int(contact.mu[0] * 1e9) if some else 0,
     )
     return dict(zip(LAYOUT_FIELDS, (int(value) for value in values), strict=True))
 

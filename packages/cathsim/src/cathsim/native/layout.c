@@ -8,7 +8,7 @@ const char* cathsim_sources(void) { return CATHSIM_SOURCES; }
 
 int cathsim_header_version(void) { return mjVERSION_HEADER; }
 
-/* Fills `seen` (30 numbers) in the order that contact/native.py lists. */
+/* Fills `seen` (40 numbers) in the order that contact/native.py lists. */
 void cathsim_layout(const mjModel* m, const mjData* d, int64_t* seen) {
   int i = 0;
   seen[i++] = m->nq;
@@ -41,6 +41,16 @@ void cathsim_layout(const mjModel* m, const mjData* d, int64_t* seen) {
   seen[i++] = d->ncon > 0 ? (int64_t)(d->contact[0].surfacevel[0] * 1e9) : 0;
   seen[i++] = m->nuserdata;
   seen[i++] = m->nuserdata > 0 ? (int64_t)(intptr_t)d->userdata : 0;
+  seen[i++] = d->nefc;
+  seen[i++] = (int64_t)(intptr_t)m->M_rowadr;
+  seen[i++] = (int64_t)(intptr_t)d->qH;
+  seen[i++] = (int64_t)(intptr_t)d->qHDiagInv;
+  seen[i++] = (int64_t)(intptr_t)d->qacc_smooth;
+  seen[i++] = (int64_t)(intptr_t)d->efc_J;
+  seen[i++] = (int64_t)(intptr_t)d->efc_D;
+  seen[i++] = (int64_t)(intptr_t)d->efc_aref;
+  seen[i++] = (int64_t)(intptr_t)d->efc_force;
+  seen[i++] = d->ncon > 0 ? (int64_t)(d->contact[0].mu * 1e9) : 0;
 }
 
 /* Size (bytes) of a model's structure. */
