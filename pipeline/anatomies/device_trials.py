@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from enn.policy import Policy
 
 FIRST, TRIALS = 3, 6  # episodes of the usual devices, which are taken if all of them arrive; else of each policy
-CHANCE = 1  # episode of a few by which success may differ and mean nothing
+CHANCE = 0.25  # of a few episodes by which success may differ and mean nothing
 GENTLE = 0.15  # N, 95th percentile: what presses less is not chosen for that
 SHARE = 0.5  # of what may differ on the day, by which the copies for a choice differ from the scan
 Trial = tuple[bool, list[float]]  # of an episode: whether it arrived, the largest force of each step, N
@@ -43,6 +43,11 @@ class Tried:
     episodes: int
     steps: float
     force_p95: float
+
+    @property
+    def share(self) -> float:
+        """Of the episodes, those in which the target was reached."""
+        return self.reached / self.episodes
 
     def __str__(self) -> str:
         return f"{self.reached} of {self.episodes} ({self.force_p95:.2f} N)"
@@ -138,28 +143,28 @@ def best_devices(tries: Sequence[Callable[[int], Tried]], usual: int) -> int:
 def soonest(tried: Sequence[Tried], usual: int = 0) -> int:
     """Number of those that reached the target most often; among equals the usual ones, then the soonest."""
     numbers = range(len(tried))
-    return max(numbers, key=lambda number: (tried[number].reached, number == usual, -tried[number].steps))
+    return max(numbers, key=lambda number: (tried[number].share, number == usual, -tried[number].steps))
 
 
 def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
     """Number of those that press least among those that reach the target in half of the copies, or else `soonest`.
 
-    Whoever reaches it in fewer copies than the best by more than `CHANCE` is left out unless the others press hard. Of
+    Whoever reaches it in a share of the copies that is lower by more than `CHANCE` is left out unless the others press hard. Of
     those that press with at most `GENTLE` the ones that reach it most often are taken. Where all that reach it in half
     press too hard, it is the gentlest of all that ever reach it and do not.
 
     Args:
         limit: 95th percentile of the force from which on they press too hard, N.
     """
-    half = [number for number, one in enumerate(tried) if one.reached >= 0.5 * one.episodes]
+    half = [number for number, one in enumerate(tried) if one.share >= 0.5]
     if not half:
         return soonest(tried)
-    most = max(one.reached for one in tried)
-    often = [number for number in half if tried[number].reached >= most - CHANCE]
+    most = max(one.share for one in tried)
+    often = [number for number in half if tried[number].share >= most - CHANCE]
 
-    def rank(number: int) -> tuple[float, int, float]:
+    def rank(number: int) -> tuple[float, float, float]:
         force = tried[number].force_p95
-        return max(force, GENTLE), -tried[number].reached, force
+        return max(force, GENTLE), -tried[number].share, force
 
     least = min(often, key=rank)
     if tried[least].force_p95 <= limit:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 DEVICES = "devices"  # first part of the jobs' names
 WIRE_ALONE = "wire alone"
-TRIALS = 4  # copies, in each of which a policy plays an episode; as many more where all that arrive press too hard
+TRIALS = 8  # copies, in each of which a policy plays an episode; as many more where all that arrive press too hard
 PARTS = 2  # of the copies, beside each other
 _SECONDS = 5.0  # a guess: of a part of one policy's trials
 
@@ -103,7 +103,7 @@ def _with_softer_wires(task: Task) -> dict[str, Task]:
 
 
 def try_devices(job: RehearsalJob, report: Report) -> list[Trial]:
-    """Lets the policy to start from play in the copies of the job's part: every other of four, or of the next four."""
+    """Lets the policy to start from play in the copies of the job's part: every other of eight, or of the next."""
     from enn.policy import Policy
 
     map_simulations()

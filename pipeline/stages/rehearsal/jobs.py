@@ -25,8 +25,9 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import controllers, retrying, run_trials
 from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, validation_copies
 from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.demonstrations import mostly_arrives, read_demonstrations
+from pipeline.stages.rehearsal.demonstrations import PARTS, mostly_arrives, play_elsewhere, read_demonstrations
 from pipeline.stages.rehearsal.hyperparameters import held_steps, threads_of, training_settings
+from pipeline.stages.rehearsal.settings import SAC
 from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import TASK
@@ -51,13 +52,22 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     begun = time.process_time()
     copies = job.training_cases
     starts, shown = _laid_starts(job, copies, report), read_demonstrations(job.folder)
-    training = training_settings(job, report.device, fewer=mostly_arrives(job))
+    validated = (0, *validation_copies(settings.validation_copies))
     with stopping_the_stage(CheckpointError, ValueError):
         policy = None if job.start is None else Policy.load(job.start, report.device)
         environment = partial(copies_environment, job, observe_every=held_steps(job))
+
+        def elsewhere() -> list[bool]:
+            assert policy is not None
+            report(_LAID, "whether fewer decisions are enough")
+            return play_elsewhere(policy, job, lambda part: environment(validated[part::PARTS]))
+
+        may_be_fewer = settings.share_of_decisions < 1 and settings.algorithm == SAC
+        fewer = may_be_fewer and mostly_arrives(job, elsewhere)
+        training = training_settings(job, report.device, fewer=fewer)
         result = rehearse(
             partial(environment, copies, training=True),
-            make_validation_env=partial(environment, (0, *validation_copies(settings.validation_copies))),
+            make_validation_env=partial(environment, validated),
             policy=policy,
             settings=training,
             starts=starts,

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from pipeline.stages.rehearsal.demonstrations import mostly_arrives
+from pipeline.stages.rehearsal.demonstrations import mostly_arrives, play_elsewhere
 from pipeline.stages.rehearsal.hyperparameters import training_settings
 from pipeline.store.atomic_files import write_arrays
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
@@ -23,25 +25,60 @@ def test_a_training_has_a_thread_for_each_core_within_reason(
 
 
 @pytest.mark.parametrize(
-    ("arrivals", "decisions"),
+    ("arrivals", "others", "decisions"),
     [
-        ((True, True, True, False), 24),
-        ((True, True, True, True), 48),
-        ((True, True, False, False), 48),
-        ((True, True, True), 48),
-        ((), 48),
+        ((True, True, True, False), (True, True), 24),
+        ((True, True, True, False), (True, False), 48),
+        ((True, True, True, True), None, 48),
+        ((True, True, False, False), None, 48),
+        ((True, True, True), None, 48),
+        ((), None, 48),
     ],
-    ids=["three of four", "all", "two of four", "one copy was not played", "none was played"],
+    ids=["three of four", "but not elsewhere", "all", "two of four", "one copy was not played", "none was played"],
 )
 def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
-    tmp_path: Path, arrivals: tuple[bool, ...], decisions: int
+    tmp_path: Path, arrivals: tuple[bool, ...], others: tuple[bool, ...] | None, decisions: int
 ) -> None:
     job = job_of(tmp_path, copies=3, share_of_decisions=0.5)
     for copy, arrives in zip(job.training_cases, arrivals, strict=False):
         write_arrays(tmp_path / f"demonstrations/generalist_{copy}_0.npz", {"terminated": np.array(arrives)})
         write_arrays(tmp_path / f"demonstrations/navigator_{copy}_0.npz", {"terminated": np.array(True)})
-    assert not mostly_arrives(job)  # of nothing
-    training = training_settings(job, "cpu", fewer=mostly_arrives(dataclasses.replace(job, start=GENERALIST)))
+
+    def elsewhere() -> Sequence[bool]:
+        assert others is not None  # it is not played where the first round says enough
+        return others
+
+    assert not mostly_arrives(job, elsewhere)  # of nothing
+    fewer = mostly_arrives(dataclasses.replace(job, start=GENERALIST), elsewhere)
+    training = training_settings(job, "cpu", fewer=fewer)
     assert (training.decisions, training.evaluate_every) == (decisions, decisions // 3)
     assert training.learning_rate * decisions == pytest.approx(48 * training_settings(job, "cpu").learning_rate)
     assert training_settings(job_of(tmp_path, algorithm="ppo"), "cpu", fewer=True).decisions == 48
+
+
+def test_in_copies_elsewhere_every_copy_is_played_once_however_many_there_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played: list[tuple[int, int]] = []
+
+    class Closed:
+        def close(self) -> None:
+            played.append((-1, 0))
+
+    def play_cases(policy: object, environment: Closed, *, deterministic: bool, seed: int) -> SimpleNamespace:
+        assert not deterministic
+        played.append((0, seed))
+        return SimpleNamespace(success=np.array([True, False]))
+
+    monkeypatch.setattr("enn.reinforcement.rehearsal.play_cases", play_cases)
+    parts: list[int] = []
+
+    def make(part: int) -> Closed:
+        parts.append(part)
+        return Closed()
+
+    assert play_elsewhere(object(), job_of(tmp_path), make) == [True, False, True, False]  # type: ignore[arg-type]
+    assert sorted(parts) == [0, 1]
+    seeds = [seed for kind, seed in played if kind == 0]
+    assert len(set(seeds)) == 2  # and each is closed
+    assert len(played) == 4
