@@ -149,9 +149,9 @@ def soonest(tried: Sequence[Tried], usual: int = 0) -> int:
 def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
     """Number of those that press least among those that reach the target in half of the copies, or else `soonest`.
 
-    Whoever reaches it in a share of the copies that is lower by more than `CHANCE` is left out unless the others press hard. Of
-    those that press with at most `GENTLE` the ones that reach it most often are taken. Where all that reach it in half
-    press too hard, it is the gentlest of all that ever reach it and do not.
+    Whoever reaches it in a share of the copies that is lower than the best one's by more than `CHANCE` is left out
+    unless the others press hard. Of those that press with at most `GENTLE` the ones that reach it most often are taken.
+    Where all that reach it in half press too hard, it is the gentlest of all that ever reach it and do not.
 
     Args:
         limit: 95th percentile of the force from which on they press too hard, N.

@@ -152,8 +152,8 @@ def _episodes_of_expert(
 def mostly_arrives(job: RehearsalJob, elsewhere: Callable[[], Sequence[bool]]) -> bool:
     """Whether the policy that a rehearsal starts from arrives in three quarters of the episodes, but not in all.
 
-    Where it always arrives it has little to learn, and faster learning has unlearnt some of it. Seventeen episodes can be
-    lucky: one that arrived in 15 of them did in 14 of 30 test copies.
+    Where it always arrives it has little to learn, and faster learning has unlearnt some of it. Seventeen episodes can
+    be lucky: one that arrived in 15 of them did in 14 of 30 test copies.
 
     Args:
         elsewhere: plays it in copies that the training does not have, and says where it arrived; called where its first
