@@ -17,6 +17,7 @@ from pipeline.task import Task
 
 if TYPE_CHECKING:
     from cathsim.rehearsal.environment import NavigateCopiesEnv
+    from pipeline.anatomies.device_trials import Tried
 
 SCAN, COPIES = "scan", "copies"  # sets of tests, and their folders
 
@@ -33,6 +34,7 @@ class RehearsalJob:
         shown_by: of demonstrations: the policies that may give them; the first is `start`, where there is one.
         part: of demonstrations and trials: its number among those that are made beside each other.
         force_price: of the training's reward, 1/N; None: what the settings say without trials.
+        tried: how the policy to start from fared in trials of its devices; None: there were none.
     """
 
     folder: Path
@@ -47,6 +49,7 @@ class RehearsalJob:
     shown_by: tuple[Path, ...] = ()
     part: int = 0
     force_price: float | None = None
+    tried: Tried | None = None
 
     @property
     def training_cases(self) -> tuple[int, ...]:

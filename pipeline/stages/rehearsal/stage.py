@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.anatomies.anatomy_file import load_anatomy
+from pipeline.anatomies.device_trials import Tried
 from pipeline.anatomies.settings import check_anatomies, fitted_steps, fitted_task, settle
 from pipeline.anatomies.take_offs import with_catheter_where_steep
 from pipeline.jobs.gpu_memory import policy_gb
@@ -71,7 +72,7 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
     _LOGGER.info("it starts from %s", "nothing" if start is None else start)
     price = settings.price_of_force(task, tried)
     _LOGGER.info("a newton and step cost %g in the training", price)
-    jobs = plan(settings, context, task, target, start, asked, price)
+    jobs = plan(settings, context, task, target, start, asked, price, tried)
     label = f"rehearsal in {phantom.name}"
     outcomes = run_jobs(
         context.folder, jobs, workers=settings.workers, label=label, preload=PRELOAD, device=settings.device
@@ -110,10 +111,11 @@ def plan(
     start: Path | None,
     asked: Sequence[Path] = (),
     force_price: float | None = None,
+    tried: Tried | None = None,
 ) -> list[Job]:
     """The jobs: demonstrations by policies that are asked, tests before, the training, tests after."""
     origin = Origin("rehearsal", AFTER, context.seed, context.budget)
-    job = RehearsalJob(context.path, origin, settings, task, target, start, force_price=force_price)
+    job = RehearsalJob(context.path, origin, settings, task, target, start, force_price=force_price, tried=tried)
     shown = settings.demonstrations > 0 and (bool(asked) or settings.expert != NEVER)
     parts = [f"{DEMONSTRATIONS}{part}" for part in range(PARTS if shown else 0)]
     weight = _SECONDS["shown"] * len(job.training_cases) / PARTS

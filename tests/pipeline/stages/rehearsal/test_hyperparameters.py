@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from pipeline.anatomies.device_trials import Tried
 from pipeline.stages.rehearsal.demonstrations import mostly_arrives, play_elsewhere
 from pipeline.stages.rehearsal.hyperparameters import training_settings
 from pipeline.store.atomic_files import write_arrays
@@ -25,21 +26,27 @@ def test_a_training_has_a_thread_for_each_core_within_reason(
 
 
 @pytest.mark.parametrize(
-    ("arrivals", "others", "decisions"),
+    ("arrivals", "others", "trials", "decisions"),
     [
-        ((True, True, True, False), (True, True), 24),
-        ((True, True, True, False), (True, False), 48),
-        ((True, True, True, True), None, 48),
-        ((True, True, False, False), None, 48),
-        ((True, True, True), None, 48),
-        ((), None, 48),
+        ((True, True, True, False), (True, True), 0, 24),
+        ((True, True, True, False), (True, True), 2, 24),
+        ((True, True, True, False), (True, True), 3, 48),
+        ((True, True, True, False), (True, False), 0, 48),
+        ((True, True, True, True), None, 0, 48),
+        ((True, True, False, False), None, 0, 48),
+        ((True, True, True), None, 0, 48),
+        ((), None, 0, 48),
     ],
-    ids=["three of four", "but not elsewhere", "all", "two of four", "one copy was not played", "none was played"],
+    ids=[
+        *("three of four", "and in one trial of two", "but in one trial of three", "but not elsewhere", "all"),
+        *("two of four", "one copy was not played", "none was played"),
+    ],
 )
 def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
-    tmp_path: Path, arrivals: tuple[bool, ...], others: tuple[bool, ...] | None, decisions: int
+    tmp_path: Path, arrivals: tuple[bool, ...], others: tuple[bool, ...] | None, trials: int, decisions: int
 ) -> None:
-    job = job_of(tmp_path, copies=3, share_of_decisions=0.5)
+    tried = Tried(1, trials, 100.0, 0.1) if trials else None
+    job = dataclasses.replace(job_of(tmp_path, copies=3, share_of_decisions=0.5), tried=tried)
     for copy, arrives in zip(job.training_cases, arrivals, strict=False):
         write_arrays(tmp_path / f"demonstrations/generalist_{copy}_0.npz", {"terminated": np.array(arrives)})
         write_arrays(tmp_path / f"demonstrations/navigator_{copy}_0.npz", {"terminated": np.array(True)})
