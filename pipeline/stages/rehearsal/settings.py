@@ -72,7 +72,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     algorithm: Annotated[str, one_of(SAC, PPO)] = SAC
     decisions: Decisions = 20_000
     # of them that is enough where the policy to start from arrives in three quarters of the training's copies, but not
-    # in all, and of these and the validation's together; SAC's rate is higher by as much
+    # in all, and in four fifths with trials and the validation's; SAC's rate is higher by as much
     share_of_decisions: Annotated[float, Ge(0.1), Le(1)] = 0.5
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
     hidden: Units = 256  # units of both layers, where it starts from nothing

@@ -29,8 +29,8 @@ def test_a_training_has_a_thread_for_each_core_within_reason(
     ("arrivals", "others", "trials", "decisions"),
     [
         ((True, True, True, False), (True, True), 0, 24),
-        ((True, True, True, False), (True, True), 2, 24),
-        ((True, True, True, False), (True, True), 3, 48),
+        ((True, True, True, False), (True, True), 1, 24),
+        ((True, True, True, False), (True, True), 2, 48),
         ((True, True, True, False), (True, False), 0, 48),
         ((True, True, True, True), None, 0, 48),
         ((True, True, False, False), None, 0, 48),
@@ -38,7 +38,7 @@ def test_a_training_has_a_thread_for_each_core_within_reason(
         ((), None, 0, 48),
     ],
     ids=[
-        *("three of four", "and in one trial of two", "but in one trial of three", "but not elsewhere", "all"),
+        *("three of four", "and in the only trial", "but in one trial of two", "but not elsewhere", "all"),
         *("two of four", "one copy was not played", "none was played"),
     ],
 )
