@@ -71,10 +71,10 @@ def test_a_reset_forgets_where_the_devices_were() -> None:
 
 
 def test_starts_turn_both_devices_by_their_own() -> None:
-    env = composer.load(seed=0, numerics=QUICK, catheter="vertebral", start_rotation=2.0)
+    # where a curved tip that springs out of the sheath comes to rest depends on rounding: 0 to 0.3 mm
+    env = composer.load(seed=0, numerics=QUICK, catheter="straight", start_rotation=2.0)
     starts = np.array([env.reset().observation["devices"] for _ in range(8)])
-    # a curved tip springs out of the sheath otherwise after any change of rounding: 0 to 0.3 mm
-    assert np.median(np.abs(starts[:, 1, 0])) < 5e-5
+    assert (np.abs(starts[:, 1, 0]) < 2e-4).all()
     assert (np.ptp(starts[:, :, 1], axis=0) > 0.3).all()
     env.close()
 

@@ -113,7 +113,7 @@ static void add_column(Problem* p, int row, int count, double first, double seco
 static double evaluate(Problem* p, const double* z, int second) {
   const mjData* d = p->d;
   double cost = 0;
-  p->columns = second ? 0 : p->columns;
+  if (second) p->columns = 0;
   for (int i = 0; i < p->rows; i++) {
     const double stiffness = d->efc_D[i];
     if (d->efc_type[i] == mjCNSTR_CONTACT_FRICTIONLESS) {
