@@ -147,8 +147,9 @@ def soonest(tried: Sequence[Tried], usual: int = 0) -> int:
 
 
 def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
-    """Number of those that press least among those that reach the target in half of the copies, or else `soonest`.
+    """Number of those that press least among those that reach the target in half of the copies.
 
+    Where none does, it is `soonest` of those that ever reach it and do not press too hard, or else of all.
     Whoever reaches it in a share of the copies that is lower than the best one's by more than `CHANCE` is left out
     unless the others press hard. Of those that press with at most `GENTLE` the ones that reach it most often are taken.
     Where all that reach it in half press too hard, it is the gentlest of all that ever reach it and do not.
@@ -157,8 +158,10 @@ def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
         limit: 95th percentile of the force from which on they press too hard, N.
     """
     half = [number for number, one in enumerate(tried) if one.share >= 0.5]
+    softer = [number for number, one in enumerate(tried) if one.reached and one.force_p95 <= limit]
     if not half:
-        return soonest(tried)
+        among: Sequence[int] = softer or range(len(tried))
+        return among[soonest([tried[number] for number in among])]
     most = max(one.share for one in tried)
     often = [number for number in half if tried[number].share >= most - CHANCE]
 
@@ -169,5 +172,4 @@ def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
     least = min(often, key=rank)
     if tried[least].force_p95 <= limit:
         return least
-    softer = [number for number, one in enumerate(tried) if one.reached and one.force_p95 <= limit]
     return min([number for number in softer if number in half] or softer or half, key=rank)

@@ -12,7 +12,6 @@ One file an episode, ``demonstrations/<policy or expert>_<copy>_<round>.npz`` in
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -34,7 +33,6 @@ from pipeline.task import TASK
 if TYPE_CHECKING:
     import gymnasium
 
-    from cathsim.rehearsal.environment import NavigateCopiesEnv
     from enn.imitation.dagger import Act
     from enn.imitation.images.policy import ImagePolicy
     from enn.policy import Policy
@@ -172,26 +170,6 @@ def mostly_arrives(job: RehearsalJob, elsewhere: Callable[[], Sequence[bool]]) -
     outcomes += elsewhere()
     reached, episodes = (0, 0) if job.tried is None else (job.tried.reached, job.tried.episodes)
     return sum(outcomes) + reached >= SURELY * (len(outcomes) + episodes)
-
-
-def play_elsewhere(policy: Policy, job: RehearsalJob, make: Callable[[int], NavigateCopiesEnv]) -> list[bool]:
-    """Where a policy arrives in other copies, its actions drawn.
-
-    Args:
-        make: an environment of each of `PARTS`, which play beside each other.
-    """
-    from enn.reinforcement.rehearsal import play_cases
-    from enn.reinforcement.workers import Workers
-
-    def play(part: int) -> list[bool]:
-        seed = rehearsal_demonstration_seed(job.origin.training_seed, ROUNDS + part, 0)
-        with contextlib.closing(make(part)) as environment:
-            return play_cases(policy, environment, deterministic=False, seed=seed).success.tolist()
-
-    workers = Workers(PARTS)
-    outcomes = workers.each(play, range(PARTS))
-    workers.close()
-    return [one for part in outcomes for one in part]
 
 
 def _file(job: RehearsalJob, name: str, copy: int, number: int) -> Path:

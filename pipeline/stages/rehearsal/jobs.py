@@ -15,7 +15,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,12 +25,15 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import controllers, retrying, run_trials
 from pipeline.seeds import ANATOMY_COPIES, held_out_seeds, validation_copies
 from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.demonstrations import PARTS, mostly_arrives, play_elsewhere, read_demonstrations
+from pipeline.stages.rehearsal.demonstrations import mostly_arrives, read_demonstrations
 from pipeline.stages.rehearsal.hyperparameters import held_steps, threads_of, training_settings
 from pipeline.stages.rehearsal.settings import SAC
 from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import TASK
+
+if TYPE_CHECKING:
+    from enn.reinforcement.evaluation import EvaluationResult
 
 STARTS = "starts.npz"
 PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record", OPTIMISER)
@@ -45,7 +48,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     """
     from enn.policy import Policy
     from enn.reinforcement.checkpoint import CheckpointError
-    from enn.reinforcement.rehearsal import rehearse
+    from enn.reinforcement.rehearsal import first_evaluation, rehearse
 
     map_simulations()
     settings, seed = job.settings, job.origin.training_seed
@@ -57,14 +60,18 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
         policy = None if job.start is None else Policy.load(job.start, report.device)
         environment = partial(copies_environment, job, observe_every=held_steps(job))
 
+        usual = training_settings(job, report.device)
+        played: list[EvaluationResult] = []
+
         def elsewhere() -> list[bool]:
             assert policy is not None
             report(_LAID, "whether fewer decisions are enough")
-            return play_elsewhere(policy, job, lambda part: environment(validated[part::PARTS]))
+            played.append(first_evaluation(policy, partial(environment, validated), usual, seed=seed))
+            return [one.success for one in played[0].outcomes]
 
         may_be_fewer = settings.share_of_decisions < 1 and settings.algorithm == SAC
         fewer = may_be_fewer and mostly_arrives(job, elsewhere)
-        training = training_settings(job, report.device, fewer=fewer)
+        training = training_settings(job, report.device, fewer=True) if fewer else usual
         result = rehearse(
             partial(environment, copies, training=True),
             make_validation_env=partial(environment, validated),
@@ -74,6 +81,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
             demonstrations=shown,
             folder=job.own_folder,
             seed=seed,
+            first_result=played[0] if played else None,
             metadata={**job.origin.configuration("training"), TASK: asdict(job.task)},
             progress=lambda p: report(
                 _LAID + (1 - _LAID) * p.decisions / p.total, f"success {100 * (p.success or 0):.0f} %"

@@ -127,10 +127,17 @@ def plan(
     jobs.append(Job(TRAINING, train, job, after=tuple(parts), weight=weight, gpu_gb=memory))
     jobs += [] if start is None else _tests(job, BEFORE, start, ())
     trained = job.own_folder / POLICY
-    jobs += _tests(job, AFTER, trained, (TRAINING,))
-    if settings.film:
-        filmed = replace(job, policy=trained, tested=AFTER)
-        jobs.append(Job(FILM, film_scan, filmed, after=(f"{AFTER}/{SCAN}",), weight=_SECONDS["film"]))
+    tests = _tests(job, AFTER, trained, (TRAINING,))
+    if settings.film:  # the longest of them: first of those that can start beside others
+        filmed = Job(
+            FILM,
+            film_scan,
+            replace(job, policy=trained, tested=AFTER),
+            after=(f"{AFTER}/{SCAN}",),
+            weight=_SECONDS["film"],
+        )
+        tests.insert(1, filmed)
+    jobs += tests
     return jobs
 
 

@@ -15,6 +15,7 @@ from enn.reinforcement.rehearsal import (
     SHOWN_SLOWER,
     cases_of,
     demonstrated,
+    first_evaluation,
     play_cases,
     rehearse,
 )
@@ -138,3 +139,31 @@ def test_the_preset_keeps_what_a_later_rehearsal_needs() -> None:
     assert REHEARSAL.keep_critics
     assert REHEARSAL.demonstrations_in_replay == 0.0
     assert REHEARSAL.keys == ("roadmap", "history")
+
+
+def test_the_first_evaluation_can_be_played_before_and_is_the_same() -> None:
+    settings = dataclasses.replace(
+        FROM_NOTHING, decisions=96, evaluate_every=96, evaluation_episodes=6, keep_latest=True
+    )
+    policy = rehearse(WindyEnv, settings=dataclasses.replace(FROM_NOTHING, decisions=960), seed=3).policy
+    played: list[int] = []
+
+    class ValidationEnv(WindyEnv):
+        def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:  # type: ignore[override]
+            observation, info = super().reset(**arguments)
+            played.append(info["case"])
+            return observation, info
+
+    def curve(**given: Any) -> list[float | None]:
+        played.clear()
+        result = rehearse(
+            WindyEnv, make_validation_env=ValidationEnv, settings=settings, policy=policy, seed=5, **given
+        )
+        return [row["evaluation_success"] for row in result.curve]
+
+    usual, twice = curve(), len(played)
+    before = first_evaluation(policy, ValidationEnv, settings, seed=5)
+    once = len(played) - twice
+    assert usual[0] == before.success > 0
+    assert curve(first_result=before) == usual
+    assert len(played) == twice - once

@@ -117,6 +117,15 @@ def test_the_gentlest_is_chosen_among_those_that_arrive_about_as_often_as_the_be
     assert gentlest([Tried(1, 4, 90.0, 0.35), both, never], 0.3) == 1  # and nothing gentler arrives
 
 
+def test_where_none_arrives_in_half_those_that_press_too_hard_are_not_taken() -> None:
+    hard, soft, softest = Tried(3, 8, 80.0, 0.56), Tried(4, 16, 90.0, 0.16), Tried(1, 8, 85.0, 0.05)
+    never = Tried(0, 8, 300.0, 0.02)
+    assert gentlest([never, hard, soft], 0.3) == 2
+    assert gentlest([never, hard, softest, soft], 0.3) == 3  # of these the most arrivals
+    assert gentlest([never, hard, Tried(1, 8, 80.0, 0.4)], 0.3) == 1  # all press too hard
+    assert gentlest([never, hard, soft]) == 1
+
+
 def test_of_those_that_hardly_press_the_most_arrivals_decide() -> None:
     thin, soft, pair = Tried(3, 4, 90.0, 0.03), Tried(4, 4, 80.0, 0.12), Tried(4, 4, 95.0, 0.05)
     assert gentlest([thin, soft, pair], 0.3) == 2

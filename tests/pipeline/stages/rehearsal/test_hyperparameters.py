@@ -5,13 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pipeline.anatomies.device_trials import Tried
-from pipeline.stages.rehearsal.demonstrations import mostly_arrives, play_elsewhere
+from pipeline.stages.rehearsal.demonstrations import mostly_arrives
 from pipeline.stages.rehearsal.hyperparameters import training_settings
 from pipeline.store.atomic_files import write_arrays
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
@@ -61,31 +60,3 @@ def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
     assert (training.decisions, training.evaluate_every) == (decisions, decisions // 3)
     assert training.learning_rate * decisions == pytest.approx(48 * training_settings(job, "cpu").learning_rate)
     assert training_settings(job_of(tmp_path, algorithm="ppo"), "cpu", fewer=True).decisions == 48
-
-
-def test_in_copies_elsewhere_every_copy_is_played_once_however_many_there_are(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    played: list[tuple[int, int]] = []
-
-    class Closed:
-        def close(self) -> None:
-            played.append((-1, 0))
-
-    def play_cases(policy: object, environment: Closed, *, deterministic: bool, seed: int) -> SimpleNamespace:
-        assert not deterministic
-        played.append((0, seed))
-        return SimpleNamespace(success=np.array([True, False]))
-
-    monkeypatch.setattr("enn.reinforcement.rehearsal.play_cases", play_cases)
-    parts: list[int] = []
-
-    def make(part: int) -> Closed:
-        parts.append(part)
-        return Closed()
-
-    assert play_elsewhere(object(), job_of(tmp_path), make) == [True, False, True, False]  # type: ignore[arg-type]
-    assert sorted(parts) == [0, 1]
-    seeds = [seed for kind, seed in played if kind == 0]
-    assert len(set(seeds)) == 2  # and each is closed
-    assert len(played) == 4

@@ -193,7 +193,7 @@ class BestPolicy:
         Returns:
             Columns of the training's curve.
         """
-        mean = self._play(policy, envs, tick, workers, deterministic=True)
+        mean = self.play(policy, envs, tick, workers, deterministic=True)
         drawn: EvaluationResult | None = None
         if mean.success > 0 and mean.success >= (self.success or 0.0):
             drawn = run_episodes(policy, envs, self.seeds, deterministic=False, tick=tick, workers=workers)
@@ -206,15 +206,16 @@ class BestPolicy:
         self.evaluated_at = decisions
         return _columns(mean, None if drawn is None else stochastic)
 
-    def _play(
+    def play(
         self,
         policy: Policy,
         envs: Sequence[gymnasium.Env[Any, Any]],
-        tick: Callable[[], None] | None,
-        workers: Workers | None,
+        tick: Callable[[], None] | None = None,
+        workers: Workers | None = None,
         *,
         deterministic: bool,
     ) -> EvaluationResult:
+        """Plays the episodes of an evaluation, of which only a few are played where all of these fail."""
         # failures last longest: a policy that fails a few times in a row is not worth the rest
         scouts = max(SCOUTS, round(SCOUT_SHARE * len(self.seeds)))  # over many anatomies three can be hard ones
         play = partial(run_episodes, policy, envs, deterministic=deterministic, tick=tick, workers=workers)
@@ -267,7 +268,17 @@ class LatestPolicy(BestPolicy):
     evaluations is mostly the luckiest. Clearly worse is a success that is lower by more than the standard error of
     the difference. Among those that never arrive, the one with the highest reward is kept, or the first with
     `keeps_first`. The policy that a training starts from is not among the perfect ones after which it stops early.
+
+    Args:
+        first: `play` of the policy that is evaluated first, by drawn actions; None: it is played here.
+        episodes, seed, keeps_first: as of `BestPolicy`.
     """
+
+    def __init__(
+        self, episodes: int, seed: int, *, keeps_first: bool = False, first: EvaluationResult | None = None
+    ) -> None:
+        super().__init__(episodes, seed, keeps_first=keeps_first)
+        self._first = first
 
     def evaluate(
         self,
@@ -281,7 +292,8 @@ class LatestPolicy(BestPolicy):
 
         Args and returns as of `BestPolicy.evaluate`; both columns of success hold that of drawn actions.
         """
-        mean = self._play(policy, envs, tick, workers, deterministic=False)
+        played = self._first if self.evaluated_at < 0 else None
+        mean = played or self.play(policy, envs, tick, workers, deterministic=False)
         self._count_perfect(mean, mean.success >= PERFECT and decisions > 0)
         highest = 0.0 if self.best is None else self.best["rank"][0]
         rank = (max(mean.success, highest), mean.reward)

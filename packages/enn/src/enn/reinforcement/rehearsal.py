@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 
 from enn.imitation.dagger import Act, record
 from enn.policy import Policy
+from enn.reinforcement.evaluation import EvaluationResult, LatestPolicy
 from enn.reinforcement.training import DESK_SAC, Progress, Training, TrainingResult, TrainingSettings
+from enn.reinforcement.workers import Workers
 from enn.trajectory import Trajectory
 
 Environment = gymnasium.Env[Any, Any]
@@ -79,6 +81,7 @@ def rehearse(
     folder: Path | str | None = None,
     seed: int = 0,
     metadata: dict[str, Any] | None = None,
+    first_result: EvaluationResult | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> TrainingResult:
     """Trains in the cases of an environment, from a policy or from nothing.
@@ -96,6 +99,7 @@ def rehearse(
         demonstrations: episodes in these cases that reached the target, whoever steered, with the rewards of `make_env`
             (`demonstrated`); their states are starts, too.
         folder: where it can go on after an interruption; None: only in memory.
+        first_result: `first_evaluation` of the policy, where it was played already.
 
     Raises:
         ValueError: the policy has no critics, or sees or does something else than the environment.
@@ -119,8 +123,30 @@ def rehearse(
         demonstrations=demonstrations,
         make_validation_env=partial(_in_turn, make_validation_env or make_env),
         initial=policy,
+        initial_result=first_result,
     )
     return training.run(progress)
+
+
+def first_evaluation(
+    policy: Policy, make_validation_env: Callable[[], Environment], settings: TrainingSettings, *, seed: int = 0
+) -> EvaluationResult:
+    """Plays the evaluation with which `rehearse` begins, for settings that keep the latest policy.
+
+    Args:
+        make_validation_env: as of `rehearse`.
+        settings: with the number of its episodes, of the environments beside each other and of the threads.
+        seed: of the training.
+    """
+    episodes = settings.evaluation_episodes
+    envs = [_in_turn(make_validation_env) for _ in range(min(episodes, settings.n_envs))]
+    workers = Workers(settings.threads)
+    try:
+        return LatestPolicy(episodes, seed).play(policy, envs, workers=workers, deterministic=False)
+    finally:
+        workers.close()
+        for env in envs:
+            env.close()
 
 
 class _InTurn(gymnasium.Wrapper[Any, Any, Any, Any]):

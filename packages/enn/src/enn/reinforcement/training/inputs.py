@@ -11,6 +11,7 @@ import gymnasium
 from numpy.typing import NDArray
 
 from enn.policy import Policy
+from enn.reinforcement.evaluation import EvaluationResult
 from enn.reinforcement.reset_bank import CaseResetBank, ResetBank
 from enn.reinforcement.sampling import SampledEnvs
 from enn.reinforcement.training.settings import TrainingSettings
@@ -31,6 +32,7 @@ class TrainingInputs:
         make_validation_env: makes the environments of the evaluations that choose the best policy; None: `make_env`.
         initial: a policy with critics to start from instead of fresh weights: it acts from the first decision on, is
             evaluated before the first update, and its normalisation stays. Learning begins after `learning_starts`.
+        initial_result: of that evaluation, where it was played already and the latest policy is kept.
     """
 
     settings: TrainingSettings
@@ -43,6 +45,7 @@ class TrainingInputs:
     starts: Sequence[NDArray[Any]] = ()
     make_validation_env: Callable[[], gymnasium.Env[Any, Any]] | None = None
     initial: Policy | None = None
+    initial_result: EvaluationResult | None = None
 
     def make_reset_bank(self, settings: TrainingSettings) -> ResetBank | None:
         """An empty reset bank, or None where no episode is to start from one."""

@@ -8,6 +8,7 @@ import time
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +92,8 @@ class TrainingRun:
         self._evaluation_envs: list[gymnasium.Env[Any, Any]] = []
         self.decisions = 0
         self.next_row, self.next_evaluation = settings.curve_every, settings.evaluate_every or 1 << 62
-        keeper = LatestPolicy if settings.keep_latest else BestPolicy
-        self.best_policy = keeper(settings.evaluation_episodes, inputs.seed, keeps_first=inputs.initial is not None)
+        kept = partial(LatestPolicy, first=inputs.initial_result) if settings.keep_latest else BestPolicy
+        self.best_policy = kept(settings.evaluation_episodes, inputs.seed, keeps_first=inputs.initial is not None)
         self.course = Course(self.folder)
         self.here = 0  # decisions of this run alone
         self.ticked = 0.0
