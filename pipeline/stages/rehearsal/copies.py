@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.anatomy_file import load_anatomy
+from pipeline.jobs.job import OPTIMISER
 from pipeline.recording.trials import Origin
 from pipeline.seeds import training_copies
 from pipeline.stages.rehearsal.settings import RehearsalSettings
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from pipeline.anatomies.device_trials import Tried
 
 SCAN, COPIES = "scan", "copies"  # sets of tests, and their folders
+# Modules that every job needs.
+PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record", OPTIMISER)
 
 
 @dataclass(frozen=True)

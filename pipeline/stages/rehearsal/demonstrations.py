@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 DEMONSTRATIONS = "demonstrations"  # folder, and first part of the jobs' names
 PARTS = 2  # of the copies, beside each other
-OFTEN = 0.5  # share of episodes: a policy that arrives as often learns from its own
+OFTEN = 0.6  # share of episodes: a policy that arrives as often learns from its own
 MOSTLY, SURELY = 0.75, 0.8  # shares of them, and of all that were played: half of the training is enough
 ROUNDS = 4  # of one policy at most
 EXPERT = "expert"

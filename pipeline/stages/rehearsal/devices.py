@@ -18,8 +18,7 @@ from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.seeds import device_trial_seed, training_copies
-from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.jobs import PRELOAD
+from pipeline.stages.rehearsal.copies import PRELOAD, RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.settings import PRESSING
 from pipeline.stages.rehearsal.starting_policy import starting_policy
 from pipeline.task import DESCENDING, Task

@@ -74,6 +74,8 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     # of them that is enough where the policy to start from arrives in three quarters of the training's copies, but not
     # in all, and in four fifths with trials and the validation's; SAC's rate is higher by as much
     share_of_decisions: Annotated[float, Ge(0.1), Le(1)] = 0.5
+    # at most, each as short as that share, where fewer than nine tenths of the training's latest episodes arrive (SAC)
+    further_trainings: Annotated[int, Ge(0), Le(20)] = 2
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
     hidden: Units = 256  # units of both layers, where it starts from nothing
     training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings

@@ -20,11 +20,11 @@ from pipeline.recording.trials import POLICY, Origin
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob
+from pipeline.stages.rehearsal.copies import COPIES, PRELOAD, SCAN, RehearsalJob
 from pipeline.stages.rehearsal.demonstrations import DEMONSTRATIONS, EXPERT, PARTS, record_demonstrations
 from pipeline.stages.rehearsal.devices import with_chosen_devices
+from pipeline.stages.rehearsal.episodes import play
 from pipeline.stages.rehearsal.film import film_file, film_scan
-from pipeline.stages.rehearsal.jobs import PRELOAD, play, train
 from pipeline.stages.rehearsal.settings import NEVER, RehearsalSettings
 from pipeline.stages.rehearsal.starting_policy import (
     advising_policies,
@@ -32,6 +32,7 @@ from pipeline.stages.rehearsal.starting_policy import (
     starting_policy,
     with_devices_of,
 )
+from pipeline.stages.rehearsal.training import train
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, require_feeder, require_known_task
 
@@ -222,6 +223,7 @@ STAGE = Stage(
         "starts.npz",
         "demonstrations/<policy or expert>_<copy>_<round>.npz",
         "seed<k>/{policy.pt, training.csv, training.json}",
+        "seed<k>/further<n>/{policy.pt, training.csv, training.json}",
         "{before,after}/<test set>/<copy>/NNN.mcap",
         "{before,after}.png",
         "after.gif",

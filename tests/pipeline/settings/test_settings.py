@@ -33,7 +33,7 @@ ZERO_IS_LEGAL = {
     "registration_noise_mm", "spell_chance", "split_seed", "start_jitter_mm",
     "start_rotation_deg", "test_arches", "test_images", "threads", "updates", "validation_noise_px", "wire_length_mm",
     "workers", "walls_mm", "shift_mm", "turn_deg", "stiffness_pct", "friction_pct", "breathing_mm", "phantom_seed",
-    "force_penalty", "force_threshold_n", "least_set_back_mm",
+    "force_penalty", "force_threshold_n", "further_trainings", "least_set_back_mm",
 }  # fmt: skip
 ZERO_IS_REFUSED_THERE = {("unseen", "epochs"), ("navigation", "epochs")}
 # Texts that are no names: paths, which may lie anywhere, and what is filled in.

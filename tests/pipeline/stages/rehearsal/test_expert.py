@@ -12,8 +12,8 @@ import pytest
 
 from pipeline.jobs.worker import Report
 from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record_demonstrations
-from pipeline.stages.rehearsal.jobs import train
 from pipeline.stages.rehearsal.stage import plan
+from pipeline.stages.rehearsal.training import train
 from pipeline.task import Task
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
 from tests.pipeline.stages.small_expert import context

@@ -20,11 +20,12 @@ from pipeline.jobs.worker import Report
 from pipeline.seeds import ANATOMY_COPIES
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record_demonstrations
+from pipeline.stages.rehearsal.episodes import play
 from pipeline.stages.rehearsal.film import film_scan
-from pipeline.stages.rehearsal.jobs import play, train
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.stage import plan, row, run_rehearsal, shown_by
 from pipeline.stages.rehearsal.starting_policy import advising_policies
+from pipeline.stages.rehearsal.training import train
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, TINY, job_of

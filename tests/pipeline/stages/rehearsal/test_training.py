@@ -1,0 +1,49 @@
+"""Trainings of a rehearsal that go on from the one before."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from enn.reinforcement.training import TrainingResult
+from pipeline.jobs.worker import Report
+from pipeline.stages.rehearsal.training import sometimes_arrives, train
+from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
+
+
+@pytest.mark.parametrize(
+    ("shares", "further"),
+    [((None, 0.2, 0.88), True), ((0.2, 0.9), False), ((0.95, 0.5, None), True), ((0.5, 0.0), False), ((None,), False)],
+)
+def test_a_training_whose_latest_episodes_sometimes_arrive_is_worth_another(
+    shares: tuple[float | None, ...], further: bool
+) -> None:
+    curve = [{"success": share} for share in shares]
+    result = TrainingResult(policy=None, curve=curve, timings={}, evaluation=None)  # type: ignore[arg-type]
+    assert sometimes_arrives(result) == further
+
+
+def test_a_further_training_starts_from_the_one_before_and_its_policy_is_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, anatomy_cache: Path
+) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+    monkeypatch.setattr("pipeline.stages.rehearsal.training.sometimes_arrives", lambda result: True)
+    job = dataclasses.replace(job_of(tmp_path, share_of_decisions=0.5, validation_copies=1), start=GENERALIST)
+    told: list[float] = []
+    cost = train(job, Report(lambda message: told.append(message.fraction)))
+    assert cost["further_trainings"] == 2
+    assert cost["decisions"] == 48 + 24 + 24
+    seed = tmp_path / "seed0"
+    last = (seed / "further2/policy.pt").read_bytes()
+    assert (seed / "policy.pt").read_bytes() == last
+    settings = [json.loads((seed / name / "training.json").read_text())["settings"] for name in ("", "further1")]
+    assert settings[1]["learning_rate"] == pytest.approx(2 * settings[0]["learning_rate"])
+    assert told
+    assert all(0 <= share <= 1 for share in told)
+
+    (seed / "further2/training.json").unlink()  # as where it was interrupted
+    assert train(job, Report())["decisions"] == cost["decisions"]
+    assert (seed / "further2/policy.pt").read_bytes() == (seed / "policy.pt").read_bytes()
