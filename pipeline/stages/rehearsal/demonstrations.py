@@ -159,17 +159,26 @@ def mostly_arrives(job: RehearsalJob, elsewhere: Callable[[], Sequence[bool]]) -
         elsewhere: plays it in copies that the training does not have, and says where it arrived; called where its first
             round of demonstrations says that it mostly does.
     """
-    if job.start is None:
-        return False
-    files = [_file(job, job.start.stem, copy, 0) for copy in job.training_cases]
-    if not all(file.is_file() for file in files):
-        return False
-    outcomes = [arrived(file) for file in files]
-    if not MOSTLY * len(outcomes) <= sum(outcomes) < len(outcomes):
+    outcomes = _first_round(job)
+    if not outcomes or not MOSTLY * len(outcomes) <= sum(outcomes) < len(outcomes):
         return False
     outcomes += elsewhere()
     reached, episodes = (0, 0) if job.tried is None else (job.tried.reached, job.tried.episodes)
     return sum(outcomes) + reached >= SURELY * (len(outcomes) + episodes)
+
+
+def always_arrives(job: RehearsalJob) -> bool:
+    """Whether the policy that a rehearsal starts from arrives in all of its first round of demonstrations."""
+    outcomes = _first_round(job)
+    return bool(outcomes) and all(outcomes)
+
+
+def _first_round(job: RehearsalJob) -> list[bool]:
+    """Where the policy that a rehearsal starts from arrives in its demonstrations; empty where it did not play all."""
+    if job.start is None:
+        return []
+    files = [_file(job, job.start.stem, copy, 0) for copy in job.training_cases]
+    return [arrived(file) for file in files] if all(file.is_file() for file in files) else []
 
 
 def _file(job: RehearsalJob, name: str, copy: int, number: int) -> Path:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from enn.reinforcement.training import TrainingSettings
 
 EVALUATIONS = 3  # in a training, beside that of the policy that it starts from
+ENOUGH = 2  # of them, where that policy always arrives
 MOST_THREADS = 4  # of a training, unless the settings say; more gain nothing (docs/results/gpu.md)
 
 
@@ -24,18 +25,22 @@ def threads_of(settings: RehearsalSettings) -> int:
     return settings.threads or min(available_workers(), MOST_THREADS)
 
 
-def training_settings(job: RehearsalJob, device: str, *, fewer: bool = False) -> TrainingSettings:
+def training_settings(
+    job: RehearsalJob, device: str, *, fewer: bool = False, evaluations: int = EVALUATIONS
+) -> TrainingSettings:
     """Settings of the training, but for what the policy that it starts from brings.
 
     Args:
         fewer: with the settings' share of the decisions, and a rate higher by as much (SAC).
+        evaluations: after so many it ends, of the usual ones.
     """
     from enn.reinforcement.rehearsal import REHEARSAL
     from enn.reinforcement.training import DESK_PPO
 
     settings = job.settings
     share = settings.share_of_decisions if fewer and settings.algorithm == SAC else 1.0
-    decisions = math.ceil(share * settings.decisions)
+    every = math.ceil(share * settings.decisions / EVALUATIONS)
+    decisions = min(evaluations * every, math.ceil(share * settings.decisions))
     # without demonstrations, whose actions would be cloned, it has to explore
     preset = replace(
         DESK_PPO,
@@ -56,7 +61,7 @@ def training_settings(job: RehearsalJob, device: str, *, fewer: bool = False) ->
         decisions=decisions,
         n_envs=settings.environments,
         threads=threads_of(settings),
-        evaluate_every=math.ceil(decisions / EVALUATIONS),
+        evaluate_every=every,
         evaluation_episodes=settings.validation_copies + 1,
         keep_latest=True,
         device=device,

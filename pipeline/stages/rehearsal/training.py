@@ -16,8 +16,14 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import POLICY
 from pipeline.seeds import validation_copies
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.demonstrations import mostly_arrives, read_demonstrations
-from pipeline.stages.rehearsal.hyperparameters import held_steps, threads_of, training_settings
+from pipeline.stages.rehearsal.demonstrations import always_arrives, mostly_arrives, read_demonstrations
+from pipeline.stages.rehearsal.hyperparameters import (
+    ENOUGH,
+    EVALUATIONS,
+    held_steps,
+    threads_of,
+    training_settings,
+)
 from pipeline.stages.rehearsal.settings import SAC
 from pipeline.store.atomic_files import atomic_path, write_arrays
 from pipeline.store.errors import stopping_the_stage
@@ -30,7 +36,7 @@ if TYPE_CHECKING:
 
 STARTS = "starts.npz"
 FURTHER = "further"  # folder, in the training's, of each that goes on from it: further1, further2, ...
-MOSTLY = 0.9  # share of the training's latest episodes that arrive: more training is not worth its time
+OFTEN = 0.9  # share of the latest episodes that arrive: more training is not worth its time
 _LAID = 0.1  # of the training's job
 
 
@@ -54,7 +60,10 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     with stopping_the_stage(CheckpointError, ValueError):
         policy = None if job.start is None else Policy.load(job.start, report.device)
         environment = partial(copies_environment, job, observe_every=held_steps(job))
-        usual, shorter = (training_settings(job, report.device, fewer=fewer) for fewer in (False, True))
+        may_be_fewer = settings.share_of_decisions < 1 and settings.algorithm == SAC
+        evaluations = ENOUGH if may_be_fewer and always_arrives(job) else EVALUATIONS
+        usual = training_settings(job, report.device, evaluations=evaluations)
+        shorter = training_settings(job, report.device, fewer=True)
         played: list[EvaluationResult] = []
 
         def elsewhere() -> list[bool]:
@@ -83,7 +92,6 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
                 **given,
             )
 
-        may_be_fewer = settings.share_of_decisions < 1 and settings.algorithm == SAC
         fewer = may_be_fewer and mostly_arrives(job, elsewhere)
         first = played[0] if played else None
         results.append(trained(policy, shorter if fewer else usual, "", first_result=first))
@@ -107,7 +115,7 @@ def sometimes_arrives(result: TrainingResult) -> bool:
     It goes by the training's latest episodes from the usual start: they are more than those of an evaluation.
     """
     shares = [row["success"] for row in result.curve if row["success"] is not None]
-    return bool(shares) and 0 < shares[-1] < MOSTLY
+    return bool(shares) and 0 < shares[-1] < OFTEN
 
 
 def _laid_starts(job: RehearsalJob, copies: Sequence[int], report: Report) -> list[np.ndarray]:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pipeline.anatomies.device_trials import Tried
-from pipeline.stages.rehearsal.demonstrations import mostly_arrives
-from pipeline.stages.rehearsal.hyperparameters import training_settings
+from pipeline.stages.rehearsal.demonstrations import always_arrives, mostly_arrives
+from pipeline.stages.rehearsal.hyperparameters import ENOUGH, training_settings
 from pipeline.store.atomic_files import write_arrays
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
 
@@ -60,3 +60,20 @@ def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
     assert (training.decisions, training.evaluate_every) == (decisions, decisions // 3)
     assert training.learning_rate * decisions == pytest.approx(48 * training_settings(job, "cpu").learning_rate)
     assert training_settings(job_of(tmp_path, algorithm="ppo"), "cpu", fewer=True).decisions == 48
+
+
+def test_a_policy_that_always_arrives_is_trained_until_the_last_evaluation_but_one(tmp_path: Path) -> None:
+    job = dataclasses.replace(job_of(tmp_path, copies=3), start=GENERALIST)
+    assert not always_arrives(job)  # nothing was played
+    for copy in job.training_cases:
+        write_arrays(tmp_path / f"demonstrations/generalist_{copy}_0.npz", {"terminated": np.array(True)})
+    assert always_arrives(job)
+    assert not always_arrives(dataclasses.replace(job, start=None))
+    usual, shorter = training_settings(job, "cpu"), training_settings(job, "cpu", evaluations=ENOUGH)
+    assert (usual.decisions, shorter.decisions) == (48, 32)
+    assert usual.evaluate_every == shorter.evaluate_every == 16
+    assert usual.learning_rate == shorter.learning_rate
+    write_arrays(
+        tmp_path / f"demonstrations/generalist_{job.training_cases[-1]}_0.npz", {"terminated": np.array(False)}
+    )
+    assert not always_arrives(job)
