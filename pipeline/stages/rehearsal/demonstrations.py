@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 DEMONSTRATIONS = "demonstrations"  # folder, and first part of the jobs' names
 PARTS = 2  # of the copies, beside each other
-OFTEN = 0.6  # share of episodes: a policy that arrives as often learns from its own
+OFTEN = 0.5  # share of episodes, with the trials of its devices: a policy that arrives as often learns from its own
 MOSTLY, SURELY = 0.75, 0.8  # shares of them, and of all that were played: half of the training is enough
 ROUNDS = 4  # of one policy at most
 EXPERT = "expert"
@@ -90,7 +90,7 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
         if arrivals() >= wanted:
             break
         play_round(path, 0)
-        if path == job.start and sum(tally[path]) >= OFTEN * len(cases):
+        if path == job.start and _arrives(job, tally[path], OFTEN):
             break
     else:
         best = max(tally, key=lambda path: sum(tally[path]), default=None)
@@ -162,15 +162,19 @@ def mostly_arrives(job: RehearsalJob, elsewhere: Callable[[], Sequence[bool]]) -
     outcomes = _first_round(job)
     if not outcomes or not MOSTLY * len(outcomes) <= sum(outcomes) < len(outcomes):
         return False
-    outcomes += elsewhere()
-    reached, episodes = (0, 0) if job.tried is None else (job.tried.reached, job.tried.episodes)
-    return sum(outcomes) + reached >= SURELY * (len(outcomes) + episodes)
+    return _arrives(job, [*outcomes, *elsewhere()], SURELY)
 
 
 def always_arrives(job: RehearsalJob) -> bool:
     """Whether the policy that a rehearsal starts from arrives in all of its first round of demonstrations."""
     outcomes = _first_round(job)
     return bool(outcomes) and all(outcomes)
+
+
+def _arrives(job: RehearsalJob, outcomes: Sequence[bool], share: float) -> bool:
+    """Whether a policy arrives in a share of some episodes and of the trials of its devices together."""
+    reached, episodes = (0, 0) if job.tried is None else (job.tried.reached, job.tried.episodes)
+    return sum(outcomes) + reached >= share * (len(outcomes) + episodes)
 
 
 def _first_round(job: RehearsalJob) -> list[bool]:

@@ -14,6 +14,7 @@ import pytest
 from cathsim import load_phantom
 from enn.policy import Policy
 from enn.trajectory import Trajectory
+from pipeline.anatomies.device_trials import Tried
 from pipeline.anatomies.settings import check_anatomies, fitted_steps, fitted_task
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
@@ -26,6 +27,7 @@ from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.stage import plan, row, run_rehearsal, shown_by
 from pipeline.stages.rehearsal.starting_policy import advising_policies
 from pipeline.stages.rehearsal.training import train
+from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, TINY, job_of
@@ -281,6 +283,21 @@ def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, m
     train(dataclasses.replace(job, start=None), Report())
     record = json.loads((job.own_folder / "training.json").read_text())
     assert record["settings"]["demonstrations_in_replay"] == 0.25
+
+
+@pytest.mark.parametrize(("reached", "asked"), [(None, 1), (2, 1), (1, 2)])
+def test_the_trials_of_the_devices_count_when_others_are_asked(tmp_path: Path, reached: int | None, asked: int) -> None:
+    """It arrives in both of its demonstrations: of six trials two more are half of all, one more is less."""
+    tried = None if reached is None else Tried(reached, 6, 100.0, 0.1)
+    others = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))[:2]
+    job = job_of(tmp_path, copies=2, demonstrations=12)
+    job = dataclasses.replace(job, start=GENERALIST, shown_by=others, part=0, tried=tried)
+    for path in others:
+        for copy in job.training_cases:
+            for number in range(4):
+                file = tmp_path / f"demonstrations/{path.stem}_{copy}_{number}.npz"
+                write_arrays(file, {"terminated": np.array(path == GENERALIST)})
+    assert len(record_demonstrations(job, Report())) == asked
 
 
 def test_images_show_the_way_where_the_roadmap_fails_and_the_best_is_asked_again(
