@@ -166,9 +166,9 @@ def mostly_arrives(job: RehearsalJob, elsewhere: Callable[[], Sequence[bool]]) -
 
 
 def always_arrives(job: RehearsalJob) -> bool:
-    """Whether the policy that a rehearsal starts from arrives in all of its first round of demonstrations."""
+    """Whether the policy that a rehearsal starts from arrives in all of its first demonstrations and device trials."""
     outcomes = _first_round(job)
-    return bool(outcomes) and all(outcomes)
+    return bool(outcomes) and _arrives(job, outcomes, 1.0)
 
 
 def _arrives(job: RehearsalJob, outcomes: Sequence[bool], share: float) -> bool:

@@ -73,7 +73,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     decisions: Decisions = 20_000
     # of them that is enough where the policy to start from arrives in three quarters of the training's copies, but not
     # in all, and in four fifths with trials and the validation's; SAC's rate is higher by as much. Where it arrives in
-    # all, two thirds of them at the usual rate. 1: all decisions
+    # all and in all trials, two thirds of them at the usual rate. 1: all decisions
     share_of_decisions: Annotated[float, Ge(0.1), Le(1)] = 0.5
     # at most, each as short as that share, where fewer than nine tenths of the training's latest episodes arrive (SAC)
     further_trainings: Annotated[int, Ge(0), Le(20)] = 2

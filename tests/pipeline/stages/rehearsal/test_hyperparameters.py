@@ -68,6 +68,8 @@ def test_a_policy_that_always_arrives_is_trained_until_the_last_evaluation_but_o
     for copy in job.training_cases:
         write_arrays(tmp_path / f"demonstrations/generalist_{copy}_0.npz", {"terminated": np.array(True)})
     assert always_arrives(job)
+    assert always_arrives(dataclasses.replace(job, tried=Tried(8, 8, 100.0, 0.1)))
+    assert not always_arrives(dataclasses.replace(job, tried=Tried(7, 8, 100.0, 0.1)))
     assert not always_arrives(dataclasses.replace(job, start=None))
     usual, shorter = training_settings(job, "cpu"), training_settings(job, "cpu", evaluations=ENOUGH)
     assert (usual.decisions, shorter.decisions) == (48, 32)
