@@ -18,6 +18,7 @@ TINY: dict[str, Any] = {
     "test_copies": 2,
     "scan_episodes": 1,
     "decisions": 48,
+    "further_trainings": 0,
     "environments": 4,
     "hidden": 16,
     "accuracy": "fast",

@@ -31,7 +31,7 @@ def test_a_further_training_starts_from_the_one_before_and_its_policy_is_taken(
 ) -> None:
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     monkeypatch.setattr("pipeline.stages.rehearsal.training.sometimes_arrives", lambda result: True)
-    job = dataclasses.replace(job_of(tmp_path, share_of_decisions=0.5, validation_copies=1), start=GENERALIST)
+    job = dataclasses.replace(job_of(tmp_path, share_of_decisions=0.5, further_trainings=2), start=GENERALIST)
     told: list[float] = []
     cost = train(job, Report(lambda message: told.append(message.fraction)))
     assert cost["further_trainings"] == 2
