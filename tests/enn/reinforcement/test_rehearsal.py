@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,19 @@ class WindyEnv(PointEnv):
     def restore(self, state: dict[str, Any]) -> Any:
         self.case = state["case"]
         return super().restore(state)
+
+
+class WatchedEnv(WindyEnv):
+    """Notes the case of every episode."""
+
+    def __init__(self, played: list[int]) -> None:
+        super().__init__()
+        self.played = played
+
+    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:  # type: ignore[override]
+        observation, info = super().reset(**arguments)
+        self.played.append(info["case"])
+        return observation, info
 
 
 def test_it_learns_in_all_cases_and_then_starts_from_that() -> None:
@@ -115,17 +129,11 @@ def test_what_others_show_is_learnt_from_nothing_and_from_a_policy(monkeypatch: 
 
 def test_an_evaluation_plays_every_case_as_often() -> None:
     played: list[int] = []
-
-    class ValidationEnv(WindyEnv):
-        def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:  # type: ignore[override]
-            observation, info = super().reset(**arguments)
-            played.append(info["case"])
-            return observation, info
-
+    watched = partial(WatchedEnv, played)
     settings = dataclasses.replace(
         FROM_NOTHING, decisions=400, evaluate_every=400, evaluation_episodes=6, keep_latest=True
     )
-    rehearse(WindyEnv, make_validation_env=ValidationEnv, settings=settings, seed=5)
+    rehearse(WindyEnv, make_validation_env=watched, settings=settings, seed=5)
     assert len(played) in (3, 6)  # where none of the scouts arrives, the others are not played
     assert sorted(played) == sorted(list(range(3)) * (len(played) // 3))
 
@@ -147,22 +155,15 @@ def test_the_first_evaluation_can_be_played_before_and_is_the_same() -> None:
     )
     policy = rehearse(WindyEnv, settings=dataclasses.replace(FROM_NOTHING, decisions=960), seed=3).policy
     played: list[int] = []
-
-    class ValidationEnv(WindyEnv):
-        def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:  # type: ignore[override]
-            observation, info = super().reset(**arguments)
-            played.append(info["case"])
-            return observation, info
+    watched = partial(WatchedEnv, played)
 
     def curve(**given: Any) -> list[float | None]:
         played.clear()
-        result = rehearse(
-            WindyEnv, make_validation_env=ValidationEnv, settings=settings, policy=policy, seed=5, **given
-        )
+        result = rehearse(WindyEnv, make_validation_env=watched, settings=settings, policy=policy, seed=5, **given)
         return [row["evaluation_success"] for row in result.curve]
 
     usual, twice = curve(), len(played)
-    before = first_evaluation(policy, ValidationEnv, settings, seed=5)
+    before = first_evaluation(policy, watched, settings, seed=5)
     once = len(played) - twice
     assert usual[0] == before.success > 0
     assert curve(first_result=before) == usual

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from enn.reinforcement.evaluation import LatestPolicy
 from enn.reinforcement.training import TrainingResult
 from pipeline.jobs.worker import Report
+from pipeline.stages.rehearsal.copies import RehearsalJob
 from pipeline.stages.rehearsal.training import sometimes_arrives, train
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
 
@@ -47,3 +51,31 @@ def test_a_further_training_starts_from_the_one_before_and_its_policy_is_taken(
     (seed / "further2/training.json").unlink()  # as where it was interrupted
     assert train(job, Report())["decisions"] == cost["decisions"]
     assert (seed / "further2/policy.pt").read_bytes() == (seed / "policy.pt").read_bytes()
+
+
+def test_what_was_played_to_choose_the_length_is_the_first_evaluation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, anatomy_cache: Path
+) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+    asked, counts = list[bool](), {"play": 0, "evaluate": 0}
+
+    def mostly_arrives(job: RehearsalJob, elsewhere: Callable[[], Sequence[bool]]) -> bool:
+        asked.extend(elsewhere())
+        return True
+
+    def count(name: str) -> None:
+        method = getattr(LatestPolicy, name)
+
+        def counted(self: LatestPolicy, *given: Any, **named: Any) -> Any:
+            counts[name] += 1
+            return method(self, *given, **named)
+
+        monkeypatch.setattr(LatestPolicy, name, counted)
+
+    count("play")
+    count("evaluate")
+    monkeypatch.setattr("pipeline.stages.rehearsal.training.mostly_arrives", mostly_arrives)
+    job = dataclasses.replace(job_of(tmp_path, share_of_decisions=0.5), start=GENERALIST)
+    assert train(job, Report())["decisions"] == 24
+    assert len(asked) == 2  # the scan and a copy
+    assert counts["play"] == counts["evaluate"] > 1  # one of them before the training, which does not play it again
