@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import sys
 import time
@@ -26,8 +27,9 @@ class Cost:
     """Of a job, in its own process."""
 
     wall_s: float  # from its start to its end
-    cpu_s: float  # of all its threads
-    memory_mb: float  # the most that its process had in memory, what was imported before included
+    cpu_s: float  # of all its threads, and of the processes that it started and that have ended
+    # the most that its process had in memory, what was imported before included, and the largest of those
+    memory_mb: float
     gpu_mb: float  # the most that torch had allocated on a GPU; 0: it used none
     device: str  # "cpu", or the name of the GPU
     outcome: str = OK  # "ok", or why the job failed
@@ -37,19 +39,25 @@ class CostMeter:
     """Measures this process from here on."""
 
     def __init__(self) -> None:
-        self._began, self._worked = time.monotonic(), time.process_time()
+        self._began, self._worked = time.monotonic(), processor_s()
 
     def read(self, outcome: str = OK) -> Cost:
         """What the job has cost so far."""
         gpu_bytes, device = _gpu()
+        peak = sum(resource.getrusage(whose).ru_maxrss for whose in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
         return Cost(
             wall_s=round(time.monotonic() - self._began, 3),
-            cpu_s=round(time.process_time() - self._worked, 3),
-            memory_mb=round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT / _MB, 1),
+            cpu_s=round(processor_s() - self._worked, 3),
+            memory_mb=round(peak * _RSS_UNIT / _MB, 1),
             gpu_mb=round(gpu_bytes / _MB, 1),
             device=device,
             outcome=outcome,
         )
+
+
+def processor_s() -> float:
+    """Processor time of this process so far, and of those that it started and that have ended, s."""
+    return sum(os.times()[:4])
 
 
 def _gpu() -> tuple[int, str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.jobs.costs import processor_s
 from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import POLICY
@@ -52,7 +52,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
 
     map_simulations()
     settings, seed = job.settings, job.origin.training_seed
-    begun = time.process_time()
+    begun = processor_s()
     copies = job.training_cases
     starts, shown = _laid_starts(job, copies, report), read_demonstrations(job.folder)
     validated = (0, *validation_copies(settings.validation_copies))
@@ -102,7 +102,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
             with atomic_path(job.own_folder / POLICY) as path:
                 shutil.copyfile(job.own_folder / f"{FURTHER}{number}" / POLICY, path)
     return {
-        "cpu_s": round(time.process_time() - begun, 1),
+        "cpu_s": round(processor_s() - begun, 1),
         "training_wall_s": round(sum(result.timings["wall_s"] for result in results), 1),
         "decisions": int(sum(result.timings["decisions"] for result in results)),
         "further_trainings": len(results) - 1,

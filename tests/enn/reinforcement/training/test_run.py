@@ -14,7 +14,7 @@ import torch
 from enn.encoder import Encoder, EncoderSettings
 from enn.policy import Policy
 from enn.reinforcement.replay import demonstration_replay
-from enn.reinforcement.sampling import NotFiniteError
+from enn.reinforcement.sampling import NotFiniteError, SampledEnvs
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import (
     Progress,
@@ -34,6 +34,7 @@ def test_demonstrations_enter_bank_and_replay(point_env: Any) -> None:
     assert isinstance(run.learner, SacLearner)
     assert run.learner.replay.demonstrations is not None
     assert run.learner.replay.demonstrations.added == sum(map(len, trajectories))
+    assert isinstance(run.sampled, SampledEnvs)
     assert run.sampled.reset_bank is not None
     assert len(run.sampled.reset_bank) >= 3
     drawn = run.learner.replay.demonstrations.gather(
@@ -42,7 +43,7 @@ def test_demonstrations_enter_bank_and_replay(point_env: Any) -> None:
     np.testing.assert_allclose(drawn.actions, trajectories[0].actions, atol=1e-6)
     np.testing.assert_allclose(drawn.next_observations["place"], trajectories[0].observations["place"][1:])
     assert drawn.dones[-1] == 1.0
-    starts = run.observations["place"]
+    starts = run.envs.reset()["place"]
     known = np.concatenate([t.observations["place"] for t in trajectories])
     assert all(np.abs(known - start).max(axis=1).min() < 1e-6 for start in starts)
     result = run.train()

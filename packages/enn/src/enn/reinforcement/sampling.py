@@ -63,9 +63,7 @@ class SampledEnvs(VecEnv):
         for env in self.envs:
             if env.observation_space != first.observation_space or env.action_space != first.action_space:
                 raise ValueError("all environments sampled together need the same observation and action spaces")
-        space = first.observation_space
-        if keys and isinstance(space, gymnasium.spaces.Dict):
-            space = gymnasium.spaces.Dict([(key, space[key]) for key in select_keys(space, keys)])
+        space = kept_space(first.observation_space, keys)
         super().__init__(len(self.envs), space, first.action_space)
         self.action_repeat, self.reset_bank = action_repeat, reset_bank
         self._start_states = [start_state_of(env) for env in self.envs] if reset_bank is not None else []
@@ -277,6 +275,13 @@ class SampledEnvs(VecEnv):
     ) -> list[bool]:
         """Whether each environment is wrapped so; Monitor is not needed, episodes are counted here."""
         return [False for _ in self._get_indices(indices)]
+
+
+def kept_space(space: gymnasium.Space[Any], keys: Sequence[str]) -> gymnasium.Space[Any]:
+    """The observations of a `Dict` to keep; none: all."""
+    if keys and isinstance(space, gymnasium.spaces.Dict):
+        return gymnasium.spaces.Dict([(key, space[key]) for key in select_keys(space, keys)])
+    return space
 
 
 def without_checks(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,11 @@ class Course:
 
     Args:
         folder: where the curve is written after each row; None: nowhere.
+        cpu_elsewhere: processor time of other processes of the training so far, s.
     """
 
-    def __init__(self, folder: Path | None) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path | None, cpu_elsewhere: Callable[[], float]) -> None:
+        self.folder, self._cpu_elsewhere = folder, cpu_elsewhere
         self.env_steps = 0
         self.curve: list[Row] = []
         self.evaluation: dict[str, Any] = {}  # the latest that has no row yet
@@ -54,7 +56,7 @@ class Course:
     def clocks(self) -> tuple[float, float]:
         """Seconds of wall time and of processor time since the training began, all its runs together."""
         wall, cpu = time.perf_counter() - self.began[0], time.process_time() - self.began[1]
-        return self.spent["wall_s"] + wall, self.spent["cpu_s"] + cpu
+        return self.spent["wall_s"] + wall, self.spent["cpu_s"] + cpu + self._cpu_elsewhere()
 
     def last_row_at(self) -> int:
         """Decisions at the last row; 0 before the first."""

@@ -11,8 +11,9 @@ import gymnasium
 from numpy.typing import NDArray
 
 from enn.policy import Policy
+from enn.reinforcement.envs_apart import POSSIBLE, EnvsApart
 from enn.reinforcement.evaluation import EvaluationResult
-from enn.reinforcement.reset_bank import CaseResetBank, ResetBank
+from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_bank
 from enn.reinforcement.sampling import SampledEnvs
 from enn.reinforcement.training.settings import TrainingSettings
 from enn.trajectory import Trajectory
@@ -48,20 +49,33 @@ class TrainingInputs:
     initial_result: EvaluationResult | None = None
 
     def make_reset_bank(self, settings: TrainingSettings) -> ResetBank | None:
-        """An empty reset bank, or None where no episode is to start from one."""
+        """A reset bank of the demonstrations and starts, or None where no episode is to start from one."""
         kept = settings.reset_bank_share, settings.reset_bank_capacity, self.seed
         if settings.reset_bank_cases:
-            return CaseResetBank(settings.reset_bank_cases, *kept)
-        return ResetBank(*kept) if settings.reset_bank_share > 0 else None
+            reset_bank: ResetBank = CaseResetBank(settings.reset_bank_cases, *kept)
+        elif settings.reset_bank_share > 0:
+            reset_bank = ResetBank(*kept)
+        else:
+            return None
+        fill_reset_bank(reset_bank, self.demonstrations)
+        for states in self.starts:
+            reset_bank.add_episode(states)
+        return reset_bank
 
-    def make_envs(self, settings: TrainingSettings, reset_bank: ResetBank | None) -> SampledEnvs:
-        """The environments that are sampled; they observe what the networks read, or all that an encoder may."""
+    def make_envs(self, settings: TrainingSettings, reset_bank: ResetBank | None) -> SampledEnvs | EnvsApart:
+        """The environments that are sampled; they observe what the networks read, or all that an encoder may.
+
+        Where updates are made meanwhile, by another thread, they get a process of their own.
+        """
         keys = tuple(dict.fromkeys((*settings.keys, *settings.critic_keys))) if settings.keys else ()
-        return SampledEnvs(
-            [self.make_env] * settings.n_envs,
-            seed=self.seed,
-            threads=settings.threads,
-            action_repeat=settings.action_repeat,
-            reset_bank=reset_bank,
-            keys=keys if self.encoder is None else (),
-        )
+        common: dict[str, Any] = {
+            "factories": [self.make_env] * settings.n_envs,
+            "seed": self.seed,
+            "action_repeat": settings.action_repeat,
+            "reset_bank": reset_bank,
+            "keys": keys if self.encoder is None else (),
+        }
+        threads = min(settings.threads, settings.n_envs)
+        if settings.overlap and threads > 1 and POSSIBLE:
+            return EnvsApart(**common, threads=threads - 1, evaluation_threads=threads)
+        return SampledEnvs(**common, threads=threads)

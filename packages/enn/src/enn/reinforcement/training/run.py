@@ -23,7 +23,6 @@ from enn.reinforcement.evaluation import BestPolicy, LatestPolicy
 from enn.reinforcement.free_memory import trim_heap
 from enn.reinforcement.proximal_policy import PpoLearner
 from enn.reinforcement.replay import ReplayBuffer, demonstration_replay
-from enn.reinforcement.reset_bank import ResetBank, fill_reset_bank
 from enn.reinforcement.sampling import without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.starting_policy import start_from
@@ -63,8 +62,7 @@ class TrainingRun:
         self.inputs, self.settings, self.progress = inputs, settings, progress
         self.folder = None if inputs.folder is None else Path(inputs.folder)
         torch.set_num_threads(1)
-        reset_bank = inputs.make_reset_bank(settings)
-        self.sampled = inputs.make_envs(settings, reset_bank)
+        self.sampled = inputs.make_envs(settings, inputs.make_reset_bank(settings))
         self.envs: Any = self.sampled
         if inputs.encoder is not None:
             from enn.reinforcement.encoded import EncodedEnvs
@@ -94,7 +92,7 @@ class TrainingRun:
         self.next_row, self.next_evaluation = settings.curve_every, settings.evaluate_every or 1 << 62
         kept = partial(LatestPolicy, first=inputs.initial_result) if settings.keep_latest else BestPolicy
         self.best_policy = kept(settings.evaluation_episodes, inputs.seed, keeps_first=inputs.initial is not None)
-        self.course = Course(self.folder)
+        self.course = Course(self.folder, lambda: getattr(self.sampled, "cpu_s", 0.0))
         self.here = 0  # decisions of this run alone
         self.ticked = 0.0
         self.consistent = False
@@ -102,7 +100,8 @@ class TrainingRun:
         if self.folder is not None:
             self.folder.mkdir(parents=True, exist_ok=True)
             self.checkpoint = CheckpointFolder(self.folder / "checkpoint", self._architecture())
-        self._begin(reset_bank)
+        self.observations: Any = None
+        self._go_on()
         self.saved = time.perf_counter()
         if settings.tensorboard and self.folder is not None:
             self.course.show_in_tensorboard(self.folder / "tensorboard", self.decisions)
@@ -121,21 +120,16 @@ class TrainingRun:
             seed=inputs.seed,
         )
 
-    def _begin(self, reset_bank: ResetBank | None) -> None:
-        """Goes on from the checkpoint, or from the start where there is none."""
-        if self.checkpoint is not None and self.checkpoint.exists():
-            state, pieces = self.checkpoint.read()
-            try:
-                self._restore(state, pieces)
-            except UNFIT as error:
-                reason = " ".join(str(error).split())[:200]
-                raise self.checkpoint.unusable(f"its state cannot be taken up: {reason}") from error
+    def _go_on(self) -> None:
+        """Takes up the checkpoint, if there is one."""
+        if self.checkpoint is None or not self.checkpoint.exists():
             return
-        if reset_bank is not None:
-            fill_reset_bank(reset_bank, self.inputs.demonstrations)
-            for states in self.inputs.starts:
-                reset_bank.add_episode(states)
-        self.observations = self.envs.reset()
+        state, pieces = self.checkpoint.read()
+        try:
+            self._restore(state, pieces)
+        except UNFIT as error:
+            reason = " ".join(str(error).split())[:200]
+            raise self.checkpoint.unusable(f"its state cannot be taken up: {reason}") from error
 
     def train(self) -> TrainingResult:
         """Trains to the end; whatever stops it between decisions leaves a checkpoint of that moment."""
@@ -144,7 +138,7 @@ class TrainingRun:
             while not self._pause():
                 self._decide()
         except BaseException:
-            if self.consistent and self.checkpoint is not None:
+            if self.consistent and self.checkpoint is not None and self.observations is not None:
                 self._save()
             raise
         return self._finish()
@@ -186,6 +180,8 @@ class TrainingRun:
             self._evaluate()
             while self.next_evaluation <= self.decisions:
                 self.next_evaluation += self.settings.evaluate_every
+        if self.observations is None:  # after the first evaluation: meanwhile the environments were made
+            self.observations = self.envs.reset()
         over |= 0 < self.settings.stop_after <= self.best_policy.perfect
         if self.decisions >= self.next_row or (over and self.course.last_row_at() < self.decisions):
             self.course.add_row(self.decisions, {} if self.course.writer is None else self.learner.scalars())

@@ -48,7 +48,8 @@ class TrainingSettings(NetworkSettings):
     decisions: Count = 6000  # budget, all environments together
     n_envs: Annotated[int, Interval(ge=1, le=4096)] = 8
     threads: Annotated[int, Interval(ge=1, le=4096)] = 1  # that step them
-    # updates are made while the other threads step, from what was there before these decisions (SAC)
+    # updates are made while the other threads step, in a process of their own, from what was there before these
+    # decisions (SAC)
     overlap: bool = False
     action_repeat: Count = 3  # environment steps a decision
     learning_rate: LearningRate = 1e-3  # of Adam

@@ -1,0 +1,214 @@
+"""Environments in a process of their own, where they and a training's updates do not wait for each other.
+
+In threads of one process both want the interpreter's lock after every native call; then the environments take twice as
+long, and the updates a third longer: `docs/results/rehearsal.md#a-process-of-its-own`.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from multiprocessing.connection import Connection
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import CloudpickleWrapper
+
+from enn.reinforcement.free_memory import trim_heap
+from enn.reinforcement.reset_bank import ResetBank
+from enn.reinforcement.sampling import Observations, SampledEnvs, kept_space, without_checks
+from enn.reinforcement.workers import Workers
+
+POSSIBLE = os.name == "posix"  # an open connection can be handed over to a new process
+_TRIM_EVERY = 200  # requests between two returns of free memory to the system
+_END_S = 5.0  # that the process has to end by itself
+# bytes; MuJoCo's arenas are larger: each then goes back to the system at once (GNU C library)
+_OWN_PAGES = {"MALLOC_MMAP_THRESHOLD_": str(12 * 2**20)}
+_MAIN = "import sys; sys.path[:] = {path!r}; from enn.reinforcement.envs_apart import serve; serve({number})"
+
+
+class EnvsApart(VecEnv):
+    """`SampledEnvs` in another process; gives exactly what they would give here.
+
+    The process starts at once and makes its environments while this one goes on; `reset` waits for it. It ends with
+    `close`, or when this process ends.
+
+    Args:
+        factories: as of `SampledEnvs`; sent there by cloudpickle. The first makes an environment here, too, whose
+            spaces are taken.
+        threads: that step the environments there.
+        reset_bank: as of `SampledEnvs`; a copy of it goes there as it is.
+        evaluation_threads: of `workers`, which are for evaluations here.
+        settings: further arguments of `SampledEnvs`.
+
+    Raises:
+        RuntimeError: from any call: the process has ended, for want of memory for instance. What an environment raises
+            there is raised here.
+    """
+
+    def __init__(
+        self,
+        factories: Sequence[Callable[[], gymnasium.Env[Any, Any]]],
+        *,
+        keys: Sequence[str] = (),
+        threads: int = 1,
+        reset_bank: ResetBank | None = None,
+        evaluation_threads: int = 1,
+        **settings: Any,
+    ) -> None:
+        first = without_checks(factories[0]())
+        self._render_mode = first.render_mode
+        super().__init__(len(factories), kept_space(first.observation_space, keys), first.action_space)
+        first.close()
+        self.workers = Workers(evaluation_threads)
+        here, there = socket.socketpair()
+        with there:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _MAIN.format(path=sys.path, number=there.fileno())],
+                pass_fds=[there.fileno()],
+                env={**_OWN_PAGES, **os.environ},
+            )
+        self._connection = Connection(here.detach())
+        arguments = {"keys": tuple(keys), "threads": threads, "reset_bank": reset_bank, **settings}
+        self._waits, self._cpu_s = True, 0.0
+        self._send((CloudpickleWrapper(list(factories)), arguments))
+
+    @property
+    def cpu_s(self) -> float:
+        """Processor time that the environments' process has taken, at its last answer, s."""
+        return self._cpu_s
+
+    def reset(self) -> Observations:
+        """As of `SampledEnvs.reset`."""
+        return self._ask("reset")
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Lets all environments begin with these actions. Shape (environments, actions)."""
+        self._request("step", actions)
+
+    def step_wait(self) -> tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """As of `SampledEnvs.step_wait`."""
+        return self._answer()
+
+    def state(self) -> dict[str, Any]:
+        """As of `SampledEnvs.state`."""
+        return self._ask("state")
+
+    def restore(self, state: dict[str, Any]) -> Observations:
+        """As of `SampledEnvs.restore`."""
+        return self._ask("restore", state)
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of each environment."""
+        if attr_name == "render_mode":
+            return [self._render_mode for _ in self._get_indices(indices)]
+        return self._ask("get_attr", attr_name, list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Sets an attribute of each environment."""
+        self._ask("set_attr", attr_name, value, list(self._get_indices(indices)))
+
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+        """Calls a method of each environment."""
+        chosen = list(self._get_indices(indices))
+        return self._ask("env_method", method_name, *method_args, indices=chosen, **method_kwargs)
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
+    ) -> list[bool]:
+        """As of `SampledEnvs.env_is_wrapped`."""
+        return [False for _ in self._get_indices(indices)]
+
+    def close(self) -> None:
+        """Ends the process and the threads."""
+        self.workers.close()
+        self._connection.close()  # which tells it to end
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def _ask(self, name: str, *arguments: Any, **named: Any) -> Any:
+        self._request(name, *arguments, **named)
+        return self._answer()
+
+    def _request(self, name: str, *arguments: Any, **named: Any) -> None:
+        if self._waits:
+            self._waits = False
+            self._answer()  # it was made
+        self._send((name, arguments, named))
+
+    def _send(self, content: Any) -> None:
+        try:
+            self._connection.send(content)
+        except OSError as error:
+            raise self._gone() from error
+
+    def _answer(self) -> Any:
+        try:
+            error, result, self._cpu_s = self._connection.recv()
+        except (EOFError, OSError) as gone:
+            raise self._gone() from gone
+        if error is not None:
+            raise error
+        return result
+
+    def _gone(self) -> RuntimeError:
+        self._process.wait()
+        return RuntimeError(
+            f"the process that steps the environments has ended (code {self._process.returncode}): see what it "
+            "printed; where memory was short, take fewer environments, or threads=1, which steps them in this process"
+        )
+
+
+def serve(number: int) -> None:
+    """Steps environments for another process until it closes the connection.
+
+    Args:
+        number: of the connection's open file.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asks is told to stop, and closes the connection
+    connection, steps = Connection(number), 0
+    envs: SampledEnvs | None = None
+    try:
+        while True:
+            request = connection.recv()
+            error = result = None
+            try:
+                if envs is None:
+                    envs = SampledEnvs(request[0].var, **request[1])
+                else:
+                    name, arguments, named = request
+                    result = getattr(envs, name)(*arguments, **named)
+                    steps += 1
+            except Exception as raised:
+                error = raised
+            connection.send_bytes(_packed(error, result))
+            if steps == _TRIM_EVERY:
+                trim_heap()
+                steps = 0
+    except (EOFError, OSError):
+        pass  # the other one has closed it, or has ended
+    finally:
+        if envs is not None:
+            envs.close()
+
+
+def _packed(error: Exception | None, result: Any) -> bytes:
+    try:
+        packed = pickle.dumps((error, result, time.process_time()))
+        if error is not None:
+            pickle.loads(packed)
+        return packed
+    except Exception as failure:
+        return pickle.dumps((RuntimeError(f"{type(error or failure).__name__}: {error or failure}"), None, 0.0))

@@ -1,0 +1,120 @@
+"""Environments in a process of their own: the same as here, what goes wrong there, and that it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from enn.reinforcement.envs_apart import POSSIBLE, EnvsApart
+from enn.reinforcement.reset_bank import ResetBank
+from enn.reinforcement.sampling import NotFiniteError, SampledEnvs
+
+pytestmark = pytest.mark.skipif(not POSSIBLE, reason="open files cannot be handed over to a process here")
+
+ACTIONS = np.random.default_rng(0).uniform(-1, 1, (12, 4, 2))
+
+
+def _bank() -> ResetBank:
+    bank = ResetBank(share=0.5, seed=1)
+    bank.add_episode(np.array([[0.2, 0.1], [0.1, 0.3]]))
+    return bank
+
+
+def _played(envs: SampledEnvs | EnvsApart, actions: np.ndarray) -> list[tuple[Any, ...]]:
+    moments = []
+    for action in actions:
+        observations, rewards, dones, infos = envs.step(action)
+        assert isinstance(observations, dict)
+        moments.append((observations["place"].tolist(), rewards.tolist(), dones.tolist(), infos))
+    return moments
+
+
+def _without_arrays(moments: list[tuple[Any, ...]]) -> list[Any]:
+    return [(*moment[:3], [repr(sorted(info.items())) for info in moment[3]]) for moment in moments]
+
+
+def test_it_gives_what_the_environments_would_here_and_goes_on_from_a_state(point_env: Any) -> None:
+    given: dict[str, Any] = {"factories": [lambda: point_env(max_steps=5)] * 4, "seed": 3, "action_repeat": 2}
+    here = SampledEnvs(**given, reset_bank=_bank(), keys=("place",))
+    apart = EnvsApart(**given, reset_bank=_bank(), keys=("place",), threads=2)
+    other = EnvsApart(**given, reset_bank=_bank(), keys=("place",))
+    with contextlib.closing(here), contextlib.closing(apart), contextlib.closing(other):
+        assert apart.observation_space == here.observation_space
+        assert apart.action_space == here.action_space
+        np.testing.assert_array_equal(apart.reset()["place"], here.reset()["place"])  # type: ignore[index,call-overload]
+        assert _without_arrays(_played(apart, ACTIONS[:6])) == _without_arrays(_played(here, ACTIONS[:6]))
+        state = apart.state()
+        other.restore(state)
+        expected = _without_arrays(_played(here, ACTIONS[6:]))
+        assert _without_arrays(_played(apart, ACTIONS[6:])) == expected
+        assert _without_arrays(_played(other, ACTIONS[6:])) == expected
+        assert apart.cpu_s > 0
+        assert apart.get_attr("max_steps") == [5] * 4
+        apart.set_attr("max_steps", 7, [1])
+        assert apart.get_attr("max_steps") == [5, 7, 5, 5]
+        assert len(apart.env_method("start_state", indices=[0, 2])) == 2
+
+
+def test_what_an_environment_raises_is_raised_here(point_env: Any) -> None:
+    class Broken(point_env):  # type: ignore[misc]
+        def step(self, action: Any) -> Any:
+            observation, _, *rest = super().step(action)
+            return observation, float("nan"), *rest
+
+    with contextlib.closing(EnvsApart([Broken] * 2, seed=0)) as envs:
+        envs.reset()
+        with pytest.raises(NotFiniteError, match="the reward of environment 0 is not finite"):
+            envs.step(ACTIONS[0, :2])
+        with pytest.raises(AttributeError, match="no_such_thing"):
+            envs.get_attr("no_such_thing")
+
+
+def test_environments_that_cannot_be_made_say_why(point_env: Any) -> None:
+    made = []
+
+    def factory() -> Any:
+        if os.getpid() != made[0]:
+            raise ValueError("there is no such vessel")
+        return point_env()
+
+    made.append(os.getpid())
+    with contextlib.closing(EnvsApart([factory], seed=0)) as envs, pytest.raises(ValueError, match="no such vessel"):
+        envs.reset()
+
+
+def test_a_process_that_has_ended_is_one_clear_sentence(point_env: Any) -> None:
+    with contextlib.closing(EnvsApart([point_env], seed=0)) as envs:
+        envs.reset()
+        os.kill(envs._process.pid, signal.SIGKILL)
+        os.waitid(os.P_PID, envs._process.pid, os.WEXITED | os.WNOWAIT)
+        with pytest.raises(RuntimeError, match=r"process that steps the environments has ended \(code -9\).*threads=1"):
+            envs.step(ACTIONS[0, :1])
+
+
+def test_it_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
+    program = (
+        "import os, gymnasium\n"
+        "from enn.reinforcement.envs_apart import EnvsApart\n"
+        "envs = EnvsApart([lambda: gymnasium.make('CartPole-v1')], seed=0)\n"
+        "envs.reset()\n"
+        f"open({str(tmp_path / 'pid')!r}, 'w').write(str(envs._process.pid))\n"
+        "os._exit(0)\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
+    process = int((tmp_path / "pid").read_text())
+    for _ in range(100):
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.1)
+    pytest.fail("the environments' process has outlived its starter")
