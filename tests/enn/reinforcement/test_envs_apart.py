@@ -78,6 +78,22 @@ def test_what_an_environment_raises_is_raised_here(point_env: Any) -> None:
             envs.get_attr("no_such_thing")
 
 
+def test_an_exception_that_cannot_be_sent_is_one_clear_sentence(point_env: Any) -> None:
+    class OfTwoArgumentsError(Exception):
+        def __init__(self, what: str, *, where: str) -> None:
+            super().__init__(what)
+
+    class Broken(point_env):  # type: ignore[misc]
+        def step(self, action: Any) -> Any:
+            raise OfTwoArgumentsError("stuck", where="here")
+
+    with contextlib.closing(EnvsApart([Broken], seed=0)) as envs:
+        envs.reset()
+        with pytest.raises(RuntimeError, match=r"OfTwoArgumentsError|cannot be sent between processes.*threads=1"):
+            envs.step(ACTIONS[0, :1])
+        assert envs.get_attr("render_mode") == [None]
+
+
 def test_environments_that_cannot_be_made_say_why(point_env: Any) -> None:
     made = []
 

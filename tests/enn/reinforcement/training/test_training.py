@@ -84,16 +84,19 @@ def test_the_same_seed_gives_the_same_training(point_env: Any) -> None:
     assert not torch.equal(weights[0], weights[2])
 
 
-def test_updates_beside_the_simulation_learn_and_do_not_depend_on_threads(point_env: Any) -> None:
+def test_updates_beside_the_simulation_learn_and_do_not_depend_on_threads_and_processes(
+    point_env: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     settings = dataclasses.replace(SMALL, gradient_steps=1.0, overlap=True)
     weights = []
-    for threads in (1, 3):
+    for threads, worth in ((1, 0), (3, 0), (3, 10_000)):
+        monkeypatch.setattr("enn.reinforcement.training.inputs.WORTH_A_PROCESS", worth)
         result = Training(dataclasses.replace(settings, threads=threads), point_env, None, seed=3).run()
         assert result.evaluation is not None
         assert result.evaluation["success"] == 1.0
         assert result.timings["updates"] == pytest.approx(696, abs=8)
         weights.append(torch.cat([value.flatten() for value in result.policy.module.actor.parameters()]))
-    assert torch.equal(*weights)
+    assert all(torch.equal(weights[0], others) for others in weights[1:])
 
 
 def test_action_repeat_counts_steps_and_is_played_in_evaluation(point_env: Any) -> None:

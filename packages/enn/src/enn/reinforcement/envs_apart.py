@@ -159,6 +159,11 @@ class EnvsApart(VecEnv):
             error, result, self._cpu_s = self._connection.recv()
         except (EOFError, OSError) as gone:
             raise self._gone() from gone
+        except Exception as failure:  # of making it again
+            raise RuntimeError(
+                f"what an environment gave or raised cannot be sent between processes ({failure}): use threads=1, "
+                "which steps them in this process"
+            ) from failure
         if error is not None:
             raise error
         return result
@@ -206,9 +211,6 @@ def serve(number: int) -> None:
 
 def _packed(error: Exception | None, result: Any) -> bytes:
     try:
-        packed = pickle.dumps((error, result, time.process_time()))
-        if error is not None:
-            pickle.loads(packed)
-        return packed
+        return pickle.dumps((error, result, time.process_time()))
     except Exception as failure:
         return pickle.dumps((RuntimeError(f"{type(error or failure).__name__}: {error or failure}"), None, 0.0))

@@ -18,6 +18,8 @@ from enn.reinforcement.sampling import SampledEnvs
 from enn.reinforcement.training.settings import TrainingSettings
 from enn.trajectory import Trajectory
 
+WORTH_A_PROCESS = 2_000  # decisions: in fewer it saves less than the three seconds that it takes to start
+
 
 @dataclass
 class TrainingInputs:
@@ -65,7 +67,7 @@ class TrainingInputs:
     def make_envs(self, settings: TrainingSettings, reset_bank: ResetBank | None) -> SampledEnvs | EnvsApart:
         """The environments that are sampled; they observe what the networks read, or all that an encoder may.
 
-        Where updates are made meanwhile, by another thread, they get a process of their own.
+        Where updates are made meanwhile, by another thread, they get a process of their own, if it is worth its start.
         """
         keys = tuple(dict.fromkeys((*settings.keys, *settings.critic_keys))) if settings.keys else ()
         common: dict[str, Any] = {
@@ -76,6 +78,6 @@ class TrainingInputs:
             "keys": keys if self.encoder is None else (),
         }
         threads = min(settings.threads, settings.n_envs)
-        if settings.overlap and threads > 1 and POSSIBLE:
+        if settings.overlap and threads > 1 and settings.decisions >= WORTH_A_PROCESS and POSSIBLE:
             return EnvsApart(**common, threads=threads - 1, evaluation_threads=threads)
         return SampledEnvs(**common, threads=threads)
