@@ -132,11 +132,7 @@ class EnvsApart(VecEnv):
         """Ends the process and the threads."""
         self.workers.close()
         self._connection.close()  # which tells it to end
-        try:
-            self._process.wait(_END_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._ended()
 
     def _ask(self, name: str, *arguments: Any, **named: Any) -> Any:
         self._request(name, *arguments, **named)
@@ -168,10 +164,17 @@ class EnvsApart(VecEnv):
             raise error
         return result
 
+    def _ended(self) -> int:
+        """The code with which the process has ended; it is killed if it does not end by itself."""
+        try:
+            return self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            return self._process.wait()
+
     def _gone(self) -> RuntimeError:
-        self._process.wait()
         return RuntimeError(
-            f"the process that steps the environments has ended (code {self._process.returncode}): see what it "
+            f"the process that steps the environments has ended (code {self._ended()}): see what it "
             "printed; where memory was short, take fewer environments, or threads=1, which steps them in this process"
         )
 
