@@ -78,19 +78,29 @@ def test_what_an_environment_raises_is_raised_here(point_env: Any) -> None:
             envs.get_attr("no_such_thing")
 
 
-def test_an_exception_that_cannot_be_sent_is_one_clear_sentence(point_env: Any) -> None:
-    class OfTwoArgumentsError(Exception):
-        def __init__(self, what: str, *, where: str) -> None:
-            super().__init__(what)
+class UnmakeableError(Exception):
+    """Can be sent, but not made again from its arguments."""
+
+    def __init__(self, what: str, *, where: str) -> None:
+        super().__init__(what)
+
+
+def test_an_exception_that_cannot_be_made_again_or_sent_is_one_clear_sentence(point_env: Any) -> None:
+    class UnsendableError(Exception):
+        pass
 
     class Broken(point_env):  # type: ignore[misc]
         def step(self, action: Any) -> Any:
-            raise OfTwoArgumentsError("stuck", where="here")
+            if action[0] > 0:
+                raise UnmakeableError("stuck", where="here")
+            raise UnsendableError("torn")
 
     with contextlib.closing(EnvsApart([Broken], seed=0)) as envs:
         envs.reset()
-        with pytest.raises(RuntimeError, match=r"OfTwoArgumentsError|cannot be sent between processes.*threads=1"):
-            envs.step(ACTIONS[0, :1])
+        with pytest.raises(RuntimeError, match=r"cannot be sent between processes \(.*where.*\): use threads=1"):
+            envs.step(np.array([[0.5, 0.0]]))
+        with pytest.raises(RuntimeError, match="UnsendableError: torn"):
+            envs.step(np.array([[-0.5, 0.0]]))
         assert envs.get_attr("render_mode") == [None]
 
 
