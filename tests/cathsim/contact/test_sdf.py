@@ -77,6 +77,16 @@ def test_sheath_is_a_straight_bore_behind_the_entry() -> None:
     assert vessel.distance(inside)[0] == pytest.approx(tube().distance(inside)[0])
 
 
+def test_a_flared_sheath_widens_to_its_mouth_without_a_step() -> None:
+    vessel = tube(sheath_radius=0.75e-3, sheath_flare=3e-3)
+    heights = np.array([-0.5, -0.0101, -0.0099, -0.007, -0.005])
+    distance, gradient = vessel.distance(np.array([[0.0005, 0.0, height] for height in heights]))
+    wider = 3e-3 * np.clip(1 + heights / 0.010, 0, 1) ** 2
+    slope = 0.6 * np.clip(1 + heights / 0.010, 0, 1)
+    np.testing.assert_allclose(distance, (0.00025 + wider) / np.hypot(1, slope), atol=1e-9)
+    np.testing.assert_allclose(gradient, np.array([-1 + 0 * slope, 0 * slope, slope]).T / np.hypot(1, slope)[:, None])
+
+
 @pytest.mark.parametrize(
     ("values", "direction", "message"),
     [

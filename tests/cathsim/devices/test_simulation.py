@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy import load_phantom
+from cathsim.devices.hubs import Hubs
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation
@@ -80,6 +81,46 @@ def test_each_device_moves_alone() -> None:
     assert simulation.device_lead == pytest.approx(-0.010)
     assert simulation.device_insertions()[0] == pytest.approx(0.070, abs=1e-3)
     assert simulation.device_rotations() == pytest.approx((0.0, 1.5))
+
+
+@pytest.mark.parametrize("catheter", ["simmons1", "simmons2", "headhunter", "jb2", "pigtail"])
+@pytest.mark.parametrize("out", [0.02, 0.05])
+def test_a_bent_catheter_stays_where_it_is_and_comes_back_into_the_sheath(catheter: str, out: float) -> None:
+    simulation = made(catheter)
+    simulation.reset(0.0, catheter=(0.0, 0.0))
+    for _ in range(round(out / 0.002)):
+        simulation.advance(0.002, 0.0, catheter=(0.002, 0.0))
+    for translation in (0.002, -0.002):
+        for _ in range(40):
+            simulation.advance(translation, 0.0)
+            assert simulation.device_insertions()[1] == pytest.approx(out, abs=2e-3)
+            assert np.abs(simulation.feeder_forces()).max() < 5.0
+    for _ in range(round(out / 0.002) + 10):
+        simulation.advance(-0.002, 0.0, catheter=(-0.002, 0.0))
+    assert simulation.device_insertions() == pytest.approx((0.0, 0.0), abs=2e-3)
+
+
+def test_what_the_drive_cannot_move_slips_in_proportion() -> None:
+    hubs = Hubs(made().pair, 0.3)
+    hubs.set(0.05, (0.0, 0.0))
+    assert hubs.command(0.10, (-0.002, 0.0), (0.0, 0.0), (-0.0005, 0.004))[0] == -0.0005
+    hubs.arrive()
+    assert hubs.insertions(0.0995) == pytest.approx((0.0995, 0.05))  # the wire's feeder has slipped
+    assert hubs.command(0.0995, (-0.002, 0.0), (-0.001, 0.0), (-0.001, 0.004))[0] == -0.001
+    hubs.arrive()
+    assert hubs.insertions(0.0985) == pytest.approx((0.0985, 0.0495))
+    assert hubs.command(0.0985, (-0.002, 0.0), (0.0, 0.0), (0.001, 0.004))[0] == 0.001  # pushed forwards by the rest
+    hubs.arrive()
+    assert hubs.lead == pytest.approx(0.049)
+
+
+def test_a_long_movement_at_once_leaves_the_catheter_at_its_start() -> None:
+    simulation = made()
+    simulation.reset(0.0, catheter=(0.0, 0.0))
+    simulation.advance(0.2, 0.0)
+    wire, catheter = simulation.device_insertions()
+    assert 0.002 < wire < 0.005
+    assert catheter == pytest.approx(0.0, abs=2e-3)
 
 
 def test_lead_is_limited() -> None:

@@ -36,14 +36,16 @@ SETTLE_STEPS = 3
 
 
 @kept_with_owner
-def vessel_of(phantom: Phantom, entry: str, sheath_radius: float = SHEATH_RADIUS) -> Vessel:
-    """The native vessel of a phantom with a sheath of an inner radius (m) at one of its entries.
+def vessel_of(phantom: Phantom, entry: str, sheath_radius: float = SHEATH_RADIUS, sheath_flare: float = 0.0) -> Vessel:
+    """The native vessel of a phantom with a sheath of an inner radius (m), wider at its mouth (m), at an entry.
 
     Raises:
         ValueError: the phantom has no such entry.
     """
     gate = phantom.entry(entry)
-    return Vessel(phantom.grid, gate.position, gate.direction, sheath_radius, sheath_amid=gate.amid)
+    return Vessel(
+        phantom.grid, gate.position, gate.direction, sheath_radius, sheath_flare=sheath_flare, sheath_amid=gate.amid
+    )
 
 
 class Simulation:
@@ -263,6 +265,11 @@ class Simulation:
         if index != self._index:
             self._change_rung(index)
         self._native_step(self._rung.reference, *self._arguments)
+
+    def _reach(self, at: float) -> tuple[float, float]:
+        # least and most that the feeder's drive can move in a step from the insertion `at`, m
+        ahead, most = float(self._to[0]) - at, self._most_lead[0]
+        return -most - ahead, most - ahead
 
     @property
     def last_effort(self) -> int:

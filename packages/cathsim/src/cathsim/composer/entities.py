@@ -121,6 +121,11 @@ class Feeder(composer.Entity):
         physics.bind(self.joints).qpos = insertion, rotation
         self._from[:] = self._to[:] = insertion, rotation
 
+    def reach(self, physics: mjcf.Physics) -> tuple[float, float]:
+        """Least and most that its drive, whose force is limited, can move in a control step, m."""
+        ahead = float(self._to[0]) - float(np.asarray(physics.bind(self.joints).qpos)[0])
+        return -LEAD_ADVANCE - ahead, LEAD_ADVANCE - ahead
+
     def command(self, physics: mjcf.Physics, translation: float, rotation: float) -> None:
         """Sets the target of the coming control step; it never runs further ahead than the force limit can use.
 

@@ -67,7 +67,7 @@ class NavigateTask(composer.Task):
         if pair is not None and tip_motors:
             raise ValueError("two devices are simulated without tip motors: leave out the catheter for them")
         gate = entry_name(entry, task.target)
-        vessel = vessel_of(phantom, gate, pair.sheath_radius) if pair else vessel_of(phantom, gate)
+        vessel = vessel_of(phantom, gate, pair.sheath_radius, pair.sheath_flare) if pair else vessel_of(phantom, gate)
         self.devices = TwoDevices(vessel, pair, numerics) if pair else None
         chain = self.devices.chain if self.devices else wire
         assert chain is not None
@@ -183,7 +183,7 @@ class NavigateTask(composer.Task):
             scaled = action * np.tile((TRANSLATION_STEP, ROTATION_STEP), self._actions // 2)
             move, catheter = (float(scaled[0]), float(scaled[1])), (float(scaled[-2]), float(scaled[-1]))
             if self.devices is not None:
-                move = self.devices.command(self._fed(physics), move, catheter)
+                move = self.devices.command(self._fed(physics), move, catheter, self.feeder.reach(physics))
             self.feeder.command(physics, *move)
         self._substep = 0
         self.force[:] = 0.0

@@ -54,9 +54,9 @@ class TwoDevices:
         self._rod.place(self.hubs.lead, self.hubs.angles)
         return at
 
-    def command(self, chain: float, wire: Move, catheter: Move) -> Move:
+    def command(self, chain: float, wire: Move, catheter: Move, reach: tuple[float, float]) -> Move:
         """Sets the coming control step's movements; returns the chain's; arguments as `Hubs.command`."""
-        move = self.hubs.command(chain, wire, catheter)
+        move = self.hubs.command(chain, wire, catheter, reach)
         assert self._rod is not None
         self.hubs.hand_over(self._rod)
         return move

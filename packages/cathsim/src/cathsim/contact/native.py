@@ -133,7 +133,7 @@ def library() -> ctypes.CDLL:
             ":all: endonav-cathsim', in a checkout with ./packages/cathsim as the last word"
         )
     pointer, number = ctypes.c_void_p, ctypes.c_double
-    native.cathsim_vessel_register.argtypes = (*2 * (pointer,), number, *2 * (pointer,), *2 * (number,), ctypes.c_int)
+    native.cathsim_vessel_register.argtypes = (*2 * (pointer,), number, *2 * (pointer,), *3 * (number,), ctypes.c_int)
     native.cathsim_vessel_distances.argtypes = [ctypes.c_int, ctypes.c_int] + [ctypes.c_void_p] * 3
     native.cathsim_penetration.restype = ctypes.c_double
     table = ctypes.c_void_p.in_dll(mujoco_library(), "mjCOLLISIONFUNC")

@@ -31,6 +31,7 @@ class Vessel:
     direction: np.ndarray  # unit vector into the vessel. Shape (3,).
     sheath_radius: float = SHEATH_RADIUS  # inner radius of the sheath, m; 0 for no sheath
     sheath_overlap: float = 6.0e-3  # how far the bore reaches past `entry`, m
+    sheath_flare: float = 0.0  # by how much the bore is wider at its mouth, m
     sheath_amid: bool = False  # whether the sheath lies amid the lumen and its bore holds what is in it
     number: int = field(init=False)
 
@@ -48,6 +49,7 @@ class Vessel:
             address(entry),
             address(direction),
             float(self.sheath_radius),
+            float(self.sheath_flare),
             float(self.sheath_overlap),
             int(self.sheath_amid),
         )

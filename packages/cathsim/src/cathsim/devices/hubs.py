@@ -71,13 +71,15 @@ class Hubs:
         self.lead = self._lead_target = lead
         self.angles[:] = self._angle_targets[:] = angles
 
-    def command(self, chain: float, wire: Move, catheter: Move) -> Move:
+    def command(self, chain: float, wire: Move, catheter: Move, reach: tuple[float, float]) -> Move:
         """Sets where the coming control step moves the hubs; what would leave the limits is cut short.
 
         Args:
             chain: insertion of the chain, m.
             wire: of the wire's feeder, or of the device that is alone.
             catheter: of the catheter's.
+            reach: least and most that the chain's drive, whose force is limited, can move in the step, m. Beyond it
+                the feeders slip, each in proportion to its own movement: one that is still stays where it is.
 
         Returns:
             Translation (m) and rotation (rad) of the chain.
@@ -93,8 +95,13 @@ class Hubs:
             held = min(max(excess, min(inner_to - inner, 0.0)), max(inner_to - inner, 0.0))
             inner_to -= held
             outer_to += excess - held
-            self._lead_target = inner_to - outer_to
             translation = max(inner_to, outer_to) - max(inner, outer)
+            driven = min(max(translation, reach[0]), reach[1])
+            if driven != translation and translation != 0.0:
+                share = min(max(driven / translation, 0.0), 1.0)
+                inner_to, outer_to = inner + share * (inner_to - inner), outer + share * (outer_to - outer)
+            translation = driven
+            self._lead_target = inner_to - outer_to
         self._angle_targets = [at + turn for at, turn in zip(self.angles, turns, strict=True)]
         return translation, self._frame_turn(chain, turns)
 

@@ -13,6 +13,7 @@ from cathsim.validation import LengthOrNone, Unit, settings
 
 REACH = 0.33  # m of each device are simulated at least
 SHEATH_GAP = 0.27e-3  # between the outer device and the sheath's bore, m
+SHEATH_FLARE = 3e-3  # by how much the bore of a catheter's sheath is wider at its mouth, m
 _FINE, _MEDIUM, _COARSE = 0.004, 0.012, 0.016  # links, m
 _FINE_LENGTH, _MEDIUM_LENGTH = 0.024, 0.084  # of the chain's end where links are fine, and then medium, m
 _SHAPE_MARGIN = 0.040  # links are medium this far beyond a catheter's shape, so that the wire can be ahead, m
@@ -84,6 +85,11 @@ class DevicePair:
     def sheath_radius(self) -> float:
         """Of the bore of the sheath that both are fed through, m."""
         return self.radius + SHEATH_GAP
+
+    @property
+    def sheath_flare(self) -> float:
+        """By how much that bore is wider at its mouth, m: a bent catheter would be caught by an edge."""
+        return SHEATH_FLARE if self.catheter else 0.0
 
     def links(self) -> tuple[float, ...]:
         """Lengths of the chain's links from the proximal end, m: finer where a shape is to be followed."""

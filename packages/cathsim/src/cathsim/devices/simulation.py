@@ -121,7 +121,7 @@ class DualSimulation(Simulation):
         return self.phantom, self.pair, self.numerics
 
     def _make_vessel(self) -> Vessel:
-        return vessel_of(self.phantom, self.entry, self.pair.sheath_radius)
+        return vessel_of(self.phantom, self.entry, self.pair.sheath_radius, self.pair.sheath_flare)
 
     def _make_rung(self, wire: Guidewire) -> Rung:
         pattern, weights = covered_model(
@@ -252,8 +252,8 @@ class DualSimulation(Simulation):
             motors: must be None.
             catheter: translation (m) and rotation (rad) of the catheter's.
         """
-        hubs = self._hubs
-        translation, turn = hubs.command(float(self.data.qpos[0]), (translation, rotation), catheter)
+        hubs, at = self._hubs, float(self.data.qpos[0])
+        translation, turn = hubs.command(at, (translation, rotation), catheter, self._reach(at))
         hubs.hand_over(self._rod)
         super().advance(translation, turn)
         hubs.arrive()

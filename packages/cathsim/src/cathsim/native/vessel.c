@@ -10,6 +10,7 @@
  * place lies in the vessel, not in the sheath: m. */
 #define BESIDE_BEHIND 3e-3
 #define BESIDE_APART 8e-3
+#define FLARE_LENGTH 10e-3 /* of the part of the bore that widens to the mouth: m */
 #define BORE_MARGIN 1e-3 /* amid the lumen, a wire so far out of the bore is still held by it: m */
 
 /* Slots are written once under the lock and read without it: a geom only carries a number that registration returned. */
@@ -18,7 +19,8 @@ static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 
 /* Returns the vessel's number, -1 when the table is full or memory is short. The grid must outlive the registration. */
 int cathsim_vessel_register(const Lattice* distance, const double origin[3], double spacing, const double entry[3],
-                            const double direction[3], double sheath_radius, double sheath_overlap, int sheath_amid) {
+                            const double direction[3], double sheath_radius, double sheath_flare, double sheath_overlap,
+                            int sheath_amid) {
   Vessel* v = malloc(sizeof(Vessel));
   if (!v) return -1;
   v->distance = *distance;
@@ -28,6 +30,7 @@ int cathsim_vessel_register(const Lattice* distance, const double origin[3], dou
   memcpy(v->entry, entry, sizeof v->entry);
   memcpy(v->direction, direction, sizeof v->direction);
   v->sheath_radius = sheath_radius;
+  v->sheath_flare = sheath_flare;
   v->sheath_overlap = sheath_overlap;
   v->sheath_amid = sheath_amid;
 
@@ -76,9 +79,18 @@ double vessel_sheath_coordinate(const Vessel* v, const double p[3]) {
          (p[2] - v->entry[2]) * v->direction[2];
 }
 
+/* By how much the bore is wider at a coordinate s (m) along the sheath's axis than far behind its mouth, m, and the slope
+ * with which it widens: like a parabola, so that a bent link is led into it and not caught by an edge. */
+static inline double widening(const Vessel* v, double s, double* slope) {
+  const double share = v->sheath_flare > 0 ? fmin(fmax(1 + s / FLARE_LENGTH, 0), 1) : 0;
+  *slope = s < 0 ? 2 * v->sheath_flare * share / FLARE_LENGTH : 0;
+  return v->sheath_flare * share * share;
+}
+
 /* Whether p is further from the sheath's axis than its bore and a margin (m). */
 static int outside_bore(const Vessel* v, const double p[3], double margin) {
-  const double s = vessel_sheath_coordinate(v, p), reach = v->sheath_radius + margin;
+  double slope;
+  const double s = vessel_sheath_coordinate(v, p), reach = v->sheath_radius + widening(v, s, &slope) + margin;
   double rho2 = 0;
   for (int i = 0; i < 3; i++) {
     const double radial = p[i] - v->entry[i] - s * v->direction[i];
@@ -112,7 +124,13 @@ static double sheath_distance(const Vessel* v, const double p[3], double gradien
     double scale = rho > 1e-9 ? -1 / rho : 0;
     for (int i = 0; i < 3; i++) gradient[i] = radial[i] * scale;
   }
-  return distance;
+  double slope;
+  const double wider = widening(v, s, &slope);
+  if (wider <= 0) return distance;
+  const double scale = 1 / sqrt(1 + slope * slope);
+  if (gradient)
+    for (int i = 0; i < 3; i++) gradient[i] = scale * (gradient[i] + slope * v->direction[i]);
+  return scale * (distance + wider);
 }
 
 /* NaN gives `low`: a state that has become invalid must not turn into an index. */

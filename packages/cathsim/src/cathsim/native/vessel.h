@@ -18,6 +18,7 @@ typedef struct {
   double entry[3];       /* where the sheath opens into the vessel, m */
   double direction[3];   /* unit vector into the vessel */
   double sheath_radius;  /* inner radius, m; 0: no sheath */
+  double sheath_flare;   /* by how much the bore is wider at its mouth, m */
   double sheath_overlap; /* how far the sheath's bore reaches past `entry`, m */
   int sheath_amid;       /* whether the sheath lies amid the lumen: its bore holds what is in it */
 } Vessel;
