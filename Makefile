@@ -49,7 +49,8 @@ $(INSTALLED): $(INSTALL_INPUTS)
 	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt setuptools hatchling editables mujoco
 	@# pip would compile on one core.
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-compile --no-build-isolation -c constraints.txt -r requirements.txt
-	@$(PY) -m compileall -qq -j 0 $(VENV)/lib >/dev/null || true  # some files of libraries are for other versions
+	@# Ours, too, where an environment forbids Python to: every start of a stage would compile them again.
+	@$(PY) -m compileall -qq -j 0 $(VENV)/lib packages/*/src pipeline >/dev/null || true  # some files of libraries are for other versions
 	@$(PY) pipeline/installation.py after $(if $(GPU),--gpu)
 	@touch $@
 

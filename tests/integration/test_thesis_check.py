@@ -21,7 +21,8 @@ FEWER_ROWS = (
     "stage@baselines.observations=[internal,sequential]",
     "stage@enn.modalities=[]",
     "stage@shape.rows=[spherical,fgrn]",
-    "stage@segmentation.rows=[unet,swinunet]",
+    "stage@segmentation.rows=[swinunet]",
+    "stage@splineformer.rival=swinunet",
 )
 
 
@@ -51,7 +52,7 @@ def test_every_stage_and_job_succeeds_and_tells_what_it_took(run: Path) -> None:
         *(f"enn/type_1/bca/{sees}/seed0" for sees in ("I+V+M", "I+V+M safe 5")),
         "imitation/type_1/bca/dagger", "force/V+M/16", "unseen/roadmap", "unseen/image_true_mask", "unseen/xray",
         *(f"shape/{row}" for row in ("spherical", "fgrn")),
-        *(f"segmentation/{row}" for row in ("unet", "swinunet")),
+        "segmentation/swinunet",
         "splineformer/published", "splineformer/ordered", "navigation/splineformer_dagger",
         "navigation/splineformer_arches",
     ):  # fmt: skip
@@ -89,10 +90,9 @@ def test_networks_have_the_sizes_of_the_thesis(run: Path) -> None:
     shape = ShapePredictor.load(run / "shape" / "spherical" / "predictor.pt")
     assert sum(weight.numel() for weight in shape.network.parameters()) > 85e6  # ViT-B/16
     assert shape.preprocessing.size_px == SHAPE_SIZES["thesis"].image_px == 224
-    for name, side in (("unet", 512), ("swinunet", 224)):
-        segmenter = SegmentationPredictor.load(run / "segmentation" / name / "predictor.pt")
-        assert segmenter.preprocessing.size_px == side
-        assert segmenter.size["sizes"] == SEGMENTER_SIZES[name]["thesis"]
+    segmenter = SegmentationPredictor.load(run / "segmentation" / "swinunet" / "predictor.pt")
+    assert segmenter.preprocessing.size_px == 224
+    assert segmenter.size["sizes"] == SEGMENTER_SIZES["swinunet"]["thesis"]
     for variant in ("published", "ordered"):
         predictor = Predictor.load(run / "splineformer" / variant / "predictor.pt")
         assert predictor.network.settings == size_of(variant, "thesis")

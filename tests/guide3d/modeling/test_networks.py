@@ -18,6 +18,7 @@ from guide3d.learning.build import (
     described,
     rebuilt,
 )
+from guide3d.learning.recipes import segmentation_recipe
 from guide3d.modeling.fgrn import FGRN
 from guide3d.modeling.shape_network import closed, expected_position
 from guide3d.modeling.spherical import SphericalForm
@@ -60,6 +61,7 @@ def test_thesis_sizes_are_the_published_ones() -> None:
         swinunet = build_segmenter("swinunet", 224, **SEGMENTER_SIZES["swinunet"]["thesis"])
         shape = build_shape_network(SHAPE_SIZES["thesis"], FORM, 150)
         fgrn = FGRN(points=100, **FGRN_SIZES["thesis"])
+    assert segmentation_recipe("unet", "thesis").preprocessing.size_px == 512
     # one channel in, one logit out
     assert count(transunet) == 105_277_081 - 2 * 64 * 49 - 8 * (16 * 9 + 1)
     assert count(swinunet) == 27_168_900 - 2 * 96 * 16 - 8 * 96
