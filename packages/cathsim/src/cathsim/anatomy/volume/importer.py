@@ -18,6 +18,7 @@ from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 from cathsim.anatomy.vessel_names import vessel_name
 from cathsim.anatomy.volume.files.reading import LabelVolume, file_stem, read_labels, volume_files
+from cathsim.anatomy.volume.label_checks import check_labels
 from cathsim.anatomy.volume.labelled_lumen import LabelledLumen
 from cathsim.anatomy.volume.labels import Labels
 from cathsim.anatomy.volume.single_lumen import lumen_surface_of
@@ -97,6 +98,7 @@ def _load(
 def build_volume_phantom(path: Path, digest: str, labels: Labels, names: Names, resolution: float) -> Phantom:
     """Builds the phantom of a volume without any cache."""
     volume = read_labels(path, labels)
+    volume = replace(volume, notes=(*volume.notes, *check_labels(volume)))
     if not volume.named:
         return _of_one_piece(volume, file_stem(path), digest, names, resolution)
     lumen = LabelledLumen(volume, resolution)

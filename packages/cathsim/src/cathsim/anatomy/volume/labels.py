@@ -100,8 +100,8 @@ def choose_labels(
         return replace(choice, notes=(f"which label is which vessel is guessed by {scheme}'s numbers", *choice.notes))
     if arteries := _without_aorta(values):
         raise MeshRefusedError(
-            f"{file} has no label of the aorta: {arteries} are TotalSegmentator's, whose aorta is 52; export it too, or "
-            "say which label is the aorta by labels={number: 'aorta'}."
+            f"{file} has no label of the aorta: {arteries} are TotalSegmentator's, whose aorta is 52; export it too, "
+            "or say which label is the aorta by labels={number: 'aorta'}."
         )
     because = f" ({'; '.join(doubts)})" if doubts else ""
     if names or len(present) > _FEW:
@@ -111,8 +111,8 @@ def choose_labels(
             "'aorta', ...}."
         )
     note = (
-        f"the labels {_listed(present, names)} have no known names{because}: together they are the lumen, whose vessels "
-        "are named by their shape; labels={number: 'aorta', ...} says which is which"
+        f"the labels {_listed(present, names)} have no known names{because}: together they are the lumen, whose "
+        "vessels are named by their shape; labels={number: 'aorta', ...} says which is which"
     )
     return LabelChoice(dict.fromkeys(present, AORTA), "shape", named=False, notes=(note,))
 

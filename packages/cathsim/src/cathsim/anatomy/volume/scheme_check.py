@@ -72,10 +72,10 @@ def _zones_misfit(places: Mapping[Key, Array], sizes: Mapping[Key, int]) -> str:
         if 1 in away and np.mean(away[1][foot] <= least[foot]) > 0.5:
             return f"label {key[1]} leaves label 1, not the zone of the arch behind it"
     wide = {key[1]: _section(places[key], sizes[key]) for key in (*zones, *branches)}
-    for zone in (3, 5):
-        for branch in (4, 6):
-            if wide.get(zone, np.inf) < wide.get(branch, 0.0):
-                return f"label {zone} is no stretch of the arch: it is thinner than label {branch}"
+    for stretch in (3, 5):
+        for number in (4, 6):
+            if stretch in wide and number in wide and wide[stretch] < wide[number]:
+                return f"label {stretch} is no stretch of the arch: it is thinner than label {number}"
     return ""
 
 

@@ -106,10 +106,10 @@ def _misfit(source: VolumeSource, present: dict[Key, int], scheme: str, vessels:
     names = [str(key) for key in keys]
     found = _collect(source, LabelChoice(dict(zip(keys, names, strict=True)), scheme), names, np.zeros(3, np.int64))
     turn = source.metres * source.frame @ source.affine[:3, :3]
-    places = {}
+    places: dict[Key, Array] = {}
     for voxels, number, _ in found:
         cells = np.unique(np.floor(voxels @ turn.T / CELL).astype(np.int32), axis=0)
-        places[keys[number - 1]] = CELL * (cells + 0.5)
+        places[keys[number - 1]] = CELL * (cells.astype(np.float64) + 0.5)
     return misfit(scheme, vessels, places, present)
 
 
