@@ -149,6 +149,9 @@ def _volume_notes(volumes: Mapping[str, tuple[float, float]]) -> list[str]:
     notes = []
     if abs(lumen / voxels - 1) > _VOLUME_KEPT:
         notes.append(f"the lumen holds {1e6 * lumen:.4g} ml, its voxels {1e6 * voxels:.4g}")
+    for name, (labelled, held) in volumes.items():
+        if 1e6 * labelled >= _LEAST_ML and abs(held / labelled - 1) > _VOLUME_KEPT:
+            notes.append(f"{name} holds {1e6 * held:.3g} ml, its voxels {1e6 * labelled:.3g}")
     return notes
 
 
