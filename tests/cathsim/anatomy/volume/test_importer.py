@@ -15,6 +15,7 @@ from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.surface import open_ends
 from cathsim.anatomy.vessel_tree import nearest_on_branch
+from cathsim.anatomy.volume.importer import _volume_notes
 from cathsim.anatomy.volume.rasterising import IDS, rasterise, save_nifti, save_slicer
 
 pytest.importorskip("nibabel", reason="label volumes need nibabel")
@@ -87,6 +88,12 @@ def test_thick_slices_become_the_arch_they_were_made_of(imported: Phantom, phant
     assert lumen == pytest.approx(voxels, rel=0.03)
     assert "TotalSegmentator 2" in report.kind
     assert check_lumen(imported, required_radius=1e-3).valid
+
+
+def test_a_vessel_whose_volume_differs_is_noted_beside_the_total() -> None:
+    volumes = {"aorta": (150e-6, 151e-6), "rcca": (2e-6, 2.11e-6), "lsa": (2e-6, 2.05e-6), "rsa": (0.5e-6, 0.6e-6)}
+    assert _volume_notes(volumes) == ["rcca holds 2.11 ml, its voxels 2"]
+    assert _volume_notes({"aorta": (100e-6, 106e-6)})[0].startswith("the lumen holds")
 
 
 def test_steps_of_slices_are_not_felt(imported: Phantom, phantom: Phantom) -> None:

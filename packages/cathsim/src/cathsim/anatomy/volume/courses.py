@@ -312,6 +312,8 @@ def narrow_places(courses: Courses, number: int, begin: int, end: int, least: fl
     from scipy.spatial import cKDTree
 
     way = _way_within(courses.graph, begin, end, courses.nodes_of(number))
+    if len(way) < 2:  # a stub that ends where it begins
+        return courses.graph.points[:0], least
     points = smoothed(resampled(courses.graph.points[way], 0.5 * _STEP), 2 * _STEP)
     if len(points) < 4:
         return points[:0], least

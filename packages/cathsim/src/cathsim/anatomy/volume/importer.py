@@ -18,13 +18,14 @@ from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 from cathsim.anatomy.vessel_names import vessel_name
 from cathsim.anatomy.volume.files.reading import LabelVolume, file_stem, read_labels, volume_files
+from cathsim.anatomy.volume.label_checks import check_labels
 from cathsim.anatomy.volume.labelled_lumen import LabelledLumen
 from cathsim.anatomy.volume.labels import Labels
 from cathsim.anatomy.volume.single_lumen import lumen_surface_of
 
 logger = logging.getLogger(__name__)
 
-VOLUME_VERSION = 7  # raise it whenever the same volume gives another phantom
+VOLUME_VERSION = 8  # raise it whenever the same volume gives another phantom
 _VOLUME_KEPT = 0.03  # share of a vessel's volume by which the phantom's may differ without a note
 _LEAST_ML = 1.0  # of a vessel whose volume is compared
 
@@ -97,6 +98,7 @@ def _load(
 def build_volume_phantom(path: Path, digest: str, labels: Labels, names: Names, resolution: float) -> Phantom:
     """Builds the phantom of a volume without any cache."""
     volume = read_labels(path, labels)
+    volume = replace(volume, notes=(*volume.notes, *check_labels(volume)))
     if not volume.named:
         return _of_one_piece(volume, file_stem(path), digest, names, resolution)
     lumen = LabelledLumen(volume, resolution)
@@ -147,6 +149,9 @@ def _volume_notes(volumes: Mapping[str, tuple[float, float]]) -> list[str]:
     notes = []
     if abs(lumen / voxels - 1) > _VOLUME_KEPT:
         notes.append(f"the lumen holds {1e6 * lumen:.4g} ml, its voxels {1e6 * voxels:.4g}")
+    for name, (labelled, held) in volumes.items():
+        if 1e6 * labelled >= _LEAST_ML and abs(held / labelled - 1) > _VOLUME_KEPT:
+            notes.append(f"{name} holds {1e6 * held:.3g} ml, its voxels {1e6 * labelled:.3g}")
     return notes
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import AORTA, TOTALSEGMENTATOR, vessel_name
 
 Key = tuple[int, int]  # layer and value of a label
 Labels = Mapping[int | str, str | None] | None
+Misfit = Callable[[str, dict[Key, str]], str]  # of a scheme and its vessels: why they cannot be these, or nothing
 
 # Labels of the AortaSeg24 challenge: zones of the aorta (Ishimaru's, as the Society for Vascular Surgery numbers them)
 # and its branches. Source: Imran et al., arXiv 2502.05330, numbered as the challenge's own evaluation does.
@@ -32,7 +33,9 @@ AORTASEG24: dict[int, str] = {
 # Labels of TotalSegmentator's first version that are arteries, and its greatest number.
 TOTALSEGMENTATOR_1: dict[int, str] = {7: AORTA, 51: "iliac_left", 52: "iliac_right"}
 _LAST_OF_VERSION_1 = 104
-_ARCH_ZONES = (1, 3, 5, 7)
+_HEART_TO_ILIACS = range(51, 69)  # TotalSegmentator's second version: heart, arteries and great veins
+_HEAD_AND_ARMS = {54, 55, 56, 57, 58}  # its branches of the arch
+ARCH_ZONES = (1, 3, 5, 7)  # of AortaSeg24, from the heart on: about BCA, LCCA and LSA, and what follows them
 _FEW = 24  # labels, of which none has a known name, that may together be a lumen
 
 
@@ -55,7 +58,9 @@ def label_name(text: str) -> str:
     return f"{name}_trunk" if name in ("carotid", "subclavian") and "trunk" in text.lower() else name
 
 
-def choose_labels(present: Mapping[Key, int], names: Mapping[Key, str], own: Labels, file: str) -> LabelChoice:
+def choose_labels(
+    present: Mapping[Key, int], names: Mapping[Key, str], own: Labels, file: str, misfit: Misfit | None = None
+) -> LabelChoice:
     """Chooses the labels of vessels among those that a volume has.
 
     Args:
@@ -64,6 +69,8 @@ def choose_labels(present: Mapping[Key, int], names: Mapping[Key, str], own: Lab
         own: the user's mapping from a label's number, or its name in the file, to a vessel's name; None leaves a label
             out.
         file: for messages.
+        misfit: says why labels cannot be the vessels that a published scheme makes of their numbers; such a scheme is
+            not used. None believes the numbers.
 
     Raises:
         MeshRefusedError: no label is a vessel's, or the mapping names one that is not there.
@@ -77,30 +84,55 @@ def choose_labels(present: Mapping[Key, int], names: Mapping[Key, str], own: Lab
     values = {value for _, value in present}
     if len(present) == 1:
         return LabelChoice(dict.fromkeys(present, AORTA), "one label", named=False)
+    doubts = []
     for scheme, table in (
         ("TotalSegmentator 2", TOTALSEGMENTATOR),
         ("AortaSeg24", AORTASEG24),
         ("TotalSegmentator 1", TOTALSEGMENTATOR_1),
     ):
-        if _fits(scheme, values):
-            return _checked({key: table[key[1]] for key in present if key[1] in table}, scheme, present, file, names)
+        if not _fits(scheme, values):
+            continue
+        vessels = {key: table[key[1]] for key in present if key[1] in table}
+        if doubt := misfit(scheme, vessels) if misfit else "":
+            doubts.append(f"their numbers would be {scheme}'s, but {doubt}")
+            continue
+        choice = _checked(vessels, scheme, present, file, names)
+        return replace(choice, notes=(f"which label is which vessel is guessed by {scheme}'s numbers", *choice.notes))
+    if arteries := _without_aorta(values):
+        raise MeshRefusedError(
+            f"{file} has no label of the aorta: {arteries} are TotalSegmentator's, whose aorta is 52; export it too, "
+            "or say which label is the aorta by labels={number: 'aorta'}."
+        )
+    because = f" ({'; '.join(doubts)})" if doubts else ""
     if names or len(present) > _FEW:
         told = _listed(present, names)
         raise MeshRefusedError(
-            f"{file} has no label that is known as the aorta ({told}); say which is which by labels={{number: 'aorta', "
-            "...}}."
+            f"{file} has no label that is known as the aorta ({told}){because}; say which is which by labels={{number: "
+            "'aorta', ...}."
         )
-    note = f"the labels {_listed(present, names)} have no known names: their vessels are named by their shape"
+    note = (
+        f"the labels {_listed(present, names)} have no known names{because}: together they are the lumen, whose "
+        "vessels are named by their shape; labels={number: 'aorta', ...} says which is which"
+    )
     return LabelChoice(dict.fromkeys(present, AORTA), "shape", named=False, notes=(note,))
 
 
 def _fits(scheme: str, values: set[int]) -> bool:
-    """Whether a volume's numbers are those of a published scheme."""
+    """Whether a volume's numbers may be those of a published scheme."""
     if scheme == "AortaSeg24":
-        return max(values) <= max(AORTASEG24) and sum(zone in values for zone in _ARCH_ZONES) >= 3
+        return max(values) <= max(AORTASEG24) and sum(zone in values for zone in ARCH_ZONES) >= 3
     if scheme == "TotalSegmentator 2":
-        return 52 in values and (max(values) > _LAST_OF_VERSION_1 or bool(values & {54, 55, 56, 57, 58}))
-    return 7 in values and 52 not in values - set(TOTALSEGMENTATOR_1) and max(values) > max(AORTASEG24)
+        alone = values <= set(_HEART_TO_ILIACS)
+        return 52 in values and (alone or max(values) > _LAST_OF_VERSION_1 or bool(values & _HEAD_AND_ARMS))
+    return 7 in values and max(values) > max(AORTASEG24)
+
+
+def _without_aorta(values: set[int]) -> str:
+    """The arteries of TotalSegmentator's second version among labels that lack its aorta, for a message."""
+    arteries = sorted(values & _HEAD_AND_ARMS)
+    if 52 in values or not (values <= set(_HEART_TO_ILIACS) or max(values) > _LAST_OF_VERSION_1):
+        return ""
+    return ", ".join(f"{value} ({TOTALSEGMENTATOR[value]})" for value in arteries)
 
 
 def _own_choice(present: Mapping[Key, int], names: Mapping[Key, str], own: Labels, file: str) -> LabelChoice:

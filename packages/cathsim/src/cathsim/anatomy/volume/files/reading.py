@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from cathsim.anatomy.vessel_names import AORTA, vessel_name
 from cathsim.anatomy.volume.files import nifti, nrrd_file
 from cathsim.anatomy.volume.files.source import VolumeSource
 from cathsim.anatomy.volume.labels import Key, LabelChoice, Labels, choose_labels
+from cathsim.anatomy.volume.scheme_check import CELL, misfit
 
 SUFFIXES = (*nifti.SUFFIXES, *nrrd_file.SUFFIXES)
 _MOST_LITRES = 5.0  # of all vessels together
@@ -93,9 +95,22 @@ def read_labels(path: str | Path, labels: Labels = None) -> LabelVolume:
     if not path.is_dir():
         source = open_volume(path)
         present = _count(source)
-        choice = choose_labels(present, source.names, labels, path.name)
+        choice = choose_labels(present, source.names, labels, path.name, partial(_misfit, source, present))
         return _box([(source, choice)], path.name, present)
     return _folder(path, labels)
+
+
+def _misfit(source: VolumeSource, present: dict[Key, int], scheme: str, vessels: dict[Key, str]) -> str:
+    """Why a file's labels cannot be a scheme's vessels; empty if they can."""
+    keys = list(vessels)
+    names = [str(key) for key in keys]
+    found = _collect(source, LabelChoice(dict(zip(keys, names, strict=True)), scheme), names, np.zeros(3, np.int64))
+    turn = source.metres * source.frame @ source.affine[:3, :3]
+    places: dict[Key, Array] = {}
+    for voxels, number, _ in found:
+        cells = np.unique(np.floor(voxels @ turn.T / CELL).astype(np.int32), axis=0)
+        places[keys[number - 1]] = CELL * (cells.astype(np.float64) + 0.5)
+    return misfit(scheme, vessels, places, present)
 
 
 def file_stem(path: Path) -> str:
