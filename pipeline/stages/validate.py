@@ -126,7 +126,7 @@ def simulator_row(phantom: str) -> dict[str, dict[str, Any]]:
     return {
         "cathsim": {
             "engine": f"MuJoCo {metadata.version('mujoco')}, contact from a distance grid",
-            "catheter": "no",
+            "catheter": "discretised, over the wire in one rod",
             "guidewire": f"discretised, {links} links, rod's stiffness",
             "aorta": "3-D artery, generated or imported",
             "open_source": "yes",

@@ -41,6 +41,7 @@ def test_stage_writes_tables_and_figures(tmp_path: Path, anatomy_cache: Path, mo
     assert speed["min"] == min(speed.values()) <= speed["internal"] <= speed["max"] == max(speed.values())
     assert speed["min"] > 1
     assert tables["simulators"]["cathsim"]["engine"].startswith("MuJoCo ")
+    assert tables["simulators"]["cathsim"]["catheter"] == "discretised, over the wire in one rod"
     assert "wire_physics" not in tables
     assert [figure.file for figure in read_figures(folder)] == [
         "distribution.png", "boxes.png", "heat/type_1.png", "heat/type_2.png"
