@@ -201,7 +201,7 @@ def contact_forces(
 
     The simulated device is laid along the curve, its feeder held, and left to rest; its contacts are read. An ensemble
     over what is not known (`Uncertainty`) gives medians and 90 % intervals. The device is assumed at rest, its
-    stiffness measured, its torsion rigid; blood and pulsation are left out.
+    stiffness measured; blood and pulsation are left out. A wire's torsion is rigid, a pair's as its `torsion` says.
 
     Args:
         curve: points (n, 3) m, world frame, from the entry to the tip: simulated (`inserted_curve`) or reconstructed.
