@@ -13,6 +13,7 @@ Array = NDArray[np.float64]
 
 QUANTITIES = ("load_cell_n", "magnitude_sum_n", "largest_contact_n")
 WIRE = "wire"  # the device of a log that names no catheter
+ALONE = " alone"  # behind the name of a catheter in which no wire lay
 
 
 @dataclass(frozen=True)
@@ -66,4 +67,4 @@ def device_of(configuration: Mapping[str, Any]) -> str:
     if not configuration.get("catheter"):
         return WIRE
     name = str(configuration.get("catheter_preset") or "own catheter")
-    return f"{name} alone" if configuration.get("wire", "") is None else name
+    return f"{name}{ALONE}" if configuration.get("wire", "") is None else name

@@ -13,7 +13,7 @@ from annotated_types import Ge, Gt, Le
 from pipeline.anatomies.known import require_known_phantoms
 from pipeline.jobs.pool import Job, Report, run_jobs
 from pipeline.report.force_logs import EpisodeForces, pooled, pooled_wall, read_forces, table_rows
-from pipeline.report.load_cell import WIRE
+from pipeline.report.load_cell import ALONE, WIRE
 from pipeline.report.plots.forces import draw_boxes, draw_distribution, draw_heat, draw_quantities
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.settings.checks import validated
@@ -103,13 +103,15 @@ def validate_forces(
             f"the expert stage's episodes cannot be compared with real forces ({error}): record more of them"
         ) from error
     pushed = pushed_forces(settings.phantom, settings.speed_steps, seed=seed)
-    wall = pooled_wall(chosen)
+    wall, devices = pooled_wall(chosen), {episode.device for episode in chosen}
     agrees, differs = verdict(
         comparison,
         pushed,
         None if wall is None else wall.load_cell_n,
         operators={episode.operator for episode in chosen},
-        catheters={episode.device for episode in chosen} - {WIRE},
+        catheters={name for name in devices if name != WIRE and not name.endswith(ALONE)},
+        catheters_alone={name.removesuffix(ALONE) for name in devices if name.endswith(ALONE)},
+        bare_wire=WIRE in devices,
         free_force_n=min((e.free_force_n for e in chosen if e.free_force_n is not None), default=None),
     )
     write_text(folder / VERDICT, f"Agrees: {agrees}\n\nDiffers: {differs}\n")
@@ -126,7 +128,7 @@ def simulator_row(phantom: str) -> dict[str, dict[str, Any]]:
     return {
         "cathsim": {
             "engine": f"MuJoCo {metadata.version('mujoco')}, contact from a distance grid",
-            "catheter": "no",
+            "catheter": "discretised, over the wire in one rod",
             "guidewire": f"discretised, {links} links, rod's stiffness",
             "aorta": "3-D artery, generated or imported",
             "open_source": "yes",

@@ -314,6 +314,17 @@ def test_motors_bend_the_tip(make_simulation: MakeSimulation) -> None:
     assert np.linalg.norm(simulation.tip - start) > 5e-3
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_movements_that_are_not_finite_are_refused(make_simulation: MakeSimulation, value: float) -> None:
+    simulation = make_simulation(tip_motors=True)
+    for movement in ((value, 0.0), (0.0, value)):
+        with pytest.raises(ValueError, match=f"rotation .rad. must be finite numbers, got .*{value}"):
+            simulation.advance(*movement)
+    with pytest.raises(ValueError, match=f"the motors' shares must be finite, got .*{value}"):
+        simulation.advance(0.0, 0.0, np.full(simulation.motors, value))
+    assert simulation.valid
+
+
 def test_what_is_returned_is_not_overwritten(make_simulation: MakeSimulation) -> None:
     simulation = make_simulation()
     run(simulation, straight(50))

@@ -20,6 +20,7 @@ from pipeline.recording.trials import POLICY, Origin
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.rehearsal.copies import COPIES, PRELOAD, SCAN, RehearsalJob
 from pipeline.stages.rehearsal.demonstrations import DEMONSTRATIONS, EXPERT, PARTS, record_demonstrations
 from pipeline.stages.rehearsal.devices import with_chosen_devices
@@ -44,10 +45,14 @@ _SECONDS = {"decision": 15e-3, "test": 1.0, "shown": 4.0, "film": 40.0}  # guess
 
 
 def check_rehearsal(settings: RehearsalSettings) -> None:
-    """Refuses unknown anatomies, wires and actions of the tip's motors."""
+    """Refuses unknown anatomies, wires and hyper-parameters, and actions of the tip's motors."""
     check_anatomies(settings)
     require_known_task(settings.task)
     require_feeder(settings.task, "rehearsal")
+    if settings.training:  # now, and not after the devices' trials
+        from enn.reinforcement.rehearsal import REHEARSAL
+
+        with_hyperparameters(REHEARSAL, settings.training)
 
 
 def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:

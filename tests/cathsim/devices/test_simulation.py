@@ -239,6 +239,41 @@ def test_refuses_a_start_that_cannot_be(arguments: dict, message: str) -> None:
         made().reset(**arguments)
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_refuses_movements_that_are_not_finite(value: float) -> None:
+    simulation = made()
+    place = simulation.device_insertions()
+    for place_of_value in range(4):
+        moves = [0.0] * 4
+        moves[place_of_value] = value
+        with pytest.raises(ValueError, match=f"rotation .rad. must be finite numbers, got .*{value}"):
+            simulation.advance(*moves[:2], catheter=(moves[2], moves[3]))
+    assert simulation.device_insertions() == place
+    with pytest.raises(ValueError, match=r"catheter's insertion .m. and rotation .rad. must be finite, got 0, "):
+        simulation.reset(0.1, catheter=(0, value))
+
+
+@pytest.mark.parametrize("devices", [{"wire": None}, {"catheter": None}])
+def test_refuses_what_is_meant_for_an_absent_device(devices: dict) -> None:
+    simulation = made(**devices)
+    with pytest.raises(ValueError, match=r"the pair has one device, .*: leave catheter out"):
+        simulation.advance(0.0, 0.0, catheter=(0.002, 0.0))
+    with pytest.raises(ValueError, match=r"the pair has one device, .*: leave catheter out"):
+        simulation.reset(0.0, 0.0, catheter=(0.05, 0.0))
+    with pytest.raises(ValueError, match="has no tip motors: leave motors out"):
+        simulation.advance(0.0, 0.0, np.zeros(3))
+    simulation.advance(0.002, 0.0, catheter=(0.0, 0.0))
+
+
+def test_an_invalid_state_is_advanced_without_a_complaint_of_its_movement() -> None:
+    simulation = made()
+    state = simulation.state()
+    state[0] = np.nan
+    simulation.restore(state)
+    simulation.advance(0.002, 0.0)
+    assert not simulation.valid
+
+
 def test_refuses_tip_motors_and_hulls() -> None:
     simulation = made()
     for extra in ({"tip_motors": True}, {"contact": "hulls"}):

@@ -110,6 +110,7 @@ def test_frames_without_feeder_data_go_on_from_the_last_rotation(resting, feeder
         (lambda curve: curve[:1], "2 points at least"),
         (lambda curve: "curve", "must be numbers"),
         (lambda curve: np.where(np.arange(len(curve))[:, None] == 5, np.nan, curve), "must be finite, its point 5"),
+        (lambda curve: np.repeat(curve[:1], 4, axis=0), "4 points of this one lie in one place: give all of it"),
         (lambda curve: curve[::-1], "reverse it"),
         (lambda curve: 1e3 * curve, "give it in m"),
         (lambda curve: np.vstack((curve, curve[-1] + [0.05, 0.0, 0.0])), "outside of it"),
@@ -129,6 +130,9 @@ def test_a_curve_that_cannot_be_is_refused(resting, change, message: str) -> Non
         ((np.nan, 0.0), "insertion must lie in 0 to"),
         ((0.1, 0.0), "does not fit a curve of"),
         ((None, np.inf), "rotation must be a finite number"),
+        (("far", 0.0), r"insertion must be a number \(m\), got 'far'"),
+        (([0.1, 0.2], 0.0), r"insertion must be a number \(m\), got \[0.1, 0.2\]"),
+        ((None, "left"), r"rotation must be a number \(rad\), got 'left'"),
     ],
 )
 def test_a_feeder_that_cannot_be_is_refused(resting, feeder, message: str) -> None:
@@ -176,5 +180,10 @@ def test_other_arguments_that_cannot_be_are_refused(resting) -> None:
         contact_forces(resting.curve, resting.phantom, "default")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="unknown accuracy"):
         contact_forces(resting.curve, resting.phantom, Guidewire(), accuracy="exact")
+    with pytest.raises(ValueError, match="phantom must be a Phantom, as load_phantom gives it, got 'type_1'"):
+        contact_forces(resting.curve, "type_1", resting.wire)  # type: ignore[arg-type]
+    for members in (2.5, "many"):
+        with pytest.raises(ValueError, match=f"members must be a whole number, got {members!r}"):
+            contact_forces(resting.curve, resting.phantom, resting.wire, members=members)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="must be 1 at least"):
         contact_forces(resting.curve, resting.phantom, Guidewire(), members=0)

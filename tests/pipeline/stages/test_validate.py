@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -10,8 +11,9 @@ import pytest
 import trimesh
 
 from cathsim.physics_checks import AIM_PCT
+from pipeline.report.force_logs import episode_forces
 from pipeline.report.results import read_figures, read_results
-from pipeline.stages.validate import ValidateSettings, check_validate, physics_rows, run_validate
+from pipeline.stages.validate import ValidateSettings, check_validate, physics_rows, run_validate, validate_forces
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.report.evaluation_logs import write_force_log
@@ -41,11 +43,22 @@ def test_stage_writes_tables_and_figures(tmp_path: Path, anatomy_cache: Path, mo
     assert speed["min"] == min(speed.values()) <= speed["internal"] <= speed["max"] == max(speed.values())
     assert speed["min"] > 1
     assert tables["simulators"]["cathsim"]["engine"].startswith("MuJoCo ")
+    assert tables["simulators"]["cathsim"]["catheter"] == "discretised, over the wire in one rod"
     assert "wire_physics" not in tables
     assert [figure.file for figure in read_figures(folder)] == [
         "distribution.png", "boxes.png", "heat/type_1.png", "heat/type_2.png"
     ]  # fmt: skip
     assert "Differs: Location" in (folder / "verdict.txt").read_text()
+
+
+def test_verdict_of_a_catheter_alone_names_no_guidewire(tmp_path: Path) -> None:
+    path = tmp_path / "000.mcap"
+    write_force_log(path, np.abs(np.random.default_rng(0).normal(0.0, 0.05, STEPS)))
+    episode = replace(episode_forces(path), device="vertebral alone")
+    validate_forces([episode], ValidateSettings(speed_steps=8), tmp_path, seed=0)
+    words = (tmp_path / "verdict.txt").read_text()
+    assert "these are the contacts of a catheter without a wire (vertebral) with a rigid wall" in words
+    assert "the steering can explain" not in words
 
 
 def test_stage_without_enough_episodes_says_so(tmp_path: Path) -> None:

@@ -249,7 +249,18 @@ class Simulation:
             translation: of the feeder, m; positive inserts.
             rotation: of the feeder, rad; positive about the direction of insertion.
             motors: of the tip, share of their range, -1 to 1. Shape (motors,).
+
+        Raises:
+            ValueError: a movement that is not finite.
         """
+        if not math.isfinite(translation + rotation):
+            raise ValueError(not_finite(translation, rotation))
+        if motors is not None and not np.isfinite(motors).all():
+            raise ValueError(f"the motors' shares must be finite, got {np.asarray(motors).tolist()}")
+        self._advance(translation, rotation, motors)
+
+    def _advance(self, translation: float, rotation: float, motors: np.ndarray | None = None) -> None:
+        """As `advance`, of a movement that may be that of a state which is no longer finite."""
         to, qpos = self._to, self.data.qpos
         self._from[:] = to
         at, angle = float(qpos[0]), float(qpos[1])
@@ -417,3 +428,8 @@ class Simulation:
     def restore_forces(self, state: tuple[bytes, np.ndarray, np.ndarray]) -> None:
         """Returns to a measurement of `force_state`."""
         self.measured.restore(state)
+
+
+def not_finite(*movement: float) -> str:
+    """The sentence that refuses translations (m) and rotations (rad) of which one is not finite."""
+    return f"translation (m) and rotation (rad) must be finite numbers, got {', '.join(map(str, movement))}"

@@ -24,7 +24,7 @@ from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record
 from pipeline.stages.rehearsal.episodes import play
 from pipeline.stages.rehearsal.film import film_scan
 from pipeline.stages.rehearsal.settings import RehearsalSettings
-from pipeline.stages.rehearsal.stage import plan, row, run_rehearsal, shown_by
+from pipeline.stages.rehearsal.stage import check_rehearsal, plan, row, run_rehearsal, shown_by
 from pipeline.stages.rehearsal.starting_policy import advising_policies
 from pipeline.stages.rehearsal.training import train
 from pipeline.store.atomic_files import write_arrays
@@ -116,6 +116,11 @@ def test_a_catheter_is_chosen_unless_a_policy_is_given(
         monkeypatch.setattr(f"pipeline.stages.rehearsal.stage.{name}", asked)
     with pytest.raises(ConfigurationError, match=f"choose is {choose}"):
         run_rehearsal(RehearsalSettings(**TINY | changed), context(tmp_path, "rehearsal"))
+
+
+def test_an_unknown_hyperparameter_is_refused_before_anything_is_played() -> None:
+    with pytest.raises(ConfigurationError, match="stage.training has no 'foo': choose from .*learning_rate"):
+        check_rehearsal(RehearsalSettings(**TINY | {"training": {"foo": 3}}))
 
 
 def test_copies_of_training_validation_and_tests_never_meet(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from typing import Any
 
 import mujoco
@@ -25,8 +26,11 @@ from cathsim.lifetime_cache import kept_with_owner
 from cathsim.presets import Accuracy, dividing
 from cathsim.robot.pace import PACES, Pace
 from cathsim.rung import Rung
-from cathsim.simulation import Simulation, vessel_of
+from cathsim.simulation import Simulation, not_finite, vessel_of
 
+_ONE_DEVICE = (
+    "the pair has one device, which translation and rotation move, or insertion and rotation place: leave catheter out"
+)
 _UNTWIST = 200  # iterations of the twist at a new start, at most
 
 Array = NDArray[np.float64]
@@ -207,8 +211,15 @@ class DualSimulation(Simulation):
                 not turned.
 
         Raises:
-            ValueError: an insertion out of range, or a lead beyond the pair's limits.
+            ValueError: an insertion out of range, a rotation that is not finite, a lead beyond the pair's limits, or a
+                place of a second device where there is one device.
         """
+        if catheter is not None:
+            if not self.pair.both:
+                raise ValueError(_ONE_DEVICE)
+            if not all(map(math.isfinite, catheter)):
+                place = ", ".join(map(str, catheter))
+                raise ValueError(f"the catheter's insertion (m) and rotation (rad) must be finite, got {place}")
         chain = self._hubs.place(insertion, rotation, catheter)
         self.twist[:] = np.array(self._hubs.angles)[:, None] - rotation
         super().reset(chain, rotation, time=time)
@@ -250,12 +261,21 @@ class DualSimulation(Simulation):
             translation: of the wire's feeder, m; positive inserts. With a catheter alone, the catheter's.
             rotation: of the wire's hub, rad; positive about the direction of insertion.
             motors: must be None.
-            catheter: translation (m) and rotation (rad) of the catheter's.
+            catheter: translation (m) and rotation (rad) of the catheter's; zeros with one device.
+
+        Raises:
+            ValueError: a movement that is not finite, motors, or a second device's movement where there is one device.
         """
+        if not math.isfinite(translation + rotation + catheter[0] + catheter[1]):
+            raise ValueError(not_finite(translation, rotation, *catheter))
+        if motors is not None:
+            raise ValueError("a simulation with a catheter has no tip motors: leave motors out")
+        if (catheter[0] or catheter[1]) and not self.pair.both:
+            raise ValueError(_ONE_DEVICE)
         hubs, at = self._hubs, float(self.data.qpos[0])
         translation, turn = hubs.command(at, (translation, rotation), catheter, self._reach(at))
         hubs.hand_over(self._rod)
-        super().advance(translation, turn)
+        self._advance(translation, turn)
         hubs.arrive()
 
     def feeder_forces(self) -> Array:

@@ -104,6 +104,8 @@ def verdict(
     operators: Collection[str],
     free_force_n: float | None,
     catheters: Collection[str] = (),
+    catheters_alone: Collection[str] = (),
+    bare_wire: bool = True,
 ) -> tuple[str, str]:
     """Says what agrees with the real forces and what does not.
 
@@ -111,7 +113,9 @@ def verdict(
         pushed: (n,) N, forces of the same wire pushed without a planner.
         read: (n,) N, what a load cell under the phantom reads of the same steps; None where it is not known.
         free_force_n: force that the operator does not pay for, N; None where it is not known.
-        catheters: names of those that lay over the wire in some of the episodes.
+        catheters: names of those that lay over a wire in some of the episodes.
+        catheters_alone: names of those that had no wire in them.
+        bare_wire: whether a wire without a catheter was steered in some of the episodes.
 
     Returns:
         What agrees, and what differs; each one or several sentences.
@@ -137,14 +141,15 @@ def verdict(
     real_side = f"the real ones' mean + 3 SD is {highest:.2f} N"
     (agrees if c.safe_share > 0.99 and highest < FORCE_LIMIT else differs).append(f"Safety: {safe}; {real_side}.")
     if differs:
-        differs.append(_unlike(c, pushed, read, operators, free_force_n, catheters))
+        device, bare_alone = _devices(catheters, catheters_alone, bare_wire=bare_wire)
+        differs.append(_unlike(c, pushed, read, operators, free_force_n, device, bare_alone=bare_alone))
     return " ".join(agrees) or "Nothing.", " ".join(differs) or "Nothing."
 
 
 def _location(c: ForceComparison) -> str:
     """Words the difference of the means, and how often one force exceeds the other."""
     if c.max_n == 0:
-        return f"Location: the simulated wire never presses on the wall, the real mean is {c.real_mean_n:.2f} N."
+        return f"Location: the simulated device never presses on the wall, the real mean is {c.real_mean_n:.2f} N."
     low, high = sorted((c.mean_n, c.real_mean_n))
     side = "below" if c.mean_n < c.real_mean_n else "above"
     return (
@@ -154,18 +159,44 @@ def _location(c: ForceComparison) -> str:
     )
 
 
+def _devices(catheters: Collection[str], catheters_alone: Collection[str], *, bare_wire: bool) -> tuple[str, bool]:
+    """Words which devices were steered, and says whether it was the wire alone in all episodes."""
+    steered = ["a bare guidewire"] if bare_wire else []
+    if catheters:
+        steered.append(f"a guidewire in a catheter ({', '.join(sorted(catheters))})")
+    if catheters_alone:
+        steered.append(f"a catheter without a wire ({', '.join(sorted(catheters_alone))})")
+    if len(steered) > 1:
+        steered[0] += " in some episodes"
+    return ", in others of ".join(steered), not (catheters or catheters_alone)
+
+
 def _unlike(
     c: ForceComparison,
     pushed: Array,
     read: Array | None,
     operators: Collection[str],
     free_force_n: float | None,
-    catheters: Collection[str],
+    device: str,
+    *,
+    bare_alone: bool,
 ) -> str:
-    """Words how the two were measured differently, and which part of it was tested."""
+    """Words how the two were measured differently, and which part of it was tested.
+
+    Args:
+        device: what was steered, in words.
+        bare_alone: whether that was the bare wire in all episodes: what is pushed is comparable with no other device.
+    """
     names = ", ".join(sorted(operator.replace("_", " ") for operator in operators))
     times = float(pushed.mean()) / c.mean_n if c.mean_n > 0 else 0.0
     factor = f", {times:.1f} times as much: so much the steering can explain" if times > 0 else ""
+    without_planner = f"{pushed.mean():.3f} ± {pushed.std():.3f} N"
+    unsteered = (
+        f"Pushed at full speed with random rotation instead, the wire alone gives {without_planner}{factor}."
+        if bare_alone
+        else f"A bare wire that is pushed at full speed with random rotation gives {without_planner}: that is another "
+        "device, so it does not tell what the steering contributes."
+    )
     planner = "" if free_force_n is None else f", which pays for forces above {free_force_n:g} N and so avoids them"
     cell = (
         "What the load cell contributes is not known from these episodes."
@@ -176,14 +207,10 @@ def _unlike(
         else f"Read as a load cell reads it (mean of each step, filtered, with noise), the same steps give "
         f"{read.mean():.3f} ± {read.std():.3f} N."
     )
-    device = "a bare guidewire"
-    untested = "What the catheter contributes was not tested here; "
-    if catheters:
-        device, untested = f"a guidewire, in some episodes in a catheter ({', '.join(sorted(catheters))}),", ""
+    untested = "What the catheter contributes was not tested here; " if bare_alone else ""
     return (
         "Mind what is compared: the real forces are those of a catheter on a silicone phantom, read from a load cell; "
-        f"these are the contacts of {device} with a rigid wall, steered by the {names}{planner}. Pushed at full speed "
-        f"with random rotation instead, the wire alone gives {pushed.mean():.3f} ± {pushed.std():.3f} N{factor}. "
+        f"these are the contacts of {device} with a rigid wall, steered by the {names}{planner}. {unsteered} "
         f"{cell} {untested}docs/results/forces.md compares devices, and shows that the wall's stiffness changes the "
         "resultant by a few per cent."
     )

@@ -18,13 +18,14 @@ from cathsim.presets import Accuracy
 from cathsim.presets import accuracy as preset
 from cathsim.simulation import LEAD_ADVANCE, LEAD_ROTATION, Simulation
 from cathsim.statics.ensemble_summary import ContactForces, summarise
-from cathsim.statics.feeder import Feeder, checked_catheter
+from cathsim.statics.feeder import Feeder, checked_catheter, checked_number
 from cathsim.statics.feeder_search import found_rotation
 from cathsim.statics.laying import distance_to, lay_along
 from cathsim.statics.observed_curve import STEP, ObservedCurve, checked_insertion, observed_curve
 from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
 from cathsim.statics.simulated_device import simulated_device
 from cathsim.statics.uncertainty import Deviation, Uncertainty, deviations, smooth_noise
+from cathsim.validation import quantity
 
 MEMBERS = 40  # with 16 the ends of a 90 % interval are two of 16 numbers, and 78 to 88 % of them held the truth
 REST_STEPS = 10  # control steps of 0.1 s in which the device finds its place between the walls
@@ -53,7 +54,7 @@ class ContactForceEstimator:
         workers: threads among which the members are divided.
 
     Raises:
-        ValueError: an unknown entry or accuracy, something else than a guidewire or a pair, no member.
+        ValueError: an unknown entry or accuracy, something else than a phantom, a guidewire or a pair, no member.
     """
 
     def __init__(
@@ -69,6 +70,9 @@ class ContactForceEstimator:
         friction: float | None = None,
         workers: int = 1,
     ) -> None:
+        if not isinstance(phantom, Phantom):
+            raise ValueError(f"phantom must be a Phantom, as load_phantom gives it, got {phantom!r}")
+        members, workers = quantity("members", members, int), quantity("workers", workers, int)
         if members < 1 or workers < 1:
             raise ValueError(f"members and workers must be 1 at least, got {members} and {workers}")
         phantom.entry(entry)
@@ -143,6 +147,8 @@ class ContactForceEstimator:
         catheter: tuple[float, float] | None,
     ) -> Feeder:
         """The feeder's position as given, or found from the curve."""
+        insertion = None if insertion is None else checked_number("insertion", insertion, "m")
+        rotation = None if rotation is None else checked_number("rotation", rotation, "rad")
         if rotation is not None and not math.isfinite(rotation):
             raise ValueError(f"rotation must be a finite number (rad), got {rotation}")
         device = self.device
@@ -154,7 +160,7 @@ class ContactForceEstimator:
                 )
             catheter = checked_catheter(catheter, self.max_insertion)
             checked_insertion(max(insertion, catheter[0]), observed, self.max_insertion)
-            return Feeder(float(insertion), float(rotation), catheter)
+            return Feeder(insertion, rotation, catheter)
         if catheter is not None:
             raise ValueError("catheter is for a wire in a catheter: give a DevicePair with both, or leave it out")
         if insertion is None:
@@ -195,7 +201,7 @@ def contact_forces(
 
     The simulated device is laid along the curve, its feeder held, and left to rest; its contacts are read. An ensemble
     over what is not known (`Uncertainty`) gives medians and 90 % intervals. The device is assumed at rest, its
-    stiffness measured, its torsion rigid; blood and pulsation are left out.
+    stiffness measured; blood and pulsation are left out. A wire's torsion is rigid, a pair's as its `torsion` says.
 
     Args:
         curve: points (n, 3) m, world frame, from the entry to the tip: simulated (`inserted_curve`) or reconstructed.

@@ -54,5 +54,13 @@ def checked_catheter(catheter: tuple[float, float], limit: float) -> tuple[float
     return insertion, rotation
 
 
+def checked_number(name: str, value: float, unit: str) -> float:
+    """Refuses with a `ValueError` what is no number."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a number ({unit}), got {value!r}") from None
+
+
 def _within(insertion: float, limit: float) -> float:
     return min(max(insertion, 0.0), limit)

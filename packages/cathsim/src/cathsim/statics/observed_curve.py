@@ -16,6 +16,7 @@ STEP = 1e-3  # m between the points of a curve
 SMOOTHING = 1.5e-3  # m, deviation of the Gaussian along the curve: more would cut the bent tip short
 MOST_GAP = 0.010  # m from the entry at which a curve may begin
 MOST_OUTSIDE = 5e-3  # m beyond the wall: errors of reconstruction and registration
+_SHORTEST = 1e-6  # m
 _INSERTION_MISFIT = (0.010, 0.05)  # m, and share of the length, by which insertion and curve may disagree
 
 Array = NDArray[np.float64]
@@ -79,8 +80,8 @@ def observed_curve(curve: ArrayLike, phantom: Phantom, entry: str, max_insertion
         max_insertion: of the device, m.
 
     Raises:
-        ValueError: another shape, numbers that are not finite, points outside the lumen, a first point far from the
-            entry, or a length that the device does not have.
+        ValueError: another shape, numbers that are not finite, points in one place or outside the lumen, a first point
+            far from the entry, or a length that the device does not have.
     """
     try:
         points = np.array(curve, np.float64)
@@ -106,7 +107,13 @@ def observed_curve(curve: ArrayLike, phantom: Phantom, entry: str, max_insertion
             f"a curve lies in the lumen, point {deepest} of this one is {-1e3 * depth[deepest]:.1f} mm or more outside "
             "of it: register it to the phantom first"
         )
-    points = smoothed(resampled(_tied(points, gate.position, gate.direction), STEP), SMOOTHING)
+    tied = _tied(points, gate.position, gate.direction)
+    if min(np.ptp(points, axis=0).max(), np.ptp(tied, axis=0).max()) < _SHORTEST:
+        raise ValueError(
+            f"a curve runs from the entry to the tip, the {len(points)} points of this one lie in one place: give all "
+            "of it"
+        )
+    points = smoothed(resampled(tied, STEP), SMOOTHING)
     length = float(arc_length(points)[-1])
     if length > max_insertion + PROTRUSION + MOST_GAP:
         raise ValueError(
