@@ -119,7 +119,7 @@ def test_a_catheter_is_chosen_unless_a_policy_is_given(
 
 
 def test_an_unknown_hyperparameter_is_refused_before_anything_is_played() -> None:
-    with pytest.raises(ConfigurationError, match="stage.training has no 'foo': choose from .*learning_rate"):
+    with pytest.raises(ConfigurationError, match=r"stage.training has no 'foo': choose from .*learning_rate"):
         check_rehearsal(RehearsalSettings(**TINY | {"training": {"foo": 3}}))
 
 
