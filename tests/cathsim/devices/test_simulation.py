@@ -263,6 +263,7 @@ def test_refuses_what_is_meant_for_an_absent_device(devices: dict) -> None:
     with pytest.raises(ValueError, match="has no tip motors: leave motors out"):
         simulation.advance(0.0, 0.0, np.zeros(3))
     simulation.advance(0.002, 0.0, catheter=(0.0, 0.0))
+    simulation.reset(0.05, 0.1, catheter=(0.05, 0.1))
 
 
 def test_an_invalid_state_is_advanced_without_a_complaint_of_its_movement() -> None:

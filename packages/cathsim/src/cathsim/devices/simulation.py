@@ -208,14 +208,14 @@ class DualSimulation(Simulation):
             rotation: of its hub, rad.
             time: at which they then are, s: where in a breath.
             catheter: the catheter's insertion (m) and rotation of its hub (rad); None: as far back as it may be, and
-                not turned.
+                not turned. With one device, the same as `insertion` and `rotation`.
 
         Raises:
             ValueError: an insertion out of range, a rotation that is not finite, a lead beyond the pair's limits, or a
                 place of a second device where there is one device.
         """
         if catheter is not None:
-            if not self.pair.both:
+            if not self.pair.both and tuple(catheter) != (insertion, rotation):
                 raise ValueError(_ONE_DEVICE)
             if not all(map(math.isfinite, catheter)):
                 place = ", ".join(map(str, catheter))
