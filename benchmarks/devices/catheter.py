@@ -198,6 +198,12 @@ def main() -> None:
     quick, begin, parts = arguments.quick, time.perf_counter(), arguments.parts.split(",")
     if unknown := set(parts) - set(PARTS):
         parser.error(f"unknown parts {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
+    try:
+        load_guidewire(arguments.wire)
+        for name in arguments.catheters.split(","):
+            load_catheter(name)
+    except ValueError as error:
+        parser.error(str(error))
     motions = range(arguments.seeds + 1)
     if arguments.first_seed is not None:
         motions = range(arguments.first_seed, arguments.first_seed + arguments.seeds)

@@ -31,7 +31,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from cathsim import NavigateEnv, load_guidewire, load_phantom
+from cathsim import NavigateEnv, load_catheter, load_guidewire, load_phantom
 from cathsim.anatomy.generator.recipe import draw_recipe
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.planning.expert_settings import TWO_DEVICES
@@ -153,6 +153,11 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.attempts < 1:
         parser.error(f"--attempts must be at least 1, got {arguments.attempts}")
+    try:
+        for name in set(arguments.devices.split(",")) - {WIRE}:
+            load_catheter(name)
+    except ValueError as error:
+        parser.error(str(error))
     record = Record(arguments.output, arguments.steps)
     failing = (arch for arch in common_trunks() if not record.episode(arch, WIRE, 0, "direct")["success"])
     chosen = [int(seed) for seed in arguments.seeds.split(",")] if arguments.seeds else failing

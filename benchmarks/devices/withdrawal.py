@@ -20,9 +20,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from cathsim import CATHETERS, NavigateEnv
+from cathsim.devices.shelf import SHAPES
 from cathsim.devices.simulation import DualSimulation
 
-SHAPES = ("straight", "vertebral", "simmons1", "simmons2", "headhunter", "jb2", "pigtail")
 DEPTHS = (10, 25, 40, 60)  # control steps of 2 mm
 AHEAD, FURTHER_BACK = 40, 20
 

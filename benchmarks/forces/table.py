@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from benchmarks.forces.episodes import TARGETS, USUAL_FRICTION, WIRE, Case, Episode, run_episode
 from benchmarks.forces.operators import OPERATORS, TrainedOperator
 from benchmarks.forces.picture import QUANTITIES, REAL_MEAN, REAL_SD, draw
+from cathsim import load_catheter
 
 Array = NDArray[np.float64]
 Combination = tuple[str, float, str, int]  # device, friction, target, seed
@@ -139,6 +140,11 @@ def main() -> None:
         frictions = [float(friction) for friction in arguments.frictions.split(",")]
     if arguments.devices:
         devices = arguments.devices.split(",")
+        try:
+            for name in set(devices) - {WIRE}:
+                load_catheter(name)
+        except ValueError as error:
+            parser.error(str(error))
     targets = TARGETS[: 1 if arguments.quick else None]
     combinations = list(itertools.product(devices, frictions, targets, range(seeds)))
     episodes = list(untrained(combinations))

@@ -121,6 +121,9 @@ def test_a_wire_of_ones_own_is_loaded(tmp_path: Path) -> None:
         ("kind: catheter\nsizes_french: {5F: {friction: 0.1}}\n", "whole number of French, 1 to 34, got '5F'"),
         ("kind: catheter\nsizes_french: [4, 5]\n", "sizes_french must have"),
         ("kind: catheter\ndescription: [a]\n", "description must be a text"),
+        ("kind: catheter\nfriction: 0.1\nfriction: 0.2\n", "the key 'friction' is there twice"),
+        ("kind: catheter\nshape: [{from_mm: 0, to_mm: 9, to_mm: 10, angle_deg: 9}]\n", "'to_mm' is there twice"),
+        ("kind: catheter\nsource: &a {shape: *a}\n", "the source of shape must be a text"),
     ],
 )
 def test_what_is_no_catheter_is_refused_in_one_sentence(text: str, message: str, tmp_path: Path) -> None:

@@ -208,9 +208,29 @@ def _parsed(text: bytes, path: Path) -> Any:
     fast = getattr(yaml, "CSafeLoader", None)  # not in every build of PyYAML
     loader = (fast if fast is not None and path.parent.parent == PRESETS else yaml.SafeLoader)(text)
     try:
-        return loader.get_single_data()
+        node = loader.get_single_node()
+        _refuse_repeated(node)
+        return None if node is None else loader.construct_document(node)
     finally:
         loader.dispose()
+
+
+def _refuse_repeated(root: yaml.Node | None) -> None:
+    """Refuses with a `ValueError` a key that is there twice, of which YAML's readers take the last."""
+    waiting, seen = [root] if root else [], set()
+    while waiting:
+        node = waiting.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        if isinstance(node, yaml.MappingNode):
+            keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+            for place, key in enumerate(keys):
+                if key in keys[:place]:
+                    raise ValueError(f"the key {_shown(key)} is there twice: leave one of them out")
+            waiting += [value for _, value in node.value]
+        elif isinstance(node, yaml.SequenceNode):
+            waiting += node.value
 
 
 def _base(path: Path, kind: str, name: Any) -> DeviceFile:
