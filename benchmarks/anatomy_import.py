@@ -5,8 +5,9 @@
 Imports every surface (STL, OBJ, PLY, VTP, GLB), every label volume and every folder of one file a vessel, each in a
 process of its own and without any cache. Prints a table and, as its last line, one JSON object:
 {"files": {name: {"ok", "branches", "targets", "problems", "volume_cm3", "build_cpu_s", "grid_mb"}}}, and for each the
-peak memory, the unit and the notes of the import. problems: why it was refused, or what is wrong with its lumen; a way
-counts as open from 0.6 mm of radius on, so that a child's narrowed aorta is no fault. --quick: at most 60 s a file.
+peak memory, the unit, the targets' places in the phantom's frame and the notes of the import. problems: why it was
+refused, or what is wrong with its lumen; a way counts as open from 0.6 mm of radius on, so that a child's narrowed
+aorta is no fault. --quick: at most 60 s a file.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ EMPTY: dict[str, Any] = {
     "ok": False,
     "branches": [],
     "targets": [],
+    "places_mm": {},
     "problems": [],
     "volume_cm3": None,
     "build_cpu_s": None,
@@ -79,6 +81,7 @@ def measure(path: Path, resolution: float, picture: Path | None) -> dict[str, An
     row["ok"] = not row["problems"]
     row["branches"] = [name for name in phantom.tree.names if name != "aorta"]
     row["targets"] = list(phantom.targets)
+    row["places_mm"] = {name: np.round(1e3 * t.position, 2).tolist() for name, t in phantom.targets.items()}
     row["volume_cm3"] = round(len(phantom.grid.inside()) * phantom.grid.spacing**3 * 1e6, 1)
     row["grid_mb"] = round(phantom.grid.nbytes / 1e6, 1)
     row["peak_mb"] = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3)

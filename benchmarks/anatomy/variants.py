@@ -1,28 +1,33 @@
-"""Robustness of imports: a surface as it is, turned, mirrored, in other units, inside out, torn, coarse and fine.
+"""Robustness of imports: an anatomy as it is, turned, mirrored, in other units, inside out, torn, coarse and fine.
 
     python benchmarks/anatomy/variants.py PATH|FOLDER [--variants rotated,mirrored] [--seed N] [--quick]
 
-Every surface (STL, OBJ, PLY, VTP, GLB) at or below the path is imported as it is and in these variants, each in a
-process of its own and without any cache:
+Every surface (STL, OBJ, PLY, VTP, GLB) and every label volume (a NIfTI file or a folder of them) at or below the path
+is imported as it is and in these variants, each in a process of its own and without any cache:
 
-    rotated       turned at random about all axes
+    rotated       turned at random about all axes (labels: by the affine)
     mirrored      left and right exchanged; right if its names are the original's, or a note says that it is a mirror
                   image, or that left and right cannot be told
-    m, cm, mm     written in that unit
-    flipped       normals the other way
-    torn          1 % of its faces missing, drawn at random
+    m, cm, mm     written in that unit (labels: m, micron, mm, as the header says)
+    flipped       normals the other way (labels: voxels stored the other way round)
+    torn          1 % of its faces or labelled voxels missing, drawn at random
     decimated     to 10 % of its faces, by merging vertices in cells: coarser than edge collapses of the same number
-    subdivided    each face in four
+                  (labels: every second voxel along each axis)
+    subdivided    each face in four (labels: each voxel in eight)
 
-A variant is right if its lumen has no problem and its branches are the original's. Prints a table and, as its last
-line, one JSON object: {"files": {name: {"original": row, "variants": {variant: row}}}, "right", "tried"}; rows are
-those of benchmarks/anatomy_import.py, with "right". --quick: the variants mirrored, torn and decimated alone.
+A variant is right if its lumen has no problem, its branches are the original's and the distances between its targets
+are the original's within 5 mm, where both have the same targets. Prints a table and, as its last line, one JSON object:
+{"files": {name: {"original": row, "variants": {variant: row}}}, "right", "tried"}; rows are those of
+benchmarks/anatomy_import.py, with "right" and "moved_mm", the largest change of a distance between two targets.
+--quick: the variants mirrored, torn and decimated alone.
 """
 
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
+import math
 import sys
 import tempfile
 from collections.abc import Callable
@@ -32,12 +37,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.anatomy import volume_variants
 from benchmarks.anatomy_import import SECONDS, anatomies, measure_apart
 from cathsim.anatomy.mesh.parts.vessel_parts import read_parts
 from cathsim.anatomy.mesh.reading import SCENES, SUFFIXES, UNITS
 
 TORN, KEPT = 0.01, 0.1  # shares of the faces that are missing, and that are left
 QUICK = ("mirrored", "torn", "decimated")
+MOVED = 5.0  # mm: largest change of a distance between two targets
 MIRRORED_NOTES = ("mirror image", "left and right cannot be told")
 _MOST_ROUNDS = 24  # halvings of the size of the cells
 
@@ -134,48 +141,68 @@ def write_variant(path: Path, variant: str, unit: str, folder: Path, seed: int) 
     return file
 
 
+def moved(row: dict[str, Any], original: dict[str, Any]) -> float | None:
+    """Largest change of a distance between two targets, mm; None if the targets' names differ."""
+    places, before = row["places_mm"], original["places_mm"]
+    if set(places) != set(before):
+        return None
+    pairs = itertools.combinations(sorted(places), 2)
+    changes = [abs(math.dist(places[a], places[b]) - math.dist(before[a], before[b])) for a, b in pairs]
+    return round(max(changes, default=0.0), 2)
+
+
 def is_right(row: dict[str, Any], original: dict[str, Any], variant: str) -> bool:
     """Whether a variant's lumen is whole and its branches are the original's, or it says that it is mirrored."""
     if not row["ok"]:
         return False
     said = any(words in note for note in row["notes"] for words in MIRRORED_NOTES)
-    return set(row["branches"]) == set(original["branches"]) or (variant == "mirrored" and said)
+    if set(row["branches"]) != set(original["branches"]):
+        return variant == "mirrored" and said
+    off = moved(row, original)
+    return off is not None and off <= MOVED
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("path", type=Path, help="a surface, or a folder of surfaces")
-    parser.add_argument("--variants", default=",".join(VARIANTS), help="some of them, with commas between")
-    parser.add_argument("--seed", type=int, default=0, help="of the rotation and of the missing faces")
+    parser.add_argument("path", type=Path, help="a surface, a label volume, or a folder")
+    parser.add_argument("--variants", help="some of them, with commas between; all unless given")
+    parser.add_argument("--seed", type=int, default=0, help="of the rotation and of what is missing")
     parser.add_argument("--resolution", type=float, default=1.0, help="mm between lattice points")
     parser.add_argument("--quick", action="store_true", help="three variants alone")
     arguments = parser.parse_args()
-    chosen = QUICK if arguments.quick else tuple(arguments.variants.split(","))
-    if unknown := [name for name in chosen if name not in VARIANTS]:
-        sys.exit(f"unknown variant {unknown[0]!r}: choose from {', '.join(VARIANTS)}")
+    every = tuple(dict.fromkeys((*VARIANTS, *volume_variants.VARIANTS)))
+    chosen = QUICK if arguments.quick else tuple(arguments.variants.split(",")) if arguments.variants else every
+    if unknown := [name for name in chosen if name not in every]:
+        sys.exit(f"unknown variant {unknown[0]!r}: choose from {', '.join(every)}")
     if not arguments.path.exists():
-        sys.exit(f"there is no {arguments.path}; give a surface or a folder of surfaces.")
+        sys.exit(f"there is no {arguments.path}; give a surface, a label volume or a folder of them.")
     resolution, files, right, tried = arguments.resolution / 1e3, {}, 0, 0
-    print(f"{'file':28s}{'variant':12s}{'right':>7s}{'CPU s':>8s}  branches")
+    print(f"{'file':28s}{'variant':12s}{'right':>7s}{'CPU s':>8s}{'moved mm':>10s}  branches")
     for name, path in anatomies(arguments.path).items():
-        if path.is_dir() or not path.name.lower().endswith(SUFFIXES):
+        volume = volume_variants.is_volume(path)
+        if not volume and (path.is_dir() or not path.name.lower().endswith(SUFFIXES)):
             continue
+        possible = volume_variants.VARIANTS if volume else VARIANTS
         original = measure_apart(path, resolution, None, SECONDS)
         rows: dict[str, Any] = {}
         files[name] = {"original": original, "variants": rows}
         _print(name, "original", original["ok"], original)
         with tempfile.TemporaryDirectory() as folder:
-            for variant in chosen if original["unit"] else ():
-                file = write_variant(path, variant, original["unit"], Path(folder), arguments.seed)
+            for variant in [v for v in chosen if v in possible] if original["unit"] else ():
+                if volume:
+                    file = volume_variants.write_volume_variant(path, variant, Path(folder), arguments.seed)
+                else:
+                    file = write_variant(path, variant, original["unit"], Path(folder), arguments.seed)
                 row = measure_apart(file, resolution, None, SECONDS)
-                rows[variant] = {"right": is_right(row, original, variant), **row}
+                rows[variant] = {"right": is_right(row, original, variant), "moved_mm": moved(row, original), **row}
                 right, tried = right + rows[variant]["right"], tried + 1
-                _print(name, variant, rows[variant]["right"], row)
+                _print(name, variant, rows[variant]["right"], rows[variant])
     print(json.dumps({"files": files, "right": right, "tried": tried}))
 
 
 def _print(name: str, variant: str, right: bool, row: dict[str, Any]) -> None:
-    print(f"{name[:27]:28s}{variant:12s}{'yes' if right else 'no':>7s}{row['build_cpu_s'] or 0:8.1f}  "
+    print(f"{name[:27]:28s}{variant:12s}{'yes' if right else 'no':>7s}{row['build_cpu_s'] or 0:8.1f}"
+          f"{'-' if row.get('moved_mm') is None else format(row['moved_mm'], '.2f'):>10s}  "
           f"{', '.join(row['branches'])}{'; '.join(row['problems'])}", flush=True)  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.anatomy.volume_variants import write_volume_variant
 from cathsim.anatomy import Phantom, import_anatomy, load_phantom
 from cathsim.anatomy.library import phantom_described, phantom_description
 from cathsim.anatomy.lumen_report import check_lumen
@@ -18,7 +19,7 @@ from cathsim.anatomy.vessel_tree import nearest_on_branch
 from cathsim.anatomy.volume.importer import _volume_notes
 from cathsim.anatomy.volume.rasterising import IDS, rasterise, save_nifti, save_slicer
 
-pytest.importorskip("nibabel", reason="label volumes need nibabel")
+nibabel = pytest.importorskip("nibabel", reason="label volumes need nibabel")
 pytest.importorskip("nrrd", reason="label volumes need pynrrd")
 
 COARSE = 1.5e-3  # m: fast, and as fine as the walls of these arches need
@@ -83,6 +84,7 @@ def test_thick_slices_become_the_arch_they_were_made_of(imported: Phantom, phant
     compare(imported, phantom)
     report = imported.imported
     assert report is not None
+    assert not any("repeat" in note or "heart" in note for note in report.notes)
     assert report.rotation == ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
     voxels, lumen = (sum(pair[n] for pair in report.volumes_ml.values()) for n in (0, 1))
     assert lumen == pytest.approx(voxels, rel=0.03)
@@ -106,6 +108,27 @@ def test_steps_of_slices_are_not_felt(imported: Phantom, phantom: Phantom) -> No
     angle = np.degrees(np.arccos(np.clip((true * mesh.vertex_normals[kept]).sum(axis=1), -1, 1)))
     assert np.median(angle) < 3
     assert np.percentile(angle, 95) < 12  # a staircase of voxels has 45 to 90
+
+
+def test_finer_copies_of_voxels_and_axes_upside_down_give_the_same_vessels(
+    tmp_path: Path, thick: Path, imported: Phantom, cache: Path
+) -> None:
+    fine = write_volume_variant(thick, "subdivided", tmp_path, 0)
+    image = nibabel.load(fine)
+    turned = np.diag([1.0, -1.0, -1.0, 1.0]) @ image.affine  # half a turn about the axis from right to left
+    nibabel.save(nibabel.Nifti1Image(np.asarray(image.dataobj), turned), fine)
+    found = import_anatomy(fine, resolution=COARSE, cache_dir=cache)
+    assert found.imported is not None
+    notes = "; ".join(found.imported.notes)
+    assert "voxels repeat each other" in notes
+    assert "the heart at the other end of the aorta" in notes
+    assert list(found.tree.names) == list(imported.tree.names)
+    for name, target in imported.targets.items():
+        for other in imported.targets.values():
+            apart = np.linalg.norm(found.targets[name].position - found.targets[other.name].position)
+            assert apart == pytest.approx(np.linalg.norm(target.position - other.position), abs=2e-3)
+    ways = {name: found.way_length(name) for name in ("bca", "lsa")}
+    assert ways == pytest.approx({name: imported.way_length(name) for name in ways}, abs=3e-3)
 
 
 def test_an_oblique_volume_in_slicers_format(tmp_path: Path, phantom: Phantom, cache: Path) -> None:

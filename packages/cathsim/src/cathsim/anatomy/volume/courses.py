@@ -19,6 +19,10 @@ from cathsim.anatomy.volume.union import FlatEnd
 
 _INFERIOR = 0.3  # how much a lower place speaks for the descending end, against one further back
 _ACCESS = ("iliac_right", "iliac_left")  # by which a wire comes in, the usual side first
+# Vessels that leave the aorta before, and after, in the order from the heart on: an aberrant RSA may do either.
+_EARLY = ("bca", "rcca", "carotid_trunk", "lcca")
+_LATE = ("lsa", "celiac", "mesenteric", "renal")
+_LEAST_APART = 3e-3  # m along the aorta between them, from which on their order counts
 _AT_TIP = (1.5, 3e-3)  # radii and m before a vessel's tip within which others leave its end
 _FULL = 0.8  # of the usual depth, at which a vessel has its full width
 _LOOK_BACK = (1.0, 6e-3)  # radii and m of the way before a place that say what is usual: more would cut tapering aortas
@@ -54,6 +58,7 @@ class Courses:
     last: int  # of its other end
     tips: dict[int, int] = field(default_factory=dict)  # node of the far end by vessel; none where others go on from it
     forks: dict[int, int] = field(default_factory=dict)  # node where a vessel's daughters part, by vessel
+    against_axes: bool = False  # whether the order of the branches puts the heart where the patient's axes do not
 
     def nodes_of(self, *numbers: int) -> NDArray[np.bool_]:
         """Which nodes (n,) belong to vessels."""
@@ -79,6 +84,7 @@ def find_courses(graph: LumenGraph, which: NDArray[np.uint8], family: Family, os
     numbers = {name: number for number, name in family.names.items()}
     access = next((numbers[name] for name in _ACCESS if name in numbers), None)
     main = [root]
+    against_axes = False
     if access is not None and family.links[access].parent == root:
         # the aorta's end at the take-off is none: the way goes on to the groin
         gaps = [np.linalg.norm(graph.points[node] - ostia[access]) for node in (first, second)]
@@ -90,7 +96,10 @@ def find_courses(graph: LumenGraph, which: NDArray[np.uint8], family: Family, os
     else:
         height = [graph.points[n][2] * _INFERIOR - graph.points[n][1] for n in (first, second)]
         lower, upper = (first, second) if height[0] < height[1] else (second, first)
-    courses = Courses(graph, which, family, main, lower, upper)
+        against_axes = _late_before_early(graph, mine, upper, family, ostia)
+        if against_axes:
+            lower, upper = upper, lower
+    courses = Courses(graph, which, family, main, lower, upper, against_axes=against_axes)
     away = graph.away(lower)
     for number in family.order:
         own = np.flatnonzero((which == number) & np.isfinite(away))
@@ -110,6 +119,20 @@ def find_courses(graph: LumenGraph, which: NDArray[np.uint8], family: Family, os
         else:
             courses.tips[number] = tip
     return courses
+
+
+def _late_before_early(
+    graph: LumenGraph, mine: NDArray[np.bool_], heart: int, family: Family, ostia: dict[int, Array]
+) -> bool:
+    """Whether, seen from an end of the aorta, vessels that leave it late come before those that leave it early."""
+    along = graph.away(heart, mine)
+
+    def mean_place(names: tuple[str, ...]) -> float:
+        found = [n for n, link in family.links.items() if link.parent == family.order[0]]
+        nodes = [graph.nearest(ostia[n], mine) for n in found if family.names[n].startswith(names)]
+        return float(np.mean(along[nodes])) if nodes else float("nan")
+
+    return mean_place(_EARLY) - mean_place(_LATE) > _LEAST_APART  # not so where one of them is missing
 
 
 def _onward(name: str) -> bool:

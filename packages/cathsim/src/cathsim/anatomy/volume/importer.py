@@ -18,6 +18,7 @@ from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 from cathsim.anatomy.vessel_names import vessel_name
 from cathsim.anatomy.volume.files.reading import LabelVolume, file_stem, read_labels, volume_files
+from cathsim.anatomy.volume.files.repeated import join_repeated
 from cathsim.anatomy.volume.label_checks import check_labels
 from cathsim.anatomy.volume.labelled_lumen import LabelledLumen
 from cathsim.anatomy.volume.labels import Labels
@@ -25,7 +26,7 @@ from cathsim.anatomy.volume.single_lumen import lumen_surface_of
 
 logger = logging.getLogger(__name__)
 
-VOLUME_VERSION = 8  # raise it whenever the same volume gives another phantom
+VOLUME_VERSION = 9  # raise it whenever the same volume gives another phantom
 _VOLUME_KEPT = 0.03  # share of a vessel's volume by which the phantom's may differ without a note
 _LEAST_ML = 1.0  # of a vessel whose volume is compared
 
@@ -97,7 +98,7 @@ def _load(
 
 def build_volume_phantom(path: Path, digest: str, labels: Labels, names: Names, resolution: float) -> Phantom:
     """Builds the phantom of a volume without any cache."""
-    volume = read_labels(path, labels)
+    volume = join_repeated(read_labels(path, labels))
     volume = replace(volume, notes=(*volume.notes, *check_labels(volume)))
     if not volume.named:
         return _of_one_piece(volume, file_stem(path), digest, names, resolution)

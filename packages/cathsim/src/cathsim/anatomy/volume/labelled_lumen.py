@@ -12,6 +12,7 @@ from cathsim.anatomy.volume.courses import Courses, Tip, find_courses, flat_end,
 from cathsim.anatomy.volume.family import find_family
 from cathsim.anatomy.volume.files.reading import LabelVolume
 from cathsim.anatomy.volume.lattice import BlockLattice
+from cathsim.anatomy.volume.lost_parts import ways_to_lost
 from cathsim.anatomy.volume.lumen_graph import LumenGraph
 from cathsim.anatomy.volume.smoothing import VesselField
 from cathsim.anatomy.volume.union import FlatEnd, Union, unite
@@ -21,6 +22,7 @@ from cathsim.anatomy.wall.thickness import thicken_between_lumens
 
 _BATCH = 400_000  # nodes worked on at once
 _LEAST_RADIUS, _LEAST_SPACINGS = 1.5e-3, 1.5  # m, and spacings of the lattice, to which vessels are kept open
+_AT_WALL = 1.75e-3  # m from the lumen's nodes, within which voxels belong to it: the smoothed wall leaves some out
 _AT_FACE = 1.5  # spacings, and a voxel, between a vessel's tip and the volume's face that cuts it
 
 Array = NDArray[np.float64]
@@ -61,10 +63,17 @@ class LabelledLumen:
     def build(self) -> tuple[SignedDistanceGrid, RoughVessel, dict[int, str], dict[str, tuple[float, float]]]:
         """The distance grid, the vessels' courses with names by `id()`, and volumes (m^3) in voxels and in the grid."""
         level, which, inside = self.level()
+        if self.rejoin(inside):
+            level, which, inside = self.level()
         rows = np.flatnonzero(inside)
         depth = np.zeros_like(level)
         depth[rows] = signed_distance(self.lattice, level, rows)
         courses = self.courses(depth, which, inside)
+        if courses.against_axes:
+            self.notes.append(
+                "the branches' order puts the heart at the other end of the aorta than the file's axes of the patient: "
+                "the order counts; check the axes"
+            )
         self.open_narrow(courses)
         first, ends, cut = self.flatten(courses)
         self.notes += [f"{name} is cut off by the volume's edge" for name in cut]
@@ -133,15 +142,62 @@ class LabelledLumen:
         graph = LumenGraph.of(self.lattice, depth, inside)
         return find_courses(graph, which[graph.rows], self.family, self.ostia())
 
+    @property
+    def least(self) -> float:
+        """m, the radius to which vessels are kept open."""
+        return max(_LEAST_RADIUS, _LEAST_SPACINGS * self.lattice.spacing)
+
+    def rejoin(self, inside: NDArray[np.bool_]) -> bool:
+        """Opens the way to parts of vessels that smoothing has parted from the rest; whether there are any."""
+        any_lost = False
+        for number in self.family.order:
+            mask = self.box == number
+            ways = ways_to_lost(mask, self._in_lumen(mask, inside), self.volume.spacing)
+            if not ways:
+                continue
+            any_lost = True
+            self._open(number, np.concatenate(ways))
+            self.notes.append(
+                f"{self.family.names[number]} is kept open to {1e3 * self.least:.1f} mm of radius where its labels "
+                "hang together by a thin step only"
+            )
+        return any_lost
+
+    def _in_lumen(self, mask: NDArray[np.bool_], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Which voxels (nx, ny, nz) of a vessel lie in the lumen, or at its wall."""
+        from scipy.spatial import cKDTree
+
+        voxels = np.argwhere(mask)
+        points = self.to_patient(voxels * self.volume.spacing)
+        rows = self.lattice.number(np.rint((points - self.lattice.origin) / self.lattice.spacing).astype(np.int64))
+        near = (rows >= 0) & inside[rows]
+        rest = np.flatnonzero(~near)
+        if len(rest):
+            low, high = points[rest].min(axis=0) - _AT_WALL, points[rest].max(axis=0) + _AT_WALL
+            lumen = self.lattice.points(self.lattice.nodes[inside])
+            lumen = lumen[((lumen >= low) & (lumen <= high)).all(axis=1)]
+            if len(lumen):
+                away, _ = cKDTree(lumen).query(points[rest], distance_upper_bound=_AT_WALL)
+                near[rest] = np.isfinite(away)
+        found = np.zeros_like(mask)
+        found[tuple(voxels[near].T)] = True
+        return found
+
+    def _open(self, number: int, places: Array) -> None:
+        """Keeps a vessel open about places (n, 3) m of the box's axes."""
+        self.union.channel = self.least
+        before = self.union.channels.get(number, np.empty((0, 3)))
+        self.union.channels[number] = np.concatenate([before, places])
+
     def open_narrow(self, courses: Courses) -> None:
         """Keeps vessels open where coarse voxels or closed gaps leave them narrower than a wire needs."""
-        self.union.channel = least = max(_LEAST_RADIUS, _LEAST_SPACINGS * self.lattice.spacing)
+        least = self.least
         ostia = self.ostia()
         for number, tip in {**courses.tips, **courses.forks}.items():
             begin = courses.graph.nearest(ostia[number], courses.which == number)
             places, depth = narrow_places(courses, number, begin, tip, least)
             if len(places):
-                self.union.channels[number] = self.to_box(places)
+                self._open(number, self.to_box(places))
                 self.notes.append(
                     f"{self.family.names[number]} is kept open to {1e3 * least:.1f} mm of radius where the labels "
                     "leave "

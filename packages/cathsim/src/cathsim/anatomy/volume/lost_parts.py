@@ -1,0 +1,78 @@
+"""Parts of a vessel that its smoothed wall has parted from the rest, though its labels are in one piece."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+_LEAST_SHARE = 0.03  # of a vessel's voxels, from which on a part counts as lost
+_AROUND = 8e-3  # m about a lost part in which its way to the rest is looked for
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+def ways_to_lost(mask: Mask, kept: Mask, spacing: Array) -> list[Array]:
+    """Ways along a vessel's middle from what is kept of it to the far end of each part that is lost.
+
+    Args:
+        mask: (nx, ny, nz) the vessel's voxels in a box.
+        kept: (nx, ny, nz) those of them that lie in the lumen.
+        spacing: (3,) m between voxels.
+
+    Returns:
+        For each part that is lost and hangs together with the rest by its voxels: (n, 3) m, middles of voxels in the
+        axes of the box.
+    """
+    from scipy.ndimage import label
+
+    parts, count = label(mask & ~kept, structure=np.ones((3, 3, 3)))
+    sizes = np.bincount(parts.ravel(), minlength=count + 1)
+    least = _LEAST_SHARE * np.count_nonzero(mask)
+    ways = []
+    for number in [n for n in range(1, count + 1) if sizes[n] >= least]:
+        places = np.argwhere(parts == number)
+        around = np.ceil(_AROUND / spacing).astype(int)
+        low = np.maximum(places.min(axis=0) - around, 0)
+        high = places.max(axis=0) + around + 1
+        window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+        way = _way(mask[window], kept[window], parts[window] == number, spacing)
+        if way is not None:
+            ways.append((way + low) * spacing)
+    return ways
+
+
+def _way(mask: Mask, kept: Mask, lost: Mask, spacing: Array) -> NDArray[np.int64] | None:
+    """Voxels (n, 3) from what is kept to the farthest of a lost part; None where no way leads there."""
+    from scipy.ndimage import distance_transform_edt
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.csgraph import dijkstra
+
+    depth = distance_transform_edt(np.pad(mask, 1), spacing)[1:-1, 1:-1, 1:-1]
+    voxels = np.argwhere(mask)
+    place = np.full(tuple(n + 2 for n in mask.shape), -1, dtype=np.int64)
+    place[tuple((voxels + 1).T)] = np.arange(len(voxels))
+    dear = (float(spacing.min()) / depth[tuple(voxels.T)]) ** 2
+    pairs, costs = [], []
+    for step in [s for s in np.ndindex(3, 3, 3) if s > (1, 1, 1)]:
+        other = place[tuple((voxels + np.array(step)).T)]
+        near = np.flatnonzero(other >= 0)
+        pairs.append(np.stack([near, other[near]], axis=1))
+        length = np.linalg.norm((np.array(step) - 1) * spacing)
+        costs.append(length * (dear[near] + dear[other[near]]))
+    first, second = np.concatenate(pairs).T
+    graph = csr_matrix((np.concatenate(costs), (first, second)), shape=(len(voxels),) * 2)
+    ours, theirs = kept[tuple(voxels.T)], np.flatnonzero(lost[tuple(voxels.T)])
+    if not ours.any():
+        return None
+    away, before, _ = dijkstra(
+        graph, directed=False, indices=np.flatnonzero(ours), return_predecessors=True, min_only=True
+    )
+    reached = theirs[np.isfinite(away[theirs])]
+    if len(reached) == 0:
+        return None
+    way = [int(reached[np.argmax(away[reached])])]
+    while before[way[-1]] >= 0:
+        way.append(int(before[way[-1]]))
+    found: NDArray[np.int64] = voxels[way[::-1]]
+    return found
