@@ -32,12 +32,13 @@ class Case:
     operator: str
     target: str
     seed: int
+    blood: str | None = None  # "steady" or "pulsatile": its drag on the devices, and on the load cell
 
     def environment(self, observation: str | Sequence[str] = "tip", **arguments: Any) -> NavigateEnv:
         """The environment, with further arguments of its own."""
         wire = load_guidewire("default", friction=self.friction)
         catheter = None if self.device == WIRE else load_catheter(self.device, friction=self.friction)
-        arguments = {"wire": wire, "catheter": catheter, "max_steps": MOST_STEPS, **arguments}
+        arguments = {"wire": wire, "catheter": catheter, "max_steps": MOST_STEPS, "blood": self.blood, **arguments}
         return NavigateEnv(PHANTOM, self.target, observation=observation, **arguments)
 
     def generator(self) -> np.random.Generator:

@@ -1,7 +1,7 @@
 """What a load cell under the phantom reads, by device, friction, operator and target, beside a measured distribution.
 
     python benchmarks/forces/table.py [--quick] [--seeds N] [--frictions A,B] [--devices A,B] [--policies A,B]
-                                      [--json FILE] [--png FILE]
+                                      [--blood steady|pulsatile] [--json FILE] [--png FILE]
 
 Episodes in Type I to within 8 mm of the target, at most 300 steps; nothing is fitted. Of every control step: the
 reading of the load cell (ATI Mini40, SI-20-1, low-pass of 2 Hz), the mean sum of the contacts' magnitudes, and the
@@ -33,6 +33,7 @@ from benchmarks.forces.episodes import TARGETS, USUAL_FRICTION, WIRE, Case, Epis
 from benchmarks.forces.operators import OPERATORS, TrainedOperator
 from benchmarks.forces.picture import QUANTITIES, REAL_MEAN, REAL_SD, draw
 from cathsim import load_catheter
+from cathsim.blood.flow import FLOWS
 
 Array = NDArray[np.float64]
 Combination = tuple[str, float, str, int]  # device, friction, target, seed
@@ -104,18 +105,18 @@ def print_rows(rows: Sequence[dict[str, Any]], keys: Sequence[str]) -> None:
         print("| " + " | ".join([*cells, f"{row['above_real_mean_pct']:.1f}"]) + " |")
 
 
-def untrained(combinations: Iterable[Combination]) -> Iterator[Episode]:
+def untrained(combinations: Iterable[Combination], blood: str | None) -> Iterator[Episode]:
     """Episodes of all operators that need no training, by device, friction, target and seed."""
     for device, friction, target, seed in combinations:
         for name, operator in OPERATORS.items():
-            yield run_episode(Case(device, friction, name, target, seed), operator)
+            yield run_episode(Case(device, friction, name, target, seed, blood), operator)
 
 
-def of_policies(combinations: Iterable[Combination], sources: Sequence[str]) -> Iterator[Episode]:
+def of_policies(combinations: Iterable[Combination], sources: Sequence[str], blood: str | None) -> Iterator[Episode]:
     """Episodes of trained policies, each with the devices and towards the targets that it fits."""
     for operator in map(TrainedOperator, sources):
         for device, friction, target, seed in combinations:
-            case = Case(device, friction, operator.name, target, seed)
+            case = Case(device, friction, operator.name, target, seed, blood)
             if operator.fits(case):
                 yield run_episode(case, operator, operator.observation)
 
@@ -130,6 +131,7 @@ def main() -> None:
     parser.add_argument(
         "--policies", default="", help="files of trained ones or names of shipped ones, with commas between"
     )
+    parser.add_argument("--blood", choices=tuple(FLOWS), help="a flow that drags the devices along")
     parser.add_argument("--json", type=Path, help="file for the JSON object")
     parser.add_argument("--png", type=Path, help="file for the figure")
     arguments = parser.parse_args()
@@ -147,11 +149,11 @@ def main() -> None:
             parser.error(str(error))
     targets = TARGETS[: 1 if arguments.quick else None]
     combinations = list(itertools.product(devices, frictions, targets, range(seeds)))
-    episodes = list(untrained(combinations))
+    episodes = list(untrained(combinations, arguments.blood))
     if arguments.policies:
-        episodes += of_policies(combinations, arguments.policies.split(","))
+        episodes += of_policies(combinations, arguments.policies.split(","), arguments.blood)
     episodes.sort(key=lambda one: devices.index(one.case.device))
-    result: dict[str, Any] = {"real": [REAL_MEAN, REAL_SD], "seeds": seeds}
+    result: dict[str, Any] = {"real": [REAL_MEAN, REAL_SD], "seeds": seeds, "blood": arguments.blood}
     for title, keys in TABLES.items():
         result[title] = summarise(episodes, keys)
         print(f"\n{title.replace('_', ' ')}, N, mean ± SD [interval of the mean]")
