@@ -21,9 +21,11 @@ of the NIfTI file PATH, are written with one fault each and imported in a proces
     bridge         a bar of two voxels between neighbouring branches
     holes          twelve hollow balls of at most 4 mm of radius within the vessels, 1.5 mm from the wall at least
     left_handed    axes stored from right to left, values as floating-point numbers
+    copied         every second voxel along each axis, copied to voxels of 1.1 mm (the nearest one's label)
 
-A row is right if the lumen has no problem, all vessels are found by their names and no others, and every target lies
-within 3 mm of the vessel's true centreline, and there is no wall within half of the aorta's radius or a quarter of
+A row is right if the lumen has no problem, all vessels are found by their names and no others, every target lies
+within 3 mm of the vessel's true centreline, no vessel ends 8 mm and a tenth of its length before its labels do, and
+there is no wall within half of the aorta's radius or a quarter of
 another vessel's. Last line: one JSON object {"rows": {case: {...}}, "right", "tried"}.
 """
 
@@ -57,11 +59,13 @@ from benchmarks.anatomy.fault_cases import (
 from cathsim.anatomy import MeshRefusedError, import_anatomy, load_phantom
 from cathsim.anatomy.generator.recipe import RANDOM, SCAN
 from cathsim.anatomy.lumen_report import check_lumen
-from cathsim.anatomy.vessel_tree import VesselTree, nearest_on_branch
+from cathsim.anatomy.vessel_tree import Branch, VesselTree, nearest_on_branch
 from cathsim.anatomy.volume.rasterising import rasterise, save_nifti
 
 SPACING = (0.8e-3, 0.8e-3, 1.5e-3)  # m
 VEIN = 250  # a label without a name
+COPIED = 1.1e-3  # m between voxels to which coarser ones are copied
+EARLY = (8e-3, 0.1)  # m and share of a vessel's length by which it may end before its labels
 FEW = 300  # voxels (of 1 mm^3 about): a vessel of which less is left need not be found
 
 Array = NDArray[np.float64]
@@ -232,6 +236,16 @@ def left_handed(drawn: Drawn, generator: np.random.Generator) -> None:
     drawn.affine = drawn.affine @ flip
 
 
+def copied(drawn: Drawn, generator: np.random.Generator) -> None:
+    coarse = drawn.labels[::2, ::2, ::2]
+    ratio = COPIED / (2 * drawn.spacing)  # coarse voxels a new one
+    shape = np.floor(np.array(coarse.shape) / ratio).astype(int)
+    drawn.labels = ndimage.affine_transform(coarse, np.diag(ratio), (ratio - 1) / 2, tuple(shape), order=0)
+    step = np.diag([*(2 * ratio), 1.0])
+    step[:3, 3] = ratio - 1
+    drawn.affine = drawn.affine @ step
+
+
 FAULTS: dict[str, Fault] = {
     fault.__name__: fault
     for fault in (
@@ -251,6 +265,7 @@ FAULTS: dict[str, Fault] = {
         bridge,
         holes,
         left_handed,
+        copied,
     )
 }
 
@@ -304,6 +319,8 @@ def judge(path: Path, drawn: Drawn) -> dict[str, Any]:
         if branch.name not in found.tree:
             continue
         _, arc, _ = nearest_on_branch(branch, found.tree[branch.name].points - offset)
+        if (early := _labelled_end(drawn, branch) - arc.max()) > EARLY[0] + EARLY[1] * branch.length:
+            problems.append(f"{branch.name} ends {1e3 * early:.0f} mm before its labels")
         first, last = max(0.1 * branch.length, arc[0]), min(0.9 * branch.length, arc[-1] - 5e-3)
         if last <= first:  # a stump of which no stretch is away from both ends
             continue
@@ -314,6 +331,16 @@ def judge(path: Path, drawn: Drawn) -> dict[str, Any]:
         if blocked.mean() > BLOCKED:
             problems.append(f"{branch.name}: {100 * blocked.mean():.1f} % of its inside is wall")
     return {"right": not problems, "problems": problems, "notes": list(found.imported.notes)}
+
+
+def _labelled_end(drawn: Drawn, branch: Branch) -> float:
+    """Arc length (m) up to which a vessel's labels reach along it."""
+    voxels = np.argwhere(drawn.labels == drawn.numbers.get(branch.name, 0)) if branch.name in drawn.numbers else []
+    if len(voxels) < FEW or branch.parent is None:
+        return 0.0
+    places = 1e-3 * (voxels @ drawn.affine[:3, :3].T + drawn.affine[:3, 3]) * [-1.0, -1.0, 1.0] + drawn.offset
+    _, arc, away = nearest_on_branch(branch, places)
+    return float(np.percentile(arc[away < 2 * branch.radius_at(arc)], 98))
 
 
 def run_case(source: str, fault: str, seed: int, setting: str) -> dict[str, Any]:

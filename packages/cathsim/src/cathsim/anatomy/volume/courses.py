@@ -22,6 +22,7 @@ _ACCESS = ("iliac_right", "iliac_left")  # by which a wire comes in, the usual s
 # Vessels that leave the aorta before, and after, in the order from the heart on: an aberrant RSA may do either.
 _EARLY = ("bca", "rcca", "carotid_trunk", "lcca")
 _LATE = ("lsa", "celiac", "mesenteric", "renal")
+_WHOLE = 0.98  # share of a vessel's nodes that hang together by themselves
 _LEAST_APART = 3e-3  # m along the aorta between them, from which on their order counts
 _AT_TIP = (1.5, 3e-3)  # radii and m before a vessel's tip within which others leave its end
 _FULL = 0.8  # of the usual depth, at which a vessel has its full width
@@ -78,9 +79,7 @@ def find_courses(graph: LumenGraph, which: NDArray[np.uint8], family: Family, os
     """
     root = family.order[0]
     mine = which == root
-    seed = int(np.flatnonzero(mine)[np.argmax(graph.depth[mine])])
-    first = _farthest(graph.away(seed, mine))
-    second = _farthest(graph.away(first, mine))
+    first, second = _far_ends(graph, mine)
     numbers = {name: number for number, name in family.names.items()}
     access = next((numbers[name] for name in _ACCESS if name in numbers), None)
     main = [root]
@@ -137,6 +136,24 @@ def _late_before_early(
 
 def _onward(name: str) -> bool:
     return name.startswith(("external_iliac", "femoral"))
+
+
+def _far_ends(graph: LumenGraph, mine: NDArray[np.bool_]) -> tuple[int, int]:
+    """The two nodes of a vessel that lie farthest from each other, along the lumen.
+
+    Where a branch is as wide as its parent, as at a coarctation, the branch's nodes can part the parent's: the way then
+    leads through them.
+    """
+    seed = int(np.flatnonzero(mine)[np.argmax(graph.depth[mine])])
+    within: NDArray[np.bool_] | None = mine
+    if np.isfinite(graph.away(seed, mine)[mine]).mean() < _WHOLE:
+        within = None
+
+    def farthest(start: int) -> int:
+        return _farthest(np.where(mine, graph.away(start, within), np.inf))
+
+    first = farthest(seed)
+    return first, farthest(first)
 
 
 def _farthest(away: Array) -> int:
