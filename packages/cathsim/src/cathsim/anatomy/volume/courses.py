@@ -114,7 +114,7 @@ def find_courses(graph: LumenGraph, which: NDArray[np.uint8], family: Family, os
         ]
         if at_tip:
             middle = np.mean([ostia[n] for n in at_tip], axis=0)
-            courses.forks[number] = graph.nearest(middle, which == number)
+            courses.forks[number] = graph.nearest(middle)
         else:
             courses.tips[number] = tip
     return courses
