@@ -29,11 +29,14 @@ def test_a_way_leads_over_the_step_to_the_far_end() -> None:
     assert np.abs(np.diff(voxels, axis=0)).max() == 1
 
 
-@pytest.mark.parametrize("case", ["all kept", "a few voxels", "nothing touches"])
+@pytest.mark.parametrize("case", ["all kept", "a few voxels", "a bar", "nothing touches"])
 def test_no_way_where_nothing_is_lost_or_nothing_hangs_together(case: str) -> None:
     mask, kept = two_slabs(apart=2 if case == "nothing touches" else 0)
     if case == "all kept":
         kept = mask
+    if case == "a bar":
+        mask[29:, 3:9, 5:8] = False
+        mask[25:55, 5, 5:7] = True
     if case == "a few voxels":
         kept = mask.copy()
         kept[54, 3:9, 5:8] = False

@@ -25,6 +25,7 @@ _LATE = ("lsa", "celiac", "mesenteric", "renal")
 _WHOLE = 0.98  # share of a vessel's nodes that hang together by themselves
 _LEAST_APART = 3e-3  # m along the aorta between them, from which on their order counts
 _AT_TIP = (1.5, 3e-3)  # radii and m before a vessel's tip within which others leave its end
+_THIN = (0.55, 1.6e-3)  # of a vessel's radius, and m: what is narrower, for longer than _AT_TIP, is no end of it
 _FULL = 0.8  # of the usual depth, at which a vessel has its full width
 _LOOK_BACK = (1.0, 6e-3)  # radii and m of the way before a place that say what is usual: more would cut tapering aortas
 _HALF_SECTION = 0.5  # of the section's area, where a rounded end is cut flat
@@ -59,6 +60,7 @@ class Courses:
     last: int  # of its other end
     tips: dict[int, int] = field(default_factory=dict)  # node of the far end by vessel; none where others go on from it
     forks: dict[int, int] = field(default_factory=dict)  # node where a vessel's daughters part, by vessel
+    thin: dict[int, float] = field(default_factory=dict)  # m of a thin stretch beyond a vessel's tip, by vessel
     against_axes: bool = False  # whether the order of the branches puts the heart where the patient's axes do not
 
     def nodes_of(self, *numbers: int) -> NDArray[np.bool_]:
@@ -104,9 +106,11 @@ def find_courses(graph: LumenGraph, which: NDArray[np.uint8], family: Family, os
         own = np.flatnonzero((which == number) & np.isfinite(away))
         if number in main or len(own) == 0:
             continue
-        tip = int(own[np.argmax(away[own])])
         radius = float(np.quantile(graph.depth[own], 0.95))
         reach = _AT_TIP[0] * radius + _AT_TIP[1]
+        tip, thin = _tip(graph, own, away, radius, reach)
+        if thin > 0:
+            courses.thin[number] = thin
         at_tip = [
             n
             for n in courses.children(number)
@@ -136,6 +140,23 @@ def _late_before_early(
 
 def _onward(name: str) -> bool:
     return name.startswith(("external_iliac", "femoral"))
+
+
+def _tip(graph: LumenGraph, own: NDArray[np.int64], away: Array, radius: float, reach: float) -> tuple[int, float]:
+    """The node of a vessel that lies farthest along the lumen, and the length (m) of what is too thin to be its end.
+
+    A bar of a voxel or two, which labels have between vessels, can reach further than the vessel does.
+    """
+    tip = int(own[np.argmax(away[own])])
+    full = own[graph.depth[own] >= min(_THIN[0] * radius, _THIN[1])]
+    if len(full) == 0:
+        return tip, 0.0
+    body = int(full[np.argmax(away[full])])
+    if np.linalg.norm(graph.points[tip] - graph.points[body]) <= reach:
+        return tip, 0.0
+    near = own[np.linalg.norm(graph.points[own] - graph.points[body], axis=1) <= radius]
+    end = int(near[np.argmax(away[near])])
+    return end, float(away[tip] - away[end])
 
 
 def _far_ends(graph: LumenGraph, mine: NDArray[np.bool_]) -> tuple[int, int]:

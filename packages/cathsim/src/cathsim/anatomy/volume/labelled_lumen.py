@@ -74,6 +74,11 @@ class LabelledLumen:
                 "the branches' order puts the heart at the other end of the aorta than the file's axes of the patient: "
                 "the order counts; check the axes"
             )
+        self.notes += [
+            f"{self.family.names[number]} ends where {1e3 * length:.0f} mm of it begin that are thin as a bridge to "
+            "another vessel is"
+            for number, length in courses.thin.items()
+        ]
         self.open_narrow(courses)
         first, ends, cut = self.flatten(courses)
         self.notes += [f"{name} is cut off by the volume's edge" for name in cut]

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _LEAST_SHARE = 0.03  # of a vessel's voxels, from which on a part counts as lost
+_LEAST_DEPTH = 0.6  # of the vessel's usual depth, likewise: a bar between two vessels is thinner
+_USUAL = 0.98  # quantile of the depths of a vessel's voxels
 _AROUND = 8e-3  # m about a lost part in which its way to the rest is looked for
 
 Array = NDArray[np.float64]
@@ -24,33 +26,37 @@ def ways_to_lost(mask: Mask, kept: Mask, spacing: Array) -> list[Array]:
         For each part that is lost and hangs together with the rest by its voxels: (n, 3) m, middles of voxels in the
         axes of the box.
     """
-    from scipy.ndimage import label
+    from scipy.ndimage import distance_transform_edt, label
 
     parts, count = label(mask & ~kept, structure=np.ones((3, 3, 3)))
     sizes = np.bincount(parts.ravel(), minlength=count + 1)
-    least = _LEAST_SHARE * np.count_nonzero(mask)
+    large = [n for n in range(1, count + 1) if sizes[n] >= _LEAST_SHARE * np.count_nonzero(mask)]
+    if not large:
+        return []
+    depth = distance_transform_edt(np.pad(mask, 1), spacing)[1:-1, 1:-1, 1:-1]
+    usual = float(np.quantile(depth[mask], _USUAL))
     ways = []
-    for number in [n for n in range(1, count + 1) if sizes[n] >= least]:
+    for number in large:
         places = np.argwhere(parts == number)
+        if float(depth[tuple(places.T)].max()) < _LEAST_DEPTH * usual:
+            continue
         around = np.ceil(_AROUND / spacing).astype(int)
         low = np.maximum(places.min(axis=0) - around, 0)
         high = places.max(axis=0) + around + 1
         window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-        way = _way(mask[window], kept[window], parts[window] == number, spacing)
+        way = _way(depth[window], kept[window], parts[window] == number, spacing)
         if way is not None:
             ways.append((way + low) * spacing)
     return ways
 
 
-def _way(mask: Mask, kept: Mask, lost: Mask, spacing: Array) -> NDArray[np.int64] | None:
+def _way(depth: Array, kept: Mask, lost: Mask, spacing: Array) -> NDArray[np.int64] | None:
     """Voxels (n, 3) from what is kept to the farthest of a lost part; None where no way leads there."""
-    from scipy.ndimage import distance_transform_edt
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import dijkstra
 
-    depth = distance_transform_edt(np.pad(mask, 1), spacing)[1:-1, 1:-1, 1:-1]
-    voxels = np.argwhere(mask)
-    place = np.full(tuple(n + 2 for n in mask.shape), -1, dtype=np.int64)
+    voxels = np.argwhere(depth > 0)
+    place = np.full(tuple(n + 2 for n in depth.shape), -1, dtype=np.int64)
     place[tuple((voxels + 1).T)] = np.arange(len(voxels))
     dear = (float(spacing.min()) / depth[tuple(voxels.T)]) ** 2
     pairs, costs = [], []
