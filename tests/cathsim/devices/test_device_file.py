@@ -65,6 +65,8 @@ length_mm: 650
     assert (five.outer_diameter, five.friction, five.length) == (0.0017, 0.09, 0.65)
     with pytest.raises(ValueError, match="not made in 6F: it has 5F, 7F"):
         load_catheter(path, french=6)
+    with pytest.raises(ValueError, match="french must be a whole number, got '5'"):
+        load_catheter(path, french="5")  # type: ignore[arg-type]
 
 
 def test_a_wire_of_ones_own_is_loaded(tmp_path: Path) -> None:

@@ -93,7 +93,9 @@ class DeviceFile:
         if not self.sizes and french is None:
             return self.fields
         size = self.default_french if french is None else french
-        if isinstance(size, bool) or not isinstance(size, int) or size not in self.sizes:
+        if isinstance(size, bool) or not isinstance(size, int):
+            raise ValueError(f"french must be a whole number, got {size!r}")
+        if size not in self.sizes:
             sizes = ", ".join(f"{one}F" for one in self.sizes) or "no sizes"
             raise ValueError(f"the {self.kind} '{self.name}' is not made in {size}F: it has {sizes}")
         return self.sizes[size]
