@@ -128,7 +128,7 @@ def _late_before_early(
     graph: LumenGraph, mine: NDArray[np.bool_], heart: int, family: Family, ostia: dict[int, Array]
 ) -> bool:
     """Whether, seen from an end of the aorta, vessels that leave it late come before those that leave it early."""
-    along = graph.away(heart, mine)
+    along = graph.away(heart)
 
     def mean_place(names: tuple[str, ...]) -> float:
         found = [n for n, link in family.links.items() if link.parent == family.order[0]]

@@ -22,7 +22,8 @@ from cathsim.anatomy.wall.thickness import thicken_between_lumens
 
 _BATCH = 400_000  # nodes worked on at once
 _LEAST_RADIUS, _LEAST_SPACINGS = 1.5e-3, 1.5  # m, and spacings of the lattice, to which vessels are kept open
-_AT_WALL = 1.75e-3  # m from the lumen's nodes, within which voxels belong to it: the smoothed wall leaves some out
+# m, and spacings of the lattice, from the lumen's nodes within which voxels belong to it: smoothing leaves some out
+_AT_WALL, _AT_WALL_SPACINGS = 1.75e-3, 1.2
 _AT_FACE = 1.5  # spacings, and a voxel, between a vessel's tip and the volume's face that cuts it
 
 Array = NDArray[np.float64]
@@ -178,11 +179,12 @@ class LabelledLumen:
         near = (rows >= 0) & inside[rows]
         rest = np.flatnonzero(~near)
         if len(rest):
-            low, high = points[rest].min(axis=0) - _AT_WALL, points[rest].max(axis=0) + _AT_WALL
+            reach = max(_AT_WALL, _AT_WALL_SPACINGS * self.lattice.spacing)
+            low, high = points[rest].min(axis=0) - reach, points[rest].max(axis=0) + reach
             lumen = self.lattice.points(self.lattice.nodes[inside])
             lumen = lumen[((lumen >= low) & (lumen <= high)).all(axis=1)]
             if len(lumen):
-                away, _ = cKDTree(lumen).query(points[rest], distance_upper_bound=_AT_WALL)
+                away, _ = cKDTree(lumen).query(points[rest], distance_upper_bound=reach)
                 near[rest] = np.isfinite(away)
         found = np.zeros_like(mask)
         found[tuple(voxels[near].T)] = True
