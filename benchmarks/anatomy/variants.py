@@ -38,11 +38,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.anatomy import volume_variants
+from benchmarks.anatomy.volume_variants import TORN
 from benchmarks.anatomy_import import SECONDS, anatomies, measure_apart
 from cathsim.anatomy.mesh.parts.vessel_parts import read_parts
 from cathsim.anatomy.mesh.reading import SCENES, SUFFIXES, UNITS
 
-TORN, KEPT = 0.01, 0.1  # shares of the faces that are missing, and that are left
+KEPT = 0.1  # share of the faces that is left
 QUICK = ("mirrored", "torn", "decimated")
 MOVED = 5.0  # mm: largest change of a distance between two targets
 MIRRORED_NOTES = ("mirror image", "left and right cannot be told")

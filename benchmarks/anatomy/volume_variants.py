@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.volume.files.nifti import SUFFIXES
 from cathsim.anatomy.volume.files.reading import volume_files
 
-TORN = 0.01  # share of the labelled voxels that is missing
+TORN = 0.01  # share of the labelled voxels, or of a surface's faces, that is missing
 HEADER_UNITS = {"m": ("meter", 1e-3), "micron": ("micron", 1e3), "mm": ("mm", 1.0)}  # name, and how many in one mm
 
 Labels = NDArray[Any]

@@ -10,6 +10,7 @@ import pytest
 
 from cathsim.anatomy.volume import courses
 from cathsim.anatomy.volume.family import Family
+from cathsim.anatomy.volume.lumen_graph import LumenGraph
 
 
 def test_a_stub_that_ends_where_it_begins_has_no_narrow_places(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -34,3 +35,15 @@ def test_a_bar_to_another_vessel_is_not_a_vessels_end(bar: bool) -> None:
     tip, thin = courses._tip(cast(Any, graph), np.arange(len(up)), away, 3e-3, 7.5e-3)
     assert tip == 59
     assert thin == pytest.approx(15e-3 if bar else 0.0)
+
+
+def test_an_aorta_that_a_branch_parts_keeps_both_its_ends() -> None:
+    points = np.arange(41)[:, None] * [0.0, 0.0, 1e-3]
+    pairs = np.stack([np.arange(40), np.arange(1, 41)], axis=1)
+    depth = np.full(41, 5e-3)
+    depth[5] = 9e-3
+    graph = LumenGraph(points, depth, np.arange(41), pairs, np.full(40, 1e-3), 1e-3)
+    mine = np.ones(41, dtype=np.bool_)
+    assert set(courses._far_ends(graph, mine)) == {0, 40}
+    mine[18:23] = False  # the nodes of a branch as wide as the aorta is there
+    assert set(courses._far_ends(graph, mine)) == {0, 40}
