@@ -102,10 +102,10 @@ def main() -> None:
 def leave_walls(cache: str) -> None:
     """Anatomies are imported with walls as thin as they are segmented."""
     from cathsim.anatomy.mesh import surface_import
-    from cathsim.anatomy.volume import labelled_lumen
+    from cathsim.anatomy.volume.lumen import labelled
 
     os.environ["CATHSIM_CACHE"] = cache
-    for module in (surface_import, labelled_lumen):
+    for module in (surface_import, labelled):
         module.thicken_between_lumens = lambda grid: grid  # type: ignore[attr-defined]
 
 

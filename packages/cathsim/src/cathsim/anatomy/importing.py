@@ -14,7 +14,7 @@ from cathsim.anatomy.mesh.surface_import import Names
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.volume.files.reading import is_volume_path
 from cathsim.anatomy.volume.importer import import_volume, volume_digest
-from cathsim.anatomy.volume.labels import Labels
+from cathsim.anatomy.volume.labels.choice import Labels
 
 
 def is_anatomy_path(name: str) -> bool:

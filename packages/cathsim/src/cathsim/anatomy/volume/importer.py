@@ -19,10 +19,10 @@ from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 from cathsim.anatomy.vessel_names import vessel_name
 from cathsim.anatomy.volume.files.reading import LabelVolume, file_stem, read_labels, volume_files
 from cathsim.anatomy.volume.files.repeated import join_repeated
-from cathsim.anatomy.volume.label_checks import check_labels
-from cathsim.anatomy.volume.labelled_lumen import LabelledLumen
-from cathsim.anatomy.volume.labels import Labels
-from cathsim.anatomy.volume.single_lumen import lumen_surface_of
+from cathsim.anatomy.volume.labels.checks import check_labels
+from cathsim.anatomy.volume.labels.choice import Labels
+from cathsim.anatomy.volume.lumen.labelled import LabelledLumen
+from cathsim.anatomy.volume.lumen.single import lumen_surface_of
 
 logger = logging.getLogger(__name__)
 

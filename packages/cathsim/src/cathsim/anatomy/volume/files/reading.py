@@ -15,8 +15,8 @@ from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import AORTA, vessel_name
 from cathsim.anatomy.volume.files import nifti, nrrd_file
 from cathsim.anatomy.volume.files.source import VolumeSource
-from cathsim.anatomy.volume.labels import Key, LabelChoice, Labels, choose_labels
-from cathsim.anatomy.volume.scheme_check import CELL, misfit
+from cathsim.anatomy.volume.labels.choice import Key, LabelChoice, Labels, choose_labels
+from cathsim.anatomy.volume.labels.scheme_check import CELL, misfit
 
 SUFFIXES = (*nifti.SUFFIXES, *nrrd_file.SUFFIXES)
 _MOST_LITRES = 5.0  # of all vessels together

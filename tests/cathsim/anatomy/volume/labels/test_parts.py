@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cathsim.anatomy.volume.family import find_family
-from cathsim.anatomy.volume.label_parts import clean_parts, led_on
+from cathsim.anatomy.volume.labels.family import find_family
+from cathsim.anatomy.volume.labels.parts import clean_parts, led_on
 
 SPACING = np.full(3, 1e-3)
 NAMES = ("aorta", "lcca", "lsa")

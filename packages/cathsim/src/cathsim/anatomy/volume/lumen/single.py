@@ -7,7 +7,7 @@ import numpy as np
 from cathsim.anatomy.mesh.reading import Triangles
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.files.reading import LabelVolume
-from cathsim.anatomy.volume.smoothing import smooth_vessel
+from cathsim.anatomy.volume.lumen.smoothing import smooth_vessel
 
 _LEAST_PART = 0.5  # of the voxels must hang together
 

@@ -8,15 +8,17 @@ from numpy.typing import NDArray
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.lumen import OUTSIDE, PADDING
 from cathsim.anatomy.mesh.branches import RoughVessel
-from cathsim.anatomy.volume.courses import Courses, Tip, find_courses, flat_end, narrow_places, rough_vessels
-from cathsim.anatomy.volume.family import find_family
 from cathsim.anatomy.volume.files.reading import LabelVolume
-from cathsim.anatomy.volume.lattice import BlockLattice
-from cathsim.anatomy.volume.lost_parts import ways_to_lost
-from cathsim.anatomy.volume.lumen_graph import LumenGraph
-from cathsim.anatomy.volume.smoothing import VesselField
-from cathsim.anatomy.volume.union import FlatEnd, Union, unite
-from cathsim.anatomy.volume.wall import connected, signed_distance
+from cathsim.anatomy.volume.labels.family import find_family
+from cathsim.anatomy.volume.lumen.courses import Courses, find_courses
+from cathsim.anatomy.volume.lumen.ends import Tip, flat_end
+from cathsim.anatomy.volume.lumen.following import narrow_places, rough_vessels
+from cathsim.anatomy.volume.lumen.graph import LumenGraph
+from cathsim.anatomy.volume.lumen.lattice import BlockLattice
+from cathsim.anatomy.volume.lumen.lost_parts import ways_to_lost
+from cathsim.anatomy.volume.lumen.smoothing import VesselField
+from cathsim.anatomy.volume.lumen.union import FlatEnd, Union, unite
+from cathsim.anatomy.volume.lumen.wall import connected, signed_distance
 from cathsim.anatomy.wall.chambers import fill_chambers
 from cathsim.anatomy.wall.thickness import thicken_between_lumens
 

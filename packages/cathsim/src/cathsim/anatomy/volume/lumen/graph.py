@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.volume.lattice import BlockLattice, Nodes
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.volume.lumen.lattice import BlockLattice, Nodes
 
 _COARSE = 9e-4  # m: on a finer lattice every second node is left out
 
@@ -76,6 +77,21 @@ class LumenGraph:
                     raise ValueError(f"no way leads to node {end}")
             found.append(np.array(way[::-1]))
         return found
+
+    def way(self, start: int, end: int, chosen: NDArray[np.bool_]) -> Nodes:
+        """The way (k,) of nodes along the middle between two, within some nodes where there is one.
+
+        Raises:
+            MeshRefusedError: no way leads there.
+        """
+        for allowed in (chosen, None):
+            _, before = self._search(start, self._middle_cost, allowed)
+            way = [end]
+            while way[-1] != start and before[way[-1]] >= 0:
+                way.append(int(before[way[-1]]))
+            if way[-1] == start:
+                return np.array(way[::-1])
+        raise MeshRefusedError("the lumen falls apart between two places of one vessel; take a finer resolution.")
 
     def _search(self, start: int, cost: Array, chosen: NDArray[np.bool_] | None) -> tuple[Array, Nodes]:
         from scipy.sparse import csr_matrix

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.vessel_names import AORTA, PARENTS
-from cathsim.anatomy.volume.labels import ARCH_ZONES, Key
+from cathsim.anatomy.volume.labels.choice import ARCH_ZONES, Key
 
 CELL = 2e-3  # m: places of labels are told as finely as this
 _NEAR = 1e-2  # m, with cells and small gaps, within which a vessel is taken to leave another

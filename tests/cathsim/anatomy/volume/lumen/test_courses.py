@@ -8,16 +8,16 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from cathsim.anatomy.volume import courses
-from cathsim.anatomy.volume.family import Family
-from cathsim.anatomy.volume.lumen_graph import LumenGraph
+from cathsim.anatomy.volume.labels.family import Family
+from cathsim.anatomy.volume.lumen import courses
+from cathsim.anatomy.volume.lumen.following import narrow_places
+from cathsim.anatomy.volume.lumen.graph import LumenGraph
 
 
-def test_a_stub_that_ends_where_it_begins_has_no_narrow_places(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(courses, "_way_within", lambda *_: np.array([0]))
-    graph: Any = SimpleNamespace(points=np.zeros((1, 3)), depth=np.array([1e-3]))
+def test_a_stub_that_ends_where_it_begins_has_no_narrow_places() -> None:
+    graph: Any = SimpleNamespace(points=np.zeros((1, 3)), depth=np.array([1e-3]), way=lambda *_: np.array([0]))
     stub = courses.Courses(graph, np.ones(1, np.uint8), cast(Family, None), [1], 0, 0)
-    places, depth = courses.narrow_places(stub, 1, 0, 0, 1.5e-3)
+    places, depth = narrow_places(stub, 1, 0, 0, 1.5e-3)
     assert len(places) == 0
     assert depth == 1.5e-3
 

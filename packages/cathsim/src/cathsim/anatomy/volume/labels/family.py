@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.vessel_names import AORTA, PARENTS
-from cathsim.anatomy.volume.label_parts import bridge, clean_parts, led_on
+from cathsim.anatomy.volume.labels.parts import bridge, clean_parts, led_on
 
 _LEAST_SHARE = 0.3  # of a vessel's largest contact: one smaller than this is no take-off
 # of a vessel's radius, and of its section: one that touches its parent by less, and has less of it there, is led on to

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.cross_section import plane_coordinates
-from cathsim.anatomy.volume.family import Family, Link
-from cathsim.anatomy.volume.smoothing import VesselField, smooth_vessel
+from cathsim.anatomy.volume.labels.family import Family, Link
+from cathsim.anatomy.volume.lumen.smoothing import VesselField, smooth_vessel
 
 _INTO_PARENT = (3e-3, 8e-3)  # m that a vessel reaches into its parent at least and at most, its radius between
 _PARTED = 1.2  # spacings between two vessels where a false bridge was cut

@@ -11,7 +11,7 @@ from cathsim.anatomy import Phantom
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_tree import nearest_on_branch
 from cathsim.anatomy.volume.files.reading import LabelVolume, read_labels
-from cathsim.anatomy.volume.labels import choose_labels
+from cathsim.anatomy.volume.labels.choice import choose_labels
 from cathsim.anatomy.volume.rasterising import IDS, rasterise, save_nifti
 
 pytest.importorskip("nibabel", reason="label volumes need nibabel")

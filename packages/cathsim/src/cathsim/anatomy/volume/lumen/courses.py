@@ -1,0 +1,156 @@
+"""Courses of labelled vessels: the aorta from its lower to its upper end, and where each vessel and fork ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.volume.labels.family import Family
+from cathsim.anatomy.volume.lumen.graph import LumenGraph
+
+_INFERIOR = 0.3  # how much a lower place speaks for the descending end, against one further back
+_ACCESS = ("iliac_right", "iliac_left")  # by which a wire comes in, the usual side first
+# Vessels that leave the aorta before, and after, in the order from the heart on: an aberrant RSA may do either.
+_EARLY = ("bca", "rcca", "carotid_trunk", "lcca")
+_LATE = ("lsa", "celiac", "mesenteric", "renal")
+_WHOLE = 0.98  # share of a vessel's nodes that hang together by themselves
+_LEAST_APART = 3e-3  # m along the aorta between them, from which on their order counts
+AT_TIP = (1.5, 3e-3)  # radii and m before a vessel's tip within which others leave its end
+_THIN = (0.55, 1.6e-3)  # of a vessel's radius, and m: what is narrower, for longer than AT_TIP, is no end of it
+
+Array = NDArray[np.float64]
+
+
+@dataclass(eq=False)
+class Courses:
+    """Where labelled vessels run, in the graph of their lumen."""
+
+    graph: LumenGraph
+    which: NDArray[np.uint8]  # (n,) number of the vessel that each node belongs to
+    family: Family
+    main: list[int]  # vessels that the main course follows, from where the wire comes in
+    start: int  # node of the main course's first end
+    last: int  # of its other end
+    tips: dict[int, int] = field(default_factory=dict)  # node of the far end by vessel; none where others go on from it
+    forks: dict[int, int] = field(default_factory=dict)  # node where a vessel's daughters part, by vessel
+    thin: dict[int, float] = field(default_factory=dict)  # m of a thin stretch beyond a vessel's tip, by vessel
+    against_axes: bool = False  # whether the order of the branches puts the heart where the patient's axes do not
+
+    def nodes_of(self, *numbers: int) -> NDArray[np.bool_]:
+        """Which nodes (n,) belong to vessels."""
+        return np.isin(self.which, numbers)
+
+    def children(self, number: int) -> list[int]:
+        """Vessels that leave a vessel."""
+        return [n for n, link in self.family.links.items() if link.parent == number]
+
+
+def find_courses(graph: LumenGraph, which: NDArray[np.uint8], family: Family, ostia: dict[int, Array]) -> Courses:
+    """Finds the ends of all vessels.
+
+    Args:
+        graph: of the lumen, patient's axes (left, posterior, superior).
+        ostia: (3,) m, middle of each vessel's take-off.
+    """
+    root = family.order[0]
+    mine = which == root
+    first, second = _far_ends(graph, mine)
+    numbers = {name: number for number, name in family.names.items()}
+    access = next((numbers[name] for name in _ACCESS if name in numbers), None)
+    main = [root]
+    against_axes = False
+    if access is not None and family.links[access].parent == root:
+        # the aorta's end at the take-off is none: the way goes on to the groin
+        gaps = [np.linalg.norm(graph.points[node] - ostia[access]) for node in (first, second)]
+        lower, upper = (first, second) if gaps[0] < gaps[1] else (second, first)
+        main = [access, root]
+        while onward := [n for n in family.links if family.links[n].parent == main[0] and _onward(family.names[n])]:
+            main.insert(0, onward[0])
+        lower = _farthest(graph.away(upper, np.isin(which, main)))
+    else:
+        height = [graph.points[n][2] * _INFERIOR - graph.points[n][1] for n in (first, second)]
+        lower, upper = (first, second) if height[0] < height[1] else (second, first)
+        against_axes = _late_before_early(graph, mine, upper, family, ostia)
+        if against_axes:
+            lower, upper = upper, lower
+    courses = Courses(graph, which, family, main, lower, upper, against_axes=against_axes)
+    away = graph.away(lower)
+    for number in family.order:
+        own = np.flatnonzero((which == number) & np.isfinite(away))
+        if number in main or len(own) == 0:
+            continue
+        radius = float(np.quantile(graph.depth[own], 0.95))
+        reach = AT_TIP[0] * radius + AT_TIP[1]
+        tip, thin = _tip(graph, own, away, radius, reach)
+        if thin > 0:
+            courses.thin[number] = thin
+        at_tip = [
+            n
+            for n in courses.children(number)
+            if away[tip] - away[graph.nearest(ostia[n], which == number)] < reach + family.links[n].radius
+        ]
+        if at_tip:
+            middle = np.mean([ostia[n] for n in at_tip], axis=0)
+            courses.forks[number] = graph.nearest(middle)
+        else:
+            courses.tips[number] = tip
+    return courses
+
+
+def _late_before_early(
+    graph: LumenGraph, mine: NDArray[np.bool_], heart: int, family: Family, ostia: dict[int, Array]
+) -> bool:
+    """Whether, seen from an end of the aorta, vessels that leave it late come before those that leave it early."""
+    along = graph.away(heart)
+
+    def mean_place(names: tuple[str, ...]) -> float:
+        found = [n for n, link in family.links.items() if link.parent == family.order[0]]
+        nodes = [graph.nearest(ostia[n], mine) for n in found if family.names[n].startswith(names)]
+        return float(np.mean(along[nodes])) if nodes else float("nan")
+
+    return mean_place(_EARLY) - mean_place(_LATE) > _LEAST_APART  # not so where one of them is missing
+
+
+def _onward(name: str) -> bool:
+    return name.startswith(("external_iliac", "femoral"))
+
+
+def _tip(graph: LumenGraph, own: NDArray[np.int64], away: Array, radius: float, reach: float) -> tuple[int, float]:
+    """The node of a vessel that lies farthest along the lumen, and the length (m) of what is too thin to be its end.
+
+    A bar of a voxel or two, which labels have between vessels, can reach further than the vessel does.
+    """
+    tip = int(own[np.argmax(away[own])])
+    full = own[graph.depth[own] >= min(_THIN[0] * radius, _THIN[1])]
+    if len(full) == 0:
+        return tip, 0.0
+    body = int(full[np.argmax(away[full])])
+    if np.linalg.norm(graph.points[tip] - graph.points[body]) <= reach:
+        return tip, 0.0
+    near = own[np.linalg.norm(graph.points[own] - graph.points[body], axis=1) <= radius]
+    end = int(near[np.argmax(away[near])])
+    return end, float(away[tip] - away[end])
+
+
+def _far_ends(graph: LumenGraph, mine: NDArray[np.bool_]) -> tuple[int, int]:
+    """The two nodes of a vessel that lie farthest from each other, along the lumen.
+
+    Where a branch is as wide as its parent, as at a coarctation, the branch's nodes can part the parent's: the way then
+    leads through them.
+    """
+    seed = int(np.flatnonzero(mine)[np.argmax(graph.depth[mine])])
+    within: NDArray[np.bool_] | None = mine
+    if np.isfinite(graph.away(seed, mine)[mine]).mean() < _WHOLE:
+        within = None
+
+    def farthest(start: int) -> int:
+        return _farthest(np.where(mine, graph.away(start, within), np.inf))
+
+    first = farthest(seed)
+    return first, farthest(first)
+
+
+def _farthest(away: Array) -> int:
+    return int(np.argmax(np.where(np.isfinite(away), away, -1.0)))
