@@ -80,6 +80,7 @@ def try_in_copies(
         For each episode whether it reached the target, and the largest resultant force of its steps, N.
     """
     trials: list[Trial] = []
+    tick(0.0)
     for case in cases:
         controller = policy.controller(deterministic=False, seed=seed + case)
         observation, info = environment.reset(seed=seed + case, options={"case": case})

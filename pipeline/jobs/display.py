@@ -20,7 +20,7 @@ class JobState:
 
     def __init__(self, key: str, weight: float = 1.0, *, done: bool = False) -> None:
         """Args:
-        weight: how long it takes beside the others.
+        weight: how long it takes beside the others; 0: not known, as it may be left out.
         done: by an earlier, interrupted run.
         """
         self.key, self.weight = key, weight
@@ -51,6 +51,10 @@ class JobState:
         """It is done."""
         self._spent_s = time.monotonic() - self._started
         self.status, self.fraction = "done", 1.0
+
+    def leave_out(self) -> None:
+        """It is done without having run."""
+        self.status, self.fraction, self.weight = "done", 1.0, 0.0
 
     def fail(self) -> None:
         """It has failed, or never started because another has."""
@@ -104,7 +108,7 @@ class JobDisplay:
     def remaining_s(self) -> float | None:
         """Seconds until every job is done, by the pace of those that have shown one; None while none has."""
         known = [(state.total_s(), state.weight) for state in self.states.values()]
-        paced = [(total, weight) for total, weight in known if total is not None]
+        paced = [(total, weight) for total, weight in known if total is not None and weight]
         if not paced:
             return None
         per_weight = sum(total for total, _ in paced) / max(sum(weight for _, weight in paced), 1e-9)

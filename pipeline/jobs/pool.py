@@ -134,6 +134,7 @@ class _Pool:
         self._folder, self._waiting, self._display, self._engine = folder, list(todo), display, engine
         self._taken: dict[str, _Taken] = {}
         self._failures: dict[str, str] = {}
+        self._unknown: set[str] = set()  # jobs that have to run
         self._messages: deque[tuple[str, Message]] = deque()  # an interruption in the middle loses none
         self._stopping = False
 
@@ -155,9 +156,25 @@ class _Pool:
             if broken:
                 self._waiting.remove(job)
                 self._fail(job.key, f"it needs {broken[0]}")
-            elif self._is_ready(job) and self._engine.submit(job, Notes.of(self._folder, job)):
+            elif not self._is_ready(job):
+                continue
+            elif self._is_known(job):
+                self._waiting.remove(job)
+                self._display.states[job.key].leave_out()
+            elif self._engine.submit(job, Notes.of(self._folder, job)):
                 self._waiting.remove(job)
                 self._taken[job.key] = _Taken(job, self._display.states[job.key])
+
+    def _is_known(self, job: Job) -> bool:
+        """Whether a job need not run; then its result is kept. Asked once, as what it rests on is there."""
+        if job.known is None or job.key in self._unknown:
+            return False
+        result = job.known(job.given)
+        if result is None:
+            self._unknown.add(job.key)
+            return False
+        self._folder.mark_done(job.key, result)
+        return True
 
     def _is_ready(self, job: Job) -> bool:
         return all(self._folder.result_of(key) is not None for key in job.after)

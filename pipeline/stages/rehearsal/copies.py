@@ -36,6 +36,7 @@ class RehearsalJob:
         copies: of a test: seeds.
         shown_by: of demonstrations: the policies that may give them; the first is `start`, where there is one.
         part: of demonstrations and trials: its number among those that are made beside each other.
+        turn: of demonstrations: its number (`pipeline.stages.rehearsal.turns`).
         force_price: of the training's reward, 1/N; None: what the settings say without trials.
         tried: how the policy to start from fared in trials of its devices; None: there were none.
     """
@@ -51,6 +52,7 @@ class RehearsalJob:
     copies: tuple[int, ...] = ()
     shown_by: tuple[Path, ...] = ()
     part: int = 0
+    turn: int = 0
     force_price: float | None = None
     tried: Tried | None = None
 

@@ -1,12 +1,9 @@
 """Demonstrations of a rehearsal: episodes in its training's copies in which some policy reached the target.
 
-The policy that a rehearsal starts from is asked first. Where it seldom arrives it has nothing to learn from, and every
-other policy of the same devices is asked, by a roadmap or by X-ray images, then the best of them again. Where they show
-next to nothing, or there is none for these devices, the sampling expert plays copy by copy until enough episodes have
-arrived; where the settings say so it does in any case, before the policies. It presses gently, and plays as usual,
-too, where few of these episodes arrive.
+Who plays says `pipeline.stages.rehearsal.turns`. The sampling expert plays copy by copy until enough episodes have
+arrived. It presses gently, and plays as usual, too, where few of these episodes arrive.
 
-One file an episode, ``demonstrations/<policy or expert>_<copy>_<round>.npz`` in the stage's folder
+One file an episode, ``demonstrations/<policy or expert>_<copy>_<turn>.npz`` in the stage's folder
 (`pipeline.recording.demonstration_files`).
 """
 
@@ -24,7 +21,15 @@ from pipeline.recording.demonstration_files import ARRIVED, arrived, demonstrati
 from pipeline.seeds import rehearsal_demonstration_seed
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.hyperparameters import held_steps
-from pipeline.stages.rehearsal.settings import ALWAYS, NEEDED
+from pipeline.stages.rehearsal.turns import (
+    DEMONSTRATIONS,
+    EXPERT,
+    demonstration_file,
+    first_turn,
+    in_share,
+    policy_names,
+    turn_of,
+)
 from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import stopping_the_stage
@@ -38,70 +43,46 @@ if TYPE_CHECKING:
     from enn.policy import Policy
     from enn.trajectory import Trajectory
 
-DEMONSTRATIONS = "demonstrations"  # folder, and first part of the jobs' names
 PARTS = 2  # of the copies, beside each other
-OFTEN = 0.5  # share of episodes, with the trials of its devices: a policy that arrives as often learns from its own
-MOSTLY, SURELY = 0.75, 0.8  # shares of them, and of all that were played: half of the training is enough
-ROUNDS = 4  # of one policy at most
-EXPERT = "expert"
-FEW = 6  # one in so many of the demonstrations wanted: where policies show fewer, the expert is asked
+MOSTLY, SURELY = 0.75, 0.8  # shares of its first episodes, and of all that were played: half of the training is enough
 ENOUGH, LEAST = 6, 3  # episodes of the expert that arrive, in each part; fewer gentle ones: it plays as usual, too
 STEPS = 100_000  # that the expert simulates for an episode at most
 TRIED = {True: 5, False: 3}  # episodes of a gentle expert, of the usual one: it gives up where none of them arrives
 
 
 def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
-    """Lets policies play the part's copies, a round an episode in each, until enough episodes have arrived.
+    """Lets those whose turn it is play the part's copies, an episode in each.
 
     Episodes whose file is there are not played again.
 
     Returns:
-        By the name of a policy, and "expert": episodes played, and how many of them arrived.
+        By the name of the policy, or "expert": episodes played, and how many of them arrived.
     """
     map_simulations()
-    names, copies = _names(job.shown_by), job.training_cases
+    turn, copies = turn_of(job), job.training_cases
+    if turn is None:
+        return {}
     cases = range(job.part, len(copies), PARTS)
-    wanted = -(-job.settings.demonstrations // PARTS)
-    tally: dict[Path, list[bool]] = {}
+    if turn.policy is None:
+        return {EXPERT: _shown_by_expert(job, cases, report)}
+    name = policy_names(job)[turn.policy]
+    outcomes: list[bool] = []
+    steered = None
+    for case in cases:
+        report(len(outcomes) / len(cases), f"{name}: {sum(outcomes)} of {len(outcomes)} episodes arrived")
+        file = demonstration_file(job, name, copies[case], turn.number)
+        if not file.is_file():
+            steered = steered or _Steered(job, turn.policy, copies)
+            write_arrays(file, demonstration_arrays(steered.episode(case, turn.number)))
+        outcomes.append(arrived(file))
+    if steered is not None:
+        steered.environment.close()
+    return {name: [len(outcomes), sum(outcomes)]}
 
-    def arrivals() -> int:
-        return sum(map(sum, tally.values()))
 
-    def play_round(path: Path, number: int) -> None:
-        outcomes = tally.setdefault(path, [])
-        steered = None
-        for case in cases:
-            text = f"{names[path]}: {sum(outcomes)} of {len(outcomes)} episodes arrived"
-            report(min(arrivals() / wanted, 1.0), text)
-            file = _file(job, names[path], copies[case], number)
-            if not file.is_file():
-                steered = steered or _Steered(job, path, copies)
-                write_arrays(file, demonstration_arrays(steered.episode(case, number)))
-            outcomes.append(arrived(file))
-        if steered is not None:
-            steered.environment.close()
-
-    told: dict[str, list[int]] = {}
-    if job.settings.expert == ALWAYS:
-        told[EXPERT] = _shown_by_expert(job, cases, report)
-        wanted = max(wanted - told[EXPERT][1], 0)
-
-    for path in job.shown_by:
-        if arrivals() >= wanted:
-            break
-        play_round(path, 0)
-        if path == job.start and _arrives(job, tally[path], OFTEN):
-            break
-    else:
-        best = max(tally, key=lambda path: sum(tally[path]), default=None)
-        for number in range(1, ROUNDS):
-            if best is None or not any(tally[best][-len(cases) :]) or arrivals() >= wanted:
-                break  # a round in which nobody arrives is the last one
-            play_round(best, number)
-    told |= {names[path]: [len(outcomes), sum(outcomes)] for path, outcomes in tally.items()}
-    if job.settings.expert == NEEDED and arrivals() * FEW < wanted:
-        told[EXPERT] = _shown_by_expert(job, cases, report)
-    return told
+def nothing_to_record(job: RehearsalJob) -> dict[str, Any] | None:
+    """What `record_demonstrations` returns where nobody has the job's turn; None: somebody has."""
+    return {} if turn_of(job) is None else None
 
 
 def _shown_by_expert(job: RehearsalJob, cases: Sequence[int], report: Report) -> list[int]:
@@ -127,7 +108,7 @@ def _episodes_of_expert(
     for case in cases:
         if sum(outcomes) == ENOUGH or (len(outcomes) == TRIED[gentle] and not any(outcomes)):
             break
-        file = _file(job, EXPERT, copies[case], number)
+        file = demonstration_file(job, EXPERT, copies[case], number)
         if not file.is_file():
             share, text = len(outcomes) / len(cases), f"{name}: {sum(outcomes)} of {len(outcomes)} episodes arrived"
             shown = demonstrate(
@@ -150,52 +131,25 @@ def _episodes_of_expert(
 def mostly_arrives(job: RehearsalJob, elsewhere: Callable[[], Sequence[bool]]) -> bool:
     """Whether the policy that a rehearsal starts from mostly arrives, but not always: `docs/results/rehearsal.md`.
 
-    In three quarters of its first round of demonstrations, not in all of them, and in four fifths of these, of the
+    In three quarters of its first demonstrations, not in all of them, and in four fifths of these, of the
     trials of its devices and of episodes elsewhere together.
-    Where it always arrives it has little to learn, and faster learning has unlearnt some of it. The first round alone
+    Where it always arrives it has little to learn, and faster learning has unlearnt some of it. The first ones alone
     can be lucky: a policy that arrived in 15 of its 17 did in 3 of 8 trials, and in 14 of 30 test copies.
 
     Args:
         elsewhere: plays it in copies that the training does not have, and says where it arrived; called where its first
-            round of demonstrations says that it mostly does.
+            demonstrations say that it mostly does.
     """
-    outcomes = _first_round(job)
+    outcomes = first_turn(job)
     if not outcomes or not MOSTLY * len(outcomes) <= sum(outcomes) < len(outcomes):
         return False
-    return _arrives(job, [*outcomes, *elsewhere()], SURELY)
+    return in_share(job, [*outcomes, *elsewhere()], SURELY)
 
 
 def always_arrives(job: RehearsalJob) -> bool:
     """Whether the policy that a rehearsal starts from arrives in all of its first demonstrations and device trials."""
-    outcomes = _first_round(job)
-    return bool(outcomes) and _arrives(job, outcomes, 1.0)
-
-
-def _arrives(job: RehearsalJob, outcomes: Sequence[bool], share: float) -> bool:
-    """Whether a policy arrives in a share of some episodes and of the trials of its devices together."""
-    reached, episodes = (0, 0) if job.tried is None else (job.tried.reached, job.tried.episodes)
-    return sum(outcomes) + reached >= share * (len(outcomes) + episodes)
-
-
-def _first_round(job: RehearsalJob) -> list[bool]:
-    """Where the policy that a rehearsal starts from arrives in its demonstrations; empty where it did not play all."""
-    if job.start is None:
-        return []
-    files = [_file(job, job.start.stem, copy, 0) for copy in job.training_cases]
-    return [arrived(file) for file in files] if all(file.is_file() for file in files) else []
-
-
-def _file(job: RehearsalJob, name: str, copy: int, number: int) -> Path:
-    return job.folder / DEMONSTRATIONS / f"{name}_{copy}_{number}.npz"
-
-
-def _names(policies: Sequence[Path]) -> dict[Path, str]:
-    """Stems of files; where several have one, all but the first get a number."""
-    names: dict[Path, str] = {}
-    for path in policies:
-        alike = sum(other.stem == path.stem for other in names)
-        names[path] = f"{path.stem}{alike + 1}" if alike else path.stem
-    return names
+    outcomes = first_turn(job)
+    return bool(outcomes) and in_share(job, outcomes, 1.0)
 
 
 class _Steered:
@@ -219,7 +173,7 @@ class _Steered:
             self.environment = XrayEnvironment(bare, side, every=held, **self.policy.imaging)
 
     def episode(self, case: int, number: int) -> Trajectory:
-        """An episode of a round in a case."""
+        """An episode of a turn in a case."""
         from enn.policy import Policy
         from enn.reinforcement.rehearsal import demonstrated
 

@@ -30,6 +30,7 @@ def play(job: RehearsalJob, report: Report) -> dict[str, Any]:
     policy = Policy.load(job.policy)
     kind = SCAN if job.copies == (0,) else COPIES
     logs, success, first = [], [], []
+    report(0.0, f"0/{len(job.copies)}")
     for case, copy in enumerate(job.copies):
         environment.reset(seed=0, options={"case": case})
         folder = job.folder / str(job.tested) / kind / str(copy)

@@ -22,11 +22,11 @@ from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.rehearsal.copies import COPIES, PRELOAD, SCAN, RehearsalJob
-from pipeline.stages.rehearsal.demonstrations import DEMONSTRATIONS, EXPERT, PARTS, record_demonstrations
+from pipeline.stages.rehearsal.demonstrations import PARTS, nothing_to_record, record_demonstrations
 from pipeline.stages.rehearsal.devices import with_chosen_devices
 from pipeline.stages.rehearsal.episodes import play
 from pipeline.stages.rehearsal.film import film_file, film_scan
-from pipeline.stages.rehearsal.settings import NEVER, RehearsalSettings
+from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.starting_policy import (
     advising_policies,
     policy_hashes,
@@ -34,6 +34,7 @@ from pipeline.stages.rehearsal.starting_policy import (
     with_devices_of,
 )
 from pipeline.stages.rehearsal.training import train
+from pipeline.stages.rehearsal.turns import DEMONSTRATIONS, EXPERT, most_turns
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, require_feeder, require_known_task
 
@@ -41,7 +42,7 @@ BEFORE, AFTER = "before", "after"
 TRAINING, FILM = "training", "film"
 _LOGGER = logging.getLogger(__name__)
 _PARTS = 2  # of the tests in copies, beside each other
-_SECONDS = {"decision": 15e-3, "test": 1.0, "shown": 4.0, "film": 40.0}  # guesses
+_SECONDS = {"decision": 15e-3, "test": 1.0, "shown": 1.5, "film": 40.0}  # guesses
 
 
 def check_rehearsal(settings: RehearsalSettings) -> None:
@@ -122,15 +123,10 @@ def plan(
     """The jobs: demonstrations by policies that are asked, tests before, the training, tests after."""
     origin = Origin("rehearsal", AFTER, context.seed, context.budget)
     job = RehearsalJob(context.path, origin, settings, task, target, start, force_price=force_price, tried=tried)
-    shown = settings.demonstrations > 0 and (bool(asked) or settings.expert != NEVER)
-    parts = [f"{DEMONSTRATIONS}{part}" for part in range(PARTS if shown else 0)]
-    weight = _SECONDS["shown"] * len(job.training_cases) / PARTS
-    jobs = [
-        Job(key, record_demonstrations, replace(job, shown_by=tuple(asked), part=part), weight=weight)
-        for part, key in enumerate(parts)
-    ]
+    jobs = _demonstrations(replace(job, shown_by=tuple(asked))) if settings.demonstrations else []
+    shown = tuple(one.key for one in jobs)
     weight, memory = settings.decisions * _SECONDS["decision"], policy_gb(settings.task.image_size_px, 0)
-    jobs.append(Job(TRAINING, train, job, after=tuple(parts), weight=weight, gpu_gb=memory))
+    jobs.append(Job(TRAINING, train, job, after=shown, weight=weight, gpu_gb=memory))
     jobs += [] if start is None else _tests(job, BEFORE, start, ())
     trained = job.own_folder / POLICY
     tests = _tests(job, AFTER, trained, (TRAINING,))
@@ -144,6 +140,26 @@ def plan(
         )
         tests.insert(1, filmed)
     jobs += tests
+    return jobs
+
+
+def _demonstrations(job: RehearsalJob) -> list[Job]:
+    """The turns that there may be, each after the one before; those that nobody has are left out when it is known."""
+    jobs: list[Job] = []
+    for turn in range(most_turns(job)):
+        before = tuple(one.key for one in jobs[-PARTS:])
+        weight = 0.0 if turn else _SECONDS["shown"] * len(job.training_cases) / PARTS
+        jobs += [
+            Job(
+                f"{DEMONSTRATIONS}/{turn}/{part}",
+                record_demonstrations,
+                replace(job, turn=turn, part=part),
+                after=before,
+                weight=weight,
+                known=nothing_to_record,
+            )
+            for part in range(PARTS)
+        ]
     return jobs
 
 
@@ -226,7 +242,7 @@ STAGE = Stage(
     uses=("unseen",),
     writes=(
         "starts.npz",
-        "demonstrations/<policy or expert>_<copy>_<round>.npz",
+        "demonstrations/<policy or expert>_<copy>_<turn>.npz",
         "seed<k>/{policy.pt, training.csv, training.json}",
         "seed<k>/further<n>/{policy.pt, training.csv, training.json}",
         "{before,after}/<test set>/<copy>/NNN.mcap",

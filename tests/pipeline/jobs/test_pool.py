@@ -85,6 +85,25 @@ def test_a_job_waits_for_those_it_needs(folder: RunFolder, tmp_path: Path) -> No
             run_jobs(folder, jobs[::-1])
 
 
+def test_a_job_whose_result_is_known_does_not_run(folder: RunFolder) -> None:
+    def known(given: int) -> int | None:
+        asked.append(given)
+        return 100 if given == 2 else None
+
+    asked: list[int] = []
+    jobs = [
+        Job("first", square, 1),
+        Job("second", square, 2, after=("first",), known=known),
+        Job("third", square, 3, after=("second",), known=known),
+    ]
+    with folder.locked():
+        folder.prepare()
+        assert run_jobs(folder, jobs, workers=1) == {"first": 1, "second": 100, "third": 9}
+        assert asked == [2, 3]  # once each, when the jobs before were done
+        assert run_jobs(folder, jobs, workers=1) == {"first": 1, "second": 100, "third": 9}
+        assert asked == [2, 3]
+
+
 def test_a_failing_or_killed_job_stops_no_other_and_is_named(folder: RunFolder, tmp_path: Path, caplog) -> None:
     jobs = [
         Job("error", train, Toy(tmp_path / "error", fails="error")),
@@ -187,6 +206,14 @@ def test_estimate_of_the_end() -> None:
     states[2].weight = 1.0
     assert display.remaining_s() == pytest.approx(20.0, abs=0.5)
     assert display.line().startswith("toys 1/4, 2 running: a 50 % (half), b 50 % (half); ")
+
+
+def test_a_job_that_was_left_out_says_nothing_of_the_pace() -> None:
+    states = [JobState("a"), JobState("b", weight=0.0)]
+    display = JobDisplay("toys", states, workers=1)
+    states[1].leave_out()
+    assert display.remaining_s() is None
+    assert display.line().startswith("toys 1/2; ")
 
 
 def test_what_an_earlier_run_did_is_no_pace() -> None:

@@ -14,6 +14,8 @@ from pipeline.jobs.worker import Report
 from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record_demonstrations
 from pipeline.stages.rehearsal.stage import plan
 from pipeline.stages.rehearsal.training import train
+from pipeline.stages.rehearsal.turns import Turn, demonstration_file, turn_of
+from pipeline.store.atomic_files import write_arrays
 from pipeline.task import Task
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
 from tests.pipeline.stages.small_expert import context
@@ -28,8 +30,8 @@ def test_the_sampling_expert_shows_the_way_where_no_policy_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     task = Task(start_rotation_deg=180.0, max_steps=300)
-    job = dataclasses.replace(job_of(tmp_path, demonstrations=2, expert="needed", task=task), part=0)
-    assert record_demonstrations(job, Report()) == {"expert": [1, 1]}
+    job = job_of(tmp_path, copies=1, demonstrations=2, expert="needed", task=task)
+    assert record_demonstrations(job, Report()) == {"expert": [1, 1]}  # the scan is this part's
     (shown,) = read_demonstrations(tmp_path)
     assert shown.terminated
     assert len(shown.actions) == len(shown.rewards) == len(shown.simulation_states) - 1
@@ -37,24 +39,33 @@ def test_the_sampling_expert_shows_the_way_where_no_policy_does(
     monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", None)  # nothing is played again
     assert record_demonstrations(job, Report()) == {"expert": [1, 1]}
     always = dataclasses.replace(job.settings, expert="always")  # enough is shown, so that no policy is asked
+    always = dataclasses.replace(always, demonstrations=1)
     asked = dataclasses.replace(job, settings=always, start=GENERALIST, shown_by=(GENERALIST,))
-    assert record_demonstrations(asked, Report()) == {"expert": [1, 1]}
+    assert turn_of(asked) == Turn(None)
+    assert turn_of(dataclasses.replace(asked, turn=1)) is None
     trained = train(job, Report())
     assert trained["decisions"] == 48
     record = json.loads((tmp_path / "seed0" / "training.json").read_text())
     assert record["settings"]["demonstrations_in_replay"] == 0.25
     jobs = plan(job.settings, context(tmp_path, "rehearsal"), task, "bca", None)
-    assert {one.key: one.after for one in jobs}["training"] == ("demonstrations0", "demonstrations1")
+    assert {one.key: one.after for one in jobs}["training"] == ("demonstrations/0/0", "demonstrations/0/1")
     alone = dataclasses.replace(job.settings, expert="never")
-    assert "demonstrations0" not in [one.key for one in plan(alone, context(tmp_path, "rehearsal"), task, "bca", None)]
+    jobs = plan(alone, context(tmp_path, "rehearsal"), task, "bca", None)
+    assert {one.key: one.after for one in jobs}["training"] == ()
 
 
-def test_the_expert_is_not_asked_where_policies_show_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", None)
-    task = Task(start_rotation_deg=180.0, max_steps=300)
-    job = job_of(tmp_path, demonstrations=4, expert="needed", task=task)
-    job = dataclasses.replace(job, start=GENERALIST, shown_by=(GENERALIST,), part=0)
-    assert record_demonstrations(job, Report()) == {"generalist": [1, 1]}
+@pytest.mark.parametrize(("arriving", "expert"), [(0, True), (1, True), (2, False)])
+def test_the_expert_is_asked_where_policies_show_next_to_nothing(tmp_path: Path, arriving: int, expert: bool) -> None:
+    """Of twelve episodes that are wanted a sixth is enough."""
+    job = job_of(tmp_path, copies=5, demonstrations=12, expert="needed")
+    job = dataclasses.replace(job, start=GENERALIST, shown_by=(GENERALIST,))
+    for number in range(2):
+        for place, copy in enumerate(job.training_cases):
+            file = demonstration_file(job, "generalist", copy, number)
+            write_arrays(file, {"terminated": np.array(number == 0 and place < arriving)})
+    number = 2 if arriving else 1  # a turn in which nobody arrives is the last one of policies
+    assert turn_of(dataclasses.replace(job, turn=number)) == (Turn(None) if expert else None)
+    assert turn_of(dataclasses.replace(job, turn=number + 1)) is None
 
 
 def test_the_expert_gives_up_where_it_does_not_arrive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,21 +12,16 @@ import pytest
 
 from cathsim import load_phantom
 from enn.policy import Policy
-from enn.trajectory import Trajectory
-from pipeline.anatomies.device_trials import Tried
 from pipeline.anatomies.settings import check_anatomies, fitted_steps, fitted_task
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
 from pipeline.seeds import ANATOMY_COPIES
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record_demonstrations
 from pipeline.stages.rehearsal.episodes import play
 from pipeline.stages.rehearsal.film import film_scan
 from pipeline.stages.rehearsal.settings import RehearsalSettings
-from pipeline.stages.rehearsal.stage import check_rehearsal, plan, row, run_rehearsal, shown_by
-from pipeline.stages.rehearsal.starting_policy import advising_policies
+from pipeline.stages.rehearsal.stage import check_rehearsal, plan, row, run_rehearsal
 from pipeline.stages.rehearsal.training import train
-from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, TINY, job_of
@@ -257,124 +251,3 @@ def test_bad_settings_are_one_sentence(values: dict[str, Any], message: str) -> 
 def test_an_anatomy_or_target_that_is_not_there(tmp_path: Path, values: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         run_rehearsal(RehearsalSettings(**TINY | values), context(tmp_path, "rehearsal"))
-
-
-def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    task = Task(start_rotation_deg=180.0, max_steps=200)
-    asked = advising_policies(tmp_path, 0, task, GENERALIST)
-    assert [file.stem for file in asked] == ["generalist", "navigator", "navigator_seed1"]
-    assert [file.stem for file in advising_policies(tmp_path, 0, Task(catheter="simmons2"), None)] == [
-        "generalist_simmons2",
-        "navigator_simmons2",
-    ]
-    assert [file.stem for file in advising_policies(tmp_path, 0, Task(catheter="jb2"), None)] == [
-        "generalist_jb2",
-        "navigator_jb2",
-    ]
-
-    job = dataclasses.replace(
-        job_of(tmp_path, copies=2, demonstrations=4, task=task), start=GENERALIST, shown_by=tuple(asked), part=0
-    )
-    # it arrives nearly always, so nobody else is asked
-    assert record_demonstrations(job, Report()) == {"generalist": [2, 2]}
-    shown = read_demonstrations(tmp_path)
-    assert len(shown) == 2
-    assert all(episode.terminated and episode.observations["roadmap"].shape[1] == 64 for episode in shown)
-    assert {int(episode.simulation_states[0, -1]) for episode in shown} == {0, 2}  # type: ignore[index]
-    assert max(np.abs(episode.actions).max() for episode in shown) <= 1.0
-    monkeypatch.setattr("enn.reinforcement.rehearsal.demonstrated", None)  # nothing is played again
-    assert record_demonstrations(job, Report()) == {"generalist": [2, 2]}
-    # the training takes them up
-    train(dataclasses.replace(job, start=None), Report())
-    record = json.loads((job.own_folder / "training.json").read_text())
-    assert record["settings"]["demonstrations_in_replay"] == 0.25
-
-
-@pytest.mark.parametrize(("reached", "asked"), [(None, 1), (2, 1), (1, 2)])
-def test_the_trials_of_the_devices_count_when_others_are_asked(tmp_path: Path, reached: int | None, asked: int) -> None:
-    """It arrives in both of its demonstrations: of six trials two more are half of all, one more is less."""
-    tried = None if reached is None else Tried(reached, 6, 100.0, 0.1)
-    others = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))[:2]
-    job = job_of(tmp_path, copies=2, demonstrations=12)
-    job = dataclasses.replace(job, start=GENERALIST, shown_by=others, part=0, tried=tried)
-    for path in others:
-        for copy in job.training_cases:
-            for number in range(4):
-                file = tmp_path / f"demonstrations/{path.stem}_{copy}_{number}.npz"
-                write_arrays(file, {"terminated": np.array(path == GENERALIST)})
-    assert len(record_demonstrations(job, Report())) == asked
-
-
-def test_images_show_the_way_where_the_roadmap_fails_and_the_best_is_asked_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    played: list[tuple[str, int, int]] = []
-    last = 9  # round in which anybody arrives
-
-    class Steered:
-        def __init__(self, job: RehearsalJob, path: Path, copies: Any) -> None:
-            self.path, self.environment = path, copies_environment(job, (0,))
-
-        def episode(self, case: int, number: int) -> Trajectory:
-            played.append((self.path.stem, case, number))
-            arrives = self.path.stem == "navigator" and case != 0 and number <= last
-            return Trajectory(
-                {"roadmap": np.zeros((2, 64)), "history": np.zeros((2, 3))},
-                np.zeros((1, 2)),
-                np.zeros(1),
-                arrives,
-                np.zeros(1),
-                np.zeros((2, 3)),
-                np.full((2, 5), float(case)),
-            )
-
-    monkeypatch.setattr("pipeline.stages.rehearsal.demonstrations._Steered", Steered)
-    asked = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))
-    job = dataclasses.replace(job_of(tmp_path, copies=3, demonstrations=6), start=GENERALIST, shown_by=asked, part=0)
-    # cases 0 and 2 are this part's; three episodes are wanted of it
-    assert record_demonstrations(job, Report()) == {
-        "generalist": [2, 0],
-        "navigator": [6, 3],
-        "navigator_seed1": [2, 0],
-    }
-    rounds = [("generalist", 0), ("navigator", 0), ("navigator_seed1", 0), ("navigator", 1), ("navigator", 2)]
-    assert played == [(name, case, number) for name, number in rounds for case in (0, 2)]
-    assert len(read_demonstrations(tmp_path)) == 3
-    fewer = dataclasses.replace(job, settings=dataclasses.replace(job.settings, demonstrations=2))
-    played.clear()
-    assert record_demonstrations(fewer, Report()) == {"generalist": [2, 0], "navigator": [2, 1]}  # enough, so no third
-    assert not played  # all of them were there
-    last = 0
-    alone = dataclasses.replace(job, folder=tmp_path / "alone")
-    # a round in which nobody arrives is the last one
-    assert record_demonstrations(alone, Report()) == {
-        "generalist": [2, 0],
-        "navigator": [4, 1],
-        "navigator_seed1": [2, 0],
-    }
-    jobs = plan(job.settings, context(tmp_path, "rehearsal"), job.task, "bca", GENERALIST, asked)
-    assert {one.key: one.after for one in jobs}["training"] == ("demonstrations0", "demonstrations1")
-    assert shown_by(
-        {"demonstrations0": {"navigator": [6, 3]}, "demonstrations1": {"navigator": [4, 1], "generalist": [2, 0]}}
-    ) == {
-        "navigator": 4,
-        "generalist": 0,
-    }
-
-
-def test_policies_whose_files_have_one_name_are_told_apart(tmp_path: Path) -> None:
-    same = [tmp_path / folder / "policy.pt" for folder in ("a", "b")]
-    for file in same:
-        file.parent.mkdir()
-        shutil.copy(GENERALIST.with_name("generalist_simmons2.pt"), file)
-    job = dataclasses.replace(job_of(tmp_path, copies=1, catheter="simmons2"), shown_by=tuple(same), part=1)
-    assert record_demonstrations(job, Report()) == {"policy": [1, 0], "policy2": [1, 0]}  # after twelve steps
-    assert len(list((tmp_path / "demonstrations").iterdir())) == 2
-
-
-def test_a_navigator_by_images_plays_in_the_copies(tmp_path: Path) -> None:
-    navigator = GENERALIST.with_name("navigator.pt")
-    job = dataclasses.replace(job_of(tmp_path, copies=1, demonstrations=1), shown_by=(navigator,), part=0)
-    assert record_demonstrations(job, Report()) == {"navigator": [1, 0]}  # twelve steps do not lead there
-    assert [file.name for file in (tmp_path / "demonstrations").iterdir()] == ["navigator_0_0.npz"]
-    assert read_demonstrations(tmp_path) == []
