@@ -156,3 +156,12 @@ def _refuse_unknown(prefix: str, node: DictConfig, made: Any) -> None:
     for name in names:
         if dataclasses.is_dataclass(getattr(made, name)):
             _refuse_unknown(f"{prefix}{name}.", node[name], getattr(made, name))
+
+
+def anatomy_not_taken(config: RunConfig) -> list[str]:
+    """Settings of an anatomy that were given, in a stage whose anatomies are those of its own settings alone."""
+    names = {item.name for item in dataclasses.fields(config.stage)}
+    if "file" in names or not names & {"phantom", "phantoms"}:
+        return []
+    items = dataclasses.fields(config.phantom)
+    return [f"phantom.{item.name}" for item in items if getattr(config.phantom, item.name) is not None]

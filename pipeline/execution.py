@@ -10,7 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pipeline.config import RunConfig
+from pipeline.config import RunConfig, anatomy_not_taken
 from pipeline.jobs.costs import OWN_PROCESS, CostMeter, keep_cost
 from pipeline.jobs.engines.choice import chosen_engine
 from pipeline.jobs.engines.settings import LOCAL
@@ -46,6 +46,8 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
     stage = load_stage(config.stage.name)
     stage.prepare(config.stage)
     stage.check(config.stage)
+    if unused := anatomy_not_taken(config):
+        _LOGGER.warning("%s is not for the stage %s: it has anatomies of its own", ", ".join(unused), stage.name)
     if config.engine is None or config.engine.name == LOCAL:
         check_device(getattr(config.stage, "device", CPU))  # every stage with networks has one
     run_path = Path(config.runs_dir) / config.name

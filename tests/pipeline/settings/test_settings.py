@@ -14,7 +14,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from pipeline.config import RunConfig, run_config
+from pipeline.config import RunConfig, anatomy_not_taken, run_config
 from pipeline.explain import one_line
 from pipeline.settings.checks import sentence
 from pipeline.stages import available_stages, load_stage
@@ -177,3 +177,13 @@ def test_a_package_s_settings_are_refused_with_their_class_s_name() -> None:
         with pytest.raises(ValidationError) as refused:
             Fit(epochs=epochs)
         assert sentence(refused.value) == expected
+
+
+@pytest.mark.parametrize(
+    ("stage", "unused"),
+    [("force", ["phantom.name", "phantom.entry"]), ("guide3d", ["phantom.name", "phantom.entry"]), ("expert", []),
+     ("report", [])],
+)  # fmt: skip
+def test_an_anatomy_for_a_stage_that_takes_none(stage: str, unused: list[str]) -> None:
+    config = run_config(unchecked(f"stage={stage}", "phantom.name=bovine", "phantom.entry=ascending"))
+    assert anatomy_not_taken(config) == unused
