@@ -23,10 +23,10 @@ of the NIfTI file PATH, are written with one fault each and imported in a proces
     left_handed    axes stored from right to left, values as floating-point numbers
     copied         every second voxel along each axis, copied to voxels of 1.1 mm (the nearest one's label)
 
-A row is right if the lumen has no problem, all vessels are found by their names and no others, every target lies
-within 3 mm of the vessel's true centreline, no vessel ends 8 mm and a tenth of its length before its labels do, and
-there is no wall within half of the aorta's radius or a quarter of
-another vessel's. Last line: one JSON object {"rows": {case: {...}}, "right", "tried"}.
+A row is right if the lumen has no problem, all vessels are found by their names and no others, each leaves the vessel
+that it was drawn to leave (not asked where labels are swapped), every target lies within 3 mm of the vessel's true
+centreline, no vessel ends 8 mm and a tenth of its length before its labels do, and there is no wall within half of the
+aorta's radius or a quarter of another vessel's. Last line: one JSON object {"rows": {case: {...}}, "right", "tried"}.
 """
 
 from __future__ import annotations
@@ -270,6 +270,9 @@ FAULTS: dict[str, Fault] = {
 }
 
 
+SWAPPED = (swapped.__name__, tip_swapped.__name__)  # labels that say no longer which vessel leaves which
+
+
 def draw_arch(setting: str, seed: int) -> Drawn:
     """Labels of a random arch; those without a name are not numbered."""
     truth = load_phantom(setting, seed=seed)
@@ -296,8 +299,12 @@ def draw_file(path: Path) -> Drawn:
     return Drawn(labels, image.affine, numbers, truth.tree, np.array(truth.imported.offset))
 
 
-def judge(path: Path, drawn: Drawn) -> dict[str, Any]:
-    """Imports labels and compares what is found with the truth."""
+def judge(path: Path, drawn: Drawn, *, take_offs: bool) -> dict[str, Any]:
+    """Imports labels and compares what is found with the truth.
+
+    Args:
+        take_offs: whether the labels still say which vessel leaves which.
+    """
     with tempfile.TemporaryDirectory() as folder:
         try:
             found = import_anatomy(path, cache_dir=Path(folder))
@@ -318,6 +325,9 @@ def judge(path: Path, drawn: Drawn) -> dict[str, Any]:
     for branch in drawn.tree:
         if branch.name not in found.tree:
             continue
+        parent = found.tree[branch.name].parent
+        if take_offs and parent != branch.parent and branch.parent in found.tree:
+            problems.append(f"{branch.name} leaves {parent} instead of {branch.parent}")
         _, arc, _ = nearest_on_branch(branch, found.tree[branch.name].points - offset)
         if (early := _labelled_end(drawn, branch) - arc.max()) > EARLY[0] + EARLY[1] * branch.length:
             problems.append(f"{branch.name} ends {1e3 * early:.0f} mm before its labels")
@@ -350,7 +360,7 @@ def run_case(source: str, fault: str, seed: int, setting: str) -> dict[str, Any]
     with tempfile.TemporaryDirectory() as folder:
         names = {number: name for name, number in drawn.numbers.items() if name}
         path = save_nifti(Path(folder) / "labels.nii.gz", drawn.labels, drawn.affine, names)
-        return judge(path, drawn)
+        return judge(path, drawn, take_offs=fault not in SWAPPED)
 
 
 def main() -> None:

@@ -66,8 +66,8 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     # of a test's episode: what has not arrived after its steps is drawn back and tried again
     attempts: Annotated[int, Ge(1), Le(10)] = 1
     # episodes that arrive, of other policies of the same devices where that which it starts from seldom does; 0: none
-    demonstrations: Annotated[int, Ge(0), Le(1000)] = 24
-    # by the sampling expert: where policies show less than a sixth of them, always, or never
+    demonstrations: Annotated[int, Ge(0), Le(1000)] = 12
+    # by the sampling expert: where policies show less than a third of them, always, or never
     expert: Annotated[str, one_of(NEEDED, ALWAYS, NEVER)] = NEEDED
     algorithm: Annotated[str, one_of(SAC, PPO)] = SAC
     decisions: Decisions = 20_000

@@ -23,7 +23,7 @@ DEMONSTRATIONS = "demonstrations"  # folder, and first part of the jobs' names
 EXPERT = "expert"
 OFTEN = 0.5  # share of episodes, with the trials of its devices: a policy that arrives as often learns from its own
 ROUNDS = 4  # turns of one policy at most
-FEW = 6  # one in so many of the demonstrations wanted: where policies show fewer, the expert is asked
+FEW = 3  # one in so many of the demonstrations wanted: where policies show fewer, the expert is asked
 
 
 @dataclass(frozen=True)

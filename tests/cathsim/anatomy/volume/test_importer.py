@@ -166,6 +166,30 @@ def test_a_folder_with_bridges_and_gaps(tmp_path: Path, phantom: Phantom, cache:
     assert check_lumen(found, required_radius=1e-3).valid
 
 
+def test_a_carotid_of_a_trunk_and_a_trunks_fork(tmp_path: Path, cache: Path) -> None:
+    """The carotid's label touches the aorta, too, along its side."""
+    truth = load_phantom("random_scan", seed=2150, resolution=COARSE)
+    file = save_nifti(tmp_path / "trunk.nii.gz", *rasterise(truth))
+    found = import_anatomy(file, resolution=COARSE, cache_dir=cache)
+    assert {branch.name: branch.parent for branch in found.tree} == {
+        branch.name: branch.parent for branch in truth.tree
+    }
+    for name in ("rsa", "rcca", "lcca"):
+        take_off = in_patient(found, found.tree[name].points[:1])[0]
+        assert np.linalg.norm(take_off - truth.tree[name].points[0]) < 5e-3, name
+    # there is a wall between the carotid and the aorta beside it
+    carotid = truth.tree["lcca"].points[5:60]
+    aorta = nearest_on_branch(truth.tree["aorta"], carotid)[0]
+    way = np.concatenate([carotid + share * (aorta - carotid) for share in np.linspace(0, 1, 61)])
+    assert found.imported is not None
+    before, after = (
+        grid.sample(way + at).reshape(61, -1).min(axis=0)
+        for grid, at in ((truth.grid, 0.0), (found.grid, np.array(found.imported.offset)))
+    )
+    assert (before < -5e-4).sum() > 20
+    assert (after[before < -5e-4] < 0).all()
+
+
 def test_an_aorta_that_widens_soon_after_its_lower_end_keeps_that_end(tmp_path: Path, cache: Path) -> None:
     spacing = 1.5e-3
     x, y, z = np.meshgrid(*[spacing * np.arange(n) for n in (64, 40, 88)], indexing="ij")

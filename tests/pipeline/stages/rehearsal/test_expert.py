@@ -56,8 +56,8 @@ def test_the_sampling_expert_shows_the_way_where_no_policy_does(
 
 @pytest.mark.parametrize(("arriving", "expert"), [(0, True), (1, True), (2, False)])
 def test_the_expert_is_asked_where_policies_show_next_to_nothing(tmp_path: Path, arriving: int, expert: bool) -> None:
-    """Of twelve episodes that are wanted a sixth is enough."""
-    job = job_of(tmp_path, copies=5, demonstrations=12, expert="needed")
+    """Of six episodes that are wanted a third is enough."""
+    job = job_of(tmp_path, copies=5, demonstrations=6, expert="needed")
     job = dataclasses.replace(job, start=GENERALIST, shown_by=(GENERALIST,))
     for number in range(2):
         for place, copy in enumerate(job.training_cases):

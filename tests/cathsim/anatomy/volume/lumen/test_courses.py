@@ -27,7 +27,7 @@ def test_a_bar_to_another_vessel_is_not_a_vessels_end(bar: bool) -> None:
     up = np.arange(60)[:, None] * [0.0, 0.0, 1e-3]  # a vessel of 3 mm of radius, rounded at its end
     aside = up[50] + np.arange(1, 25)[:, None] * [1e-3, 0.0, 0.0]  # a bar of 0.8 mm from 50 mm on
     depth = np.r_[np.full(57, 3e-3), 2e-3, 1e-3, 0.2e-3]
-    away = np.arange(60) * 1e-3
+    away: Any = np.arange(60) * 1e-3
     if bar:
         up, depth = np.concatenate([up, aside]), np.r_[depth, np.full(24, 0.8e-3)]
         away = np.r_[away, 50e-3 + np.arange(1, 25) * 1e-3]

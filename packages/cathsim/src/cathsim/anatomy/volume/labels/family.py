@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.vessel_names import AORTA, PARENTS
 from cathsim.anatomy.volume.labels.parts import bridge, clean_parts, led_on
+from cathsim.anatomy.volume.labels.take_off import from_far_end
 
 _LEAST_SHARE = 0.3  # of a vessel's largest contact: one smaller than this is no take-off
 # of a vessel's radius, and of its section: one that touches its parent by less, and has less of it there, is led on to
@@ -18,11 +19,15 @@ _SLIVER, _PARTLY = 1.15, 0.7
 _ABOUT = 30e-3  # m around its take-off that say where a vessel leads
 _MOUTH = 0.5  # of a take-off's area, from which on a contact beside it is a part of the mouth and no bridge
 _SISTERS = 1.2  # of the sum of both take-offs' radii, within which they are one place
+_ONE_PLACE = 0.8  # of the radius of a vessel's take-off from the aorta: a branch that leaves it so near to that, too
+_ALONG = (1.5, 4e-3)  # radii and m before a vessel's end from which on a contact lies along its side
+_UNSURE = 0.5  # of the radius of the contact with its parent: another that wide, also at the end, is noted
 _CLUSTER = 4e-3  # m: contacts nearer to each other than this are one
 _AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
 Array = NDArray[np.float64]
 Box = NDArray[np.uint8]
+Touching = dict[tuple[int, int], tuple[Array, Array]]  # places and areas of contacts, by pair of vessels
 
 
 @dataclass(eq=False)
@@ -65,7 +70,7 @@ def find_family(box: Box, names: Sequence[str], spacing: Array) -> tuple[Box, Fa
     touching = _contacts(box, spacing)
     closed = False
     while waiting:
-        found = {n: parent for n in waiting if (parent := _parent(n, names, order, touching, closed))}
+        found = {n: parent for n in waiting if (parent := _parent(n, box, names, order, touching, spacing, closed))}
         if found:
             links |= {n: _link(n, parent, touching) for n, parent in found.items()}
             order += found
@@ -76,7 +81,9 @@ def find_family(box: Box, names: Sequence[str], spacing: Array) -> tuple[Box, Fa
             touching, closed = _contacts(box, spacing), True
         else:
             break
+    beside, unsure = _further_contacts(box, names, links, touching, spacing)
     led = _lead_on(box, names, links, spacing)
+    notes += unsure
     if led:
         notes += led
         touching = _contacts(box, spacing)
@@ -86,7 +93,29 @@ def find_family(box: Box, names: Sequence[str], spacing: Array) -> tuple[Box, Fa
         box[box == number] = 0
         notes.append(f"{names[number - 1]} touches no other vessel and is left out")
     kept = {number: names[number - 1] for number in order}
-    return box, Family(kept, links, _false_contacts(touching, links, root, waiting), order, notes)
+    return box, Family(kept, links, _false_contacts(touching, links, root, waiting, beside), order, notes)
+
+
+def _further_contacts(
+    box: Box, names: Sequence[str], links: dict[int, Link], touching: Touching, spacing: Array
+) -> tuple[dict[tuple[int, int], int], list[str]]:
+    """Contacts of vessels with others than they leave: along whose side, by pair; notes on the rest."""
+    beside: dict[tuple[int, int], int] = {}
+    notes = []
+    for number, link in links.items():
+        usual = PARENTS.get(names[number - 1], ())
+        others = {a if b == number else b for a, b in touching if number in (a, b)}
+        possible = [other for name in usual for other in others if names[other - 1] == name]
+        at_end = _take_off(number, box, possible, touching, spacing)
+        if link.parent not in at_end:
+            continue
+        for other in set(possible) - set(at_end):
+            beside[min(number, other), max(number, other)] = number
+        for other in at_end:
+            if other != link.parent and _link(number, other, touching).radius >= _UNSURE * link.radius:
+                one, two = names[link.parent - 1], names[other - 1]
+                notes.append(f"{names[number - 1]} begins at {one} and {two}, and is taken to leave {one}")
+    return beside, notes
 
 
 def _lead_on(box: Box, names: Sequence[str], links: dict[int, Link], spacing: Array) -> list[str]:
@@ -107,7 +136,11 @@ def _lead_on(box: Box, names: Sequence[str], links: dict[int, Link], spacing: Ar
 
 
 def _false_contacts(
-    touching: dict[tuple[int, int], tuple[Array, Array]], links: dict[int, Link], root: int, waiting: Sequence[int]
+    touching: Touching,
+    links: dict[int, Link],
+    root: int,
+    waiting: Sequence[int],
+    beside: dict[tuple[int, int], int],
 ) -> list[tuple[int, int, Array]]:
     """Pairs that touch where neither leaves the other, and where: (n, 3) m."""
     false = []
@@ -122,6 +155,8 @@ def _false_contacts(
             for one in (links[a], links[b]):
                 if len(places):
                     places = places[_distance(places, one.ostium) > one.radius + _CLUSTER]
+        elif (a, b) in beside:
+            places = places[_distance(places, links[beside[a, b]].ostium) > _CLUSTER]
         elif any(_is_mouth(places, areas, links[n]) for n in (a, b) if n in links):
             continue
         if len(places):
@@ -129,7 +164,7 @@ def _false_contacts(
     return false
 
 
-def _contacts(box: Box, spacing: Array) -> dict[tuple[int, int], tuple[Array, Array]]:
+def _contacts(box: Box, spacing: Array) -> Touching:
     """Places (n, 3) m where two vessels touch, and the area (n,) m^2 of each, by pair; edges and corners have none."""
     area = [spacing[1] * spacing[2], spacing[0] * spacing[2], spacing[0] * spacing[1]]
     steps = list(np.ndindex(3, 3, 3))
@@ -155,9 +190,11 @@ def _contacts(box: Box, spacing: Array) -> dict[tuple[int, int], tuple[Array, Ar
 
 def _parent(
     number: int,
+    box: Box,
     names: Sequence[str],
     placed: Sequence[int],
-    touching: dict[tuple[int, int], tuple[Array, Array]],
+    touching: Touching,
+    spacing: Array,
     closed: bool,
 ) -> int | None:
     """The vessel that a vessel leaves; None as long as that has no place in the family itself."""
@@ -165,14 +202,32 @@ def _parent(
     largest = max(areas.values(), default=0.0)
     wide = {other: area for other, area in areas.items() if area > 0 and area >= _LEAST_SHARE * largest}
     usual = PARENTS.get(names[number - 1], ())
-    for wanted in usual:
-        for other in wide:
-            if names[other - 1] == wanted:
-                return other if other in placed else None
+    possible = [other for name in usual for other in wide if names[other - 1] == name]
+    if possible:
+        parent = _take_off(number, box, possible, touching, spacing)[0]
+        return parent if parent in placed else None
     if usual and not closed:
         return None  # a gap may part it from where it belongs
     wide = {other: area for other, area in wide.items() if other in placed}
     return max(wide, key=lambda other: wide[other]) if wide else None
+
+
+def _take_off(number: int, box: Box, possible: Sequence[int], touching: Touching, spacing: Array) -> list[int]:
+    """Vessels that a vessel may leave: the likeliest first, and without those that it only runs along.
+
+    One that it touches with its whole section comes before one that it touches with less.
+
+    Args:
+        possible: that it touches, the most usual parent first.
+    """
+    if len(possible) < 2:
+        return list(possible)
+    links = {other: _link(number, other, touching) for other in possible}
+    along, radius = from_far_end(box == number, {other: link.ostium for other, link in links.items()}, spacing)
+    whole = [other for other in possible if links[other].radius >= _SLIVER * radius] or list(possible)
+    first = max(along[other] for other in whole) - max(_ALONG[0] * radius, _ALONG[1])
+    at_end = [other for other in possible if along[other] >= first]
+    return sorted(at_end, key=lambda other: other not in whole)
 
 
 def _is_mouth(places: Array, areas: Array, link: Link) -> bool:
@@ -196,7 +251,8 @@ def _raise_sisters(links: dict[int, Link], names: Sequence[str]) -> None:
         ):
             continue
         gap = float(np.linalg.norm(link.ostium.mean(axis=0) - sister.ostium.mean(axis=0)))
-        if gap < _SISTERS * (link.radius + sister.radius):
+        side_branch = names[sister.parent - 1] == AORTA and names[link.parent - 1] in usual  # as a carotid of a trunk
+        if gap < (_ONE_PLACE * sister.radius if side_branch else _SISTERS * (link.radius + sister.radius)):
             link.parent = sister.parent
 
 
@@ -204,7 +260,7 @@ def _rank(usual: Sequence[str], name: str) -> int:
     return usual.index(name) if name in usual else len(usual)
 
 
-def _link(number: int, parent: int, touching: dict[tuple[int, int], tuple[Array, Array]]) -> Link:
+def _link(number: int, parent: int, touching: Touching) -> Link:
     places, areas = touching[min(number, parent), max(number, parent)]
     cluster = _main_cluster(places, areas)
     return Link(parent, parent, places[cluster], float(np.sqrt(max(areas[cluster].sum(), 1e-6) / np.pi)))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.anatomy.volume.voxel_graph import neighbours
+
 _LEAST_SHARE = 0.03  # of a vessel's voxels, from which on a part counts as lost
 _LEAST_DEPTH = 0.6  # of the vessel's usual depth, likewise: a bar between two vessels is thinner
 _USUAL = 0.98  # quantile of the depths of a vessel's voxels
@@ -56,18 +58,10 @@ def _way(depth: Array, kept: Mask, lost: Mask, spacing: Array) -> NDArray[np.int
     from scipy.sparse.csgraph import dijkstra
 
     voxels = np.argwhere(depth > 0)
-    place = np.full(tuple(n + 2 for n in depth.shape), -1, dtype=np.int64)
-    place[tuple((voxels + 1).T)] = np.arange(len(voxels))
     dear = (float(spacing.min()) / depth[tuple(voxels.T)]) ** 2
-    pairs, costs = [], []
-    for step in [s for s in np.ndindex(3, 3, 3) if s > (1, 1, 1)]:
-        other = place[tuple((voxels + np.array(step)).T)]
-        near = np.flatnonzero(other >= 0)
-        pairs.append(np.stack([near, other[near]], axis=1))
-        length = np.linalg.norm((np.array(step) - 1) * spacing)
-        costs.append(length * (dear[near] + dear[other[near]]))
-    first, second = np.concatenate(pairs).T
-    graph = csr_matrix((np.concatenate(costs), (first, second)), shape=(len(voxels),) * 2)
+    pairs, lengths = neighbours(voxels, spacing)
+    first, second = pairs.T
+    graph = csr_matrix((lengths * (dear[first] + dear[second]), (first, second)), shape=(len(voxels),) * 2)
     ours, theirs = kept[tuple(voxels.T)], np.flatnonzero(lost[tuple(voxels.T)])
     if not ours.any():
         return None
