@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +11,8 @@ from pipeline.recording.trials import controllers, recorded, retrying
 from pipeline.seeds import held_out_seeds
 from pipeline.stages.rehearsal.copies import SCAN, RehearsalJob, copies_environment
 from pipeline.store.atomic_files import atomic_path
+
+_USUAL_STEPS = 300  # of an episode, whose film has every second step; that of one twice as long every fourth
 
 
 def film_file(tested: str | None) -> str:
@@ -23,7 +26,7 @@ def film_scan(job: RehearsalJob, report: Report) -> dict[str, Any]:
     Returns:
         Its number, whether it arrived, and its steps.
     """
-    from cathsim.viewing.film import Film
+    from cathsim.viewing.film import STRIDE, Film
     from enn.policy import Policy
     from enn.retrying import steps_of_attempts
 
@@ -38,7 +41,7 @@ def film_scan(job: RehearsalJob, report: Report) -> dict[str, Any]:
     environment.reset(seed=0, options={"case": 0})
     shown = environment.current
     controller = retrying(controllers(Policy.load(job.policy), settings.mode), steps, settings.attempts)(seeds[number])
-    film = Film()
+    film = Film(STRIDE * math.ceil(task.max_steps / _USUAL_STEPS))
     try:
         observation, info = shown.reset(seed=seeds[number])
         film.add(shown)

@@ -9,13 +9,14 @@ import pytest
 from PIL import Image
 
 from cathsim import NavigateEnv
-from cathsim.viewing.film import HEIGHT_PX, Film, film_palette, film_states, write_gif
+from cathsim.viewing.film import HEIGHT_PX, STRIDE, Film, film_palette, film_states, write_gif
 
 
-def test_a_film_has_every_second_step_and_the_last(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("stride", "frames"), [(STRIDE, 3), (4, 2)])
+def test_a_film_has_every_second_step_or_fewer_and_the_last(tmp_path: Path, stride: int, frames: int) -> None:
     environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=3)
     environment.reset(seed=0)
-    film = Film()
+    film = Film(stride)
     film.add(environment)
     for _ in range(3):
         environment.step(np.array([1.0, 0.0]))
@@ -24,7 +25,7 @@ def test_a_film_has_every_second_step_and_the_last(tmp_path: Path) -> None:
     film.close()
     with Image.open(tmp_path / "film") as shown:
         assert (shown.format, shown.height) == ("GIF", HEIGHT_PX)
-        assert getattr(shown, "n_frames", 1) == 3
+        assert getattr(shown, "n_frames", 1) == frames
 
 
 def test_films_of_two_anatomies_are_appended(tmp_path: Path) -> None:

@@ -27,9 +27,13 @@ class Film:
     """Collects frames of an episode and writes them as an animated GIF.
 
     Where no OpenGL library is found the film is of the fluoroscopy alone, and a warning says how to have the rest.
+
+    Args:
+        stride: of so many steps one is shown, and the last.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, stride: int = STRIDE) -> None:
+        self._stride = stride
         self._frames: list[np.ndarray] = []
         self._count = 0
         self._fluoroscope: Any = None
@@ -38,7 +42,7 @@ class Film:
     def add(self, environment: NavigateEnv) -> None:
         """Looks at a step of the episode."""
         ended = bool(environment.steps and environment.ended)
-        if self._count % STRIDE == 0 or ended:
+        if self._count % self._stride == 0 or ended:
             self.look(environment.simulation, environment.task.goal(environment.phantom))
         self._count += 1
 
