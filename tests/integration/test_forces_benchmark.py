@@ -1,4 +1,4 @@
-"""Trained policies that steer in the benchmark of forces: with which devices, and that their draws are seeded."""
+"""Episodes of the benchmark of forces: devices of trained policies, draws that are seeded, a flow."""
 
 from __future__ import annotations
 
@@ -23,6 +23,18 @@ def test_a_policy_steers_the_devices_that_it_was_trained_with(source: str, devic
     operator = TrainedOperator(source)
     assert operator.name == "policy"
     assert operator.fits(Case(device, 0.06, operator.name, "bca", 0)) == fits
+
+
+def test_the_flow_of_a_case_drags_its_devices() -> None:
+    tips = []
+    for blood in (None, "pulsatile"):
+        environment = Case(WIRE, 0.06, "random", "bca", 0, blood).environment(accuracy="fast")
+        environment.reset(seed=0)
+        for _ in range(12):
+            *_, info = environment.step(np.array([1.0, 0.0]))
+        tips.append(np.asarray(info["tip"]))
+        environment.close()
+    assert 1e-6 < np.linalg.norm(tips[1] - tips[0]) < 5e-3  # m
 
 
 def test_the_same_generator_draws_the_same_motions() -> None:
