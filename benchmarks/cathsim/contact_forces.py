@@ -137,7 +137,7 @@ def table(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "p90_pct": 100 * float(np.percentile(errors, 90)),
                 "p90_95": [100 * end for end in interval(errors, groups, lambda v: float(np.percentile(v, 90)))],
             }
-            if case != "exact":
+            if not case.endswith("exact"):
                 held = np.array([row[f"{name}_held"] for row in chosen])
                 line[name]["held_pct"] = 100 * float(held.mean())
                 line[name]["held_95"] = [100 * end for end in interval(held, groups, lambda v: float(np.mean(v)))]
@@ -187,7 +187,8 @@ def sequences(count: int, frames: int, members: int) -> dict[str, float]:
             estimate = tracker.update(noisy, feeder, simulation.rotation + case.rotation)
             if frame > 0:
                 spent, total = spent + time.process_time() - began, total + 1
-            moving = State(state.phantom, curve, simulation.insertion, simulation.rotation, truth)
+            nodes = simulation.wire_points()
+            moving = State(state.phantom, curve, nodes, simulation.insertion, simulation.rotation, truth)
             if moving.forces["resultant"] >= LEAST_RESULTANT:
                 row = compared(moving, estimate)
                 for name in QUANTITIES:

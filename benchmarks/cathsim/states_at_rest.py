@@ -38,6 +38,7 @@ class State:
 
     phantom: Phantom
     curve: Array  # from the entry to the tip, m. Shape (n, 3).
+    nodes: Array  # of the wire, from the tip, what lies in the sheath included, m. Shape (m, 3).
     insertion: float  # m
     rotation: float  # rad
     truth: RestingContacts
@@ -73,7 +74,8 @@ def states_at_rest(phantom: Phantom, count: int, seed: int, device: Device = WIR
         truth = resting_contacts(simulation, observed_curve(curve, phantom, "descending", simulation.max_insertion))
         if simulation.valid and np.linalg.norm(truth.resultant) >= LEAST_RESULTANT:
             count -= 1
-            yield State(phantom, curve, simulation.insertion, simulation.rotation, truth, moved.catheter())
+            nodes = simulation.wire_points()
+            yield State(phantom, curve, nodes, simulation.insertion, simulation.rotation, truth, moved.catheter())
 
 
 class _Wire:

@@ -3,7 +3,7 @@
 from cathsim.statics.drawn_errors import DrawnErrors, drawn_errors, noisy_curve
 from cathsim.statics.ensemble_summary import ContactForces, Estimate
 from cathsim.statics.estimator import ContactForceEstimator, contact_forces
-from cathsim.statics.observed_curve import inserted_curve, inserted_part
+from cathsim.statics.observed_curve import curve_from_entry, inserted_curve, inserted_part
 from cathsim.statics.uncertainty import Uncertainty
 
 __all__ = [
@@ -13,6 +13,7 @@ __all__ = [
     "Estimate",
     "Uncertainty",
     "contact_forces",
+    "curve_from_entry",
     "drawn_errors",
     "inserted_curve",
     "inserted_part",

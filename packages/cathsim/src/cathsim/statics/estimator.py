@@ -105,7 +105,8 @@ class ContactForceEstimator:
         """The contact forces of a frame.
 
         Args:
-            curve: points (n, 3) m, world frame, from the entry to the tip; `inserted_curve` of a simulation.
+            curve: points (n, 3) m, world frame, from the entry to the tip; `inserted_curve` or
+                `curve_from_entry`.
             insertion: of the feeder, m; None: from the curve's length.
             rotation: of the feeder, rad; None: searched.
             catheter: insertion (m) and rotation (rad) of a catheter over the wire, which has to be given.
@@ -204,7 +205,8 @@ def contact_forces(
     stiffness measured; blood and pulsation are left out. A wire's torsion is rigid, a pair's as its `torsion` says.
 
     Args:
-        curve: points (n, 3) m, world frame, from the entry to the tip: simulated (`inserted_curve`) or reconstructed.
+        curve: points (n, 3) m, world frame, from the entry to the tip: simulated (`inserted_curve`) or reconstructed
+            (`curve_from_entry`).
         phantom: the anatomy, registered to the curve.
         device: with its stiffness, to which forces are proportional.
         insertion: of the feeder, m; None: from the curve's length.

@@ -17,6 +17,7 @@ SMOOTHING = 1.5e-3  # m, deviation of the Gaussian along the curve: more would c
 MOST_GAP = 0.010  # m from the entry at which a curve may begin
 MOST_OUTSIDE = 5e-3  # m beyond the wall: errors of reconstruction and registration
 _SHORTEST = 1e-6  # m
+_LOOK_AHEAD = 0.02  # m from the entry within which a curve shows on which side of it the lumen lies
 _INSERTION_MISFIT = (0.010, 0.05)  # m, and share of the length, by which insertion and curve may disagree
 
 Array = NDArray[np.float64]
@@ -72,6 +73,33 @@ def inserted_part(points: Array, insertion: float) -> Array:
     return np.stack([np.interp(at, arcs, points[:, axis]) for axis in range(3)], axis=1)
 
 
+def curve_from_entry(curve: ArrayLike, phantom: Phantom, entry: str = "descending") -> Array:
+    """A reconstructed curve as `contact_forces` takes it: from the entry to the tip, what lies in the sheath cut off.
+
+    Args:
+        curve: points (n, 3) m, world frame, in either order; `guide3d` gives mm, tip first.
+        entry: name of the phantom's entry.
+
+    Returns:
+        Points (m, 3) m.
+
+    Raises:
+        ValueError: another shape, numbers that are not finite, an unknown entry, or a curve that does not reach it.
+    """
+    points = _checked_points(curve)
+    gate = phantom.entry(entry)
+    at, nearest = _nearest_on(points, gate.position)
+    gap = float(np.linalg.norm(nearest - gate.position))
+    if gap > MOST_GAP:
+        raise ValueError(
+            f"a curve passes within {1e3 * MOST_GAP:g} mm of the entry '{entry}', this one {1e3 * gap:.1f} mm from it: "
+            "give the whole wire up to the sheath, in m, in the phantom's frame"
+        )
+    sides = [np.vstack((nearest, points[at + 1 :])), np.vstack((nearest, points[at::-1]))]
+    into = [float(((side - gate.position) @ gate.direction)[arc_length(side) <= _LOOK_AHEAD].mean()) for side in sides]
+    return sides[int(np.argmax(into))]
+
+
 def observed_curve(curve: ArrayLike, phantom: Phantom, entry: str, max_insertion: float) -> ObservedCurve:
     """Checks a curve, ties it to the entry and smooths it.
 
@@ -83,15 +111,7 @@ def observed_curve(curve: ArrayLike, phantom: Phantom, entry: str, max_insertion
         ValueError: another shape, numbers that are not finite, points in one place or outside the lumen, a first point
             far from the entry, or a length that the device does not have.
     """
-    try:
-        points = np.array(curve, np.float64)
-    except (TypeError, ValueError):
-        raise ValueError("a curve must be numbers of shape (n, 3), in m, from the entry to the tip") from None
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
-        raise ValueError(f"a curve must have shape (n, 3) with 2 points at least, got {points.shape}")
-    if not np.isfinite(points).all():
-        first = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise ValueError(f"a curve must be finite, its point {first} is {points[first]}: leave such points out")
+    points = _checked_points(curve)
     gate = phantom.entry(entry)
     gap, other = (float(np.linalg.norm(points[end] - gate.position)) for end in (0, -1))
     if gap > MOST_GAP:
@@ -138,6 +158,30 @@ def checked_insertion(insertion: float, curve: ObservedCurve, max_insertion: flo
             f"{curve.insertion:.3f} m, or None where the feeder's position is not known"
         )
     return float(insertion)
+
+
+def _checked_points(curve: ArrayLike) -> Array:
+    """Finite points of shape (n, 3), two at least."""
+    try:
+        points = np.array(curve, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError("a curve must be numbers of shape (n, 3), in m, from the entry to the tip") from None
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
+        raise ValueError(f"a curve must have shape (n, 3) with 2 points at least, got {points.shape}")
+    if not np.isfinite(points).all():
+        first = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
+        raise ValueError(f"a curve must be finite, its point {first} is {points[first]}: leave such points out")
+    return points
+
+
+def _nearest_on(points: Array, place: Array) -> tuple[int, Array]:
+    """The segment of a polyline nearest to a place, and the point on it."""
+    starts, steps = points[:-1], np.diff(points, axis=0)
+    squared = np.maximum((steps**2).sum(axis=1), np.finfo(float).tiny)
+    share = np.clip(((place - starts) * steps).sum(axis=1) / squared, 0.0, 1.0)
+    feet = starts + share[:, None] * steps
+    at = int(np.argmin(np.linalg.norm(feet - place, axis=1)))
+    return at, feet[at]
 
 
 def _tied(points: Array, entry: Array, direction: Array) -> Array:
