@@ -73,13 +73,15 @@ def trace_mask(mask: ArrayLike, end_px: ArrayLike, settings: SkeletonSettings | 
     # only the part of the image where there is anything: thinning is slow
     top, left = rows[0], columns[0]
     line = skeletonize(np.pad(wire[top : rows[-1] + 1, left : columns[-1] + 1], 1))
-    count, labels = cv2.connectedComponents(line.astype(np.uint8), connectivity=8)
-    sizes = np.bincount(labels.ravel(), minlength=count)
-    kept = [label for label in range(1, count) if sizes[label] >= settings.smallest_px]
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(line.astype(np.uint8), connectivity=8)
+    kept = [label for label in range(1, count) if boxes[label, cv2.CC_STAT_AREA] >= settings.smallest_px]
     if not kept:
         return TracedMask(None, 0)
     corner = np.array([left - 1, top - 1])
-    ways = [_longest_way(labels == label) + corner for label in kept]
+    ways = []
+    for label in kept:
+        x, y, width, height = boxes[label, :4]
+        ways.append(_longest_way(labels[y : y + height, x : x + width] == label) + corner + (x, y))
     points = _joined(ways, settings.widest_gap_px)
     ends = np.linalg.norm(points[[0, -1]] - np.asarray(end_px, float), axis=1)
     points = points[::-1] if ends[0] < ends[1] else points
@@ -113,19 +115,18 @@ def _longest_way(line: NDArray[np.bool_]) -> Array:
 
 
 def _joined(ways: list[Array], widest: float) -> Array:
+    """The longest way and those whose ends are near, one behind the other: always the nearest end first."""
     ways = sorted(ways, key=lambda way: -arc_length(way)[-1])
     whole, others = ways[0], ways[1:]
-    while others:
-        gaps = [
-            (float(np.linalg.norm(whole[end] - other[start])), place, end, start)
-            for place, other in enumerate(others)
-            for end in (0, -1)
-            for start in (0, -1)
-        ]
-        gap, place, end, start = min(gaps)
-        if gap > widest:
+    ends = np.array([way[[-1, 0]] for way in others]).reshape(-1, 1, 2, 2)  # of each, last and first
+    left = np.ones(len(others), bool)
+    while left.any():
+        gaps = np.linalg.norm(whole[[-1, 0]][:, None] - ends, axis=3)  # way, end of the whole, end of the way
+        gaps[~left] = np.inf
+        place, end, start = np.unravel_index(int(np.argmin(gaps)), gaps.shape)
+        if gaps[place, end, start] > widest:
             break
-        other = others.pop(place)
-        other = other if start == 0 else other[::-1]
-        whole = np.vstack([whole, other]) if end == -1 else np.vstack([other[::-1], whole])
+        left[place] = False
+        other = others[place] if start == 1 else others[place][::-1]
+        whole = np.vstack([whole, other]) if end == 0 else np.vstack([other[::-1], whole])
     return whole
