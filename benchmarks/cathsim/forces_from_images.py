@@ -5,7 +5,7 @@ reads and reconstructs the wire with the exact cameras. `exact`: the estimator k
 insertion, rotation, lumen and bending stiffness are wrong as in `contact_forces.py`. The rows `simulated` have the true
 curve in place of the reconstructed one, on the same states. The last line is JSON.
 
-    python -m benchmarks.cathsim.forces_from_images [--arches 400 20] [--members 40] [--out results.json]
+    python -m benchmarks.cathsim.forces_from_images [--arches 400 100] [--members 40] [--out results.json]
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from guide3d import read_camera, read_pair
 
 NAMED = ("type_1", "type_2", "bovine")
 NAMED_STATES = 2
+RANDOM = (400, 20)  # first seed and number of arches with a state each
 SIZE = 1024  # px
 CURVES = ("simulated", "reconstructed")
 
@@ -42,7 +43,8 @@ def reconstructed(state: State, fluoroscope: BiplaneFluoroscope, seed: int) -> t
     with tempfile.TemporaryDirectory() as folder:
         write_calibration(fluoroscope.cameras, Path(folder))
         cameras = [read_camera(Path(folder) / f"projection_{name}.txt") for name in fluoroscope.names]
-    wire = read_pair(*(frames[name].image for name in fluoroscope.names), cameras)
+    first, second = (frames[name].image for name in fluoroscope.names)
+    wire = read_pair(first, second, cameras)
     return curve_from_entry(1e-3 * wire.curve_mm, state.phantom), wire.refusal
 
 
@@ -56,14 +58,14 @@ def distance_mm(curve: Array, truth: Array) -> float:
 
 def measured(
     state: State, curves: dict[str, Array], seed: int, members: int, workers: int
-) -> dict[str, dict[str, Any]]:
-    """Rows of a state by curve and case."""
+) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
+    """Rows of a state by curve and case, and why others were refused."""
     exact = ContactForceEstimator(state.phantom, WIRE)
     errors = drawn_errors(state.phantom, WIRE, Uncertainty(), np.random.default_rng(seed))
     real = ContactForceEstimator(errors.phantom, errors.device, members=members, workers=workers)
     insertion = min(max(state.insertion + errors.insertion, 0.0), exact.max_insertion)
     wrong = insertion, state.rotation + errors.rotation
-    rows = {}
+    rows, refused = {}, {}
     for name, curve in curves.items():
         for case, estimator, feeder in (
             ("exact", exact, (state.insertion, state.rotation)),
@@ -72,22 +74,30 @@ def measured(
         ):
             estimator.reset()
             began = time.perf_counter()
-            found = compared(state, estimator.update(curve, *feeder))
-            rows[f"{name}, {case}"] = {**found, "s": time.perf_counter() - began}
-    return rows
+            try:
+                found = compared(state, estimator.update(curve, *feeder))
+            except ValueError as error:  # the curve does not fit the feeder: the wire was not read whole
+                refused[f"{name}, {case}"] = str(error)
+            else:
+                rows[f"{name}, {case}"] = {**found, "s": time.perf_counter() - began}
+    return rows, refused
 
 
 def main() -> None:
     """Measures and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--arches", type=int, nargs=2, default=(400, 20), metavar=("FIRST", "COUNT"))
+    parser.add_argument(
+        "--arches", type=int, nargs=2, metavar=("FIRST", "COUNT"), help="a state in each of these random arches alone"
+    )
     parser.add_argument("--geometry", default="clinical", help="of the cameras: clinical or guide3d")
     parser.add_argument("--members", type=int, default=MEMBERS, help="of the ensemble")
     parser.add_argument("--workers", type=int, default=1, help="threads")
     parser.add_argument("--out", type=Path, help="gets every single row too")
     chosen = parser.parse_args()
-    places = [(name, None, NAMED_STATES) for name in NAMED]
-    places += [("random", chosen.arches[0] + one, 1) for one in range(chosen.arches[1])]
+    first, count = chosen.arches or RANDOM
+    places: list[tuple[str, int | None, int]] = [("random", first + one, 1) for one in range(count)]
+    if not chosen.arches:
+        places += [(name, None, NAMED_STATES) for name in NAMED]
     began, rows, misses, errors, number = time.perf_counter(), [], [], [], 0
     for name, seed, count in places:
         phantom = load_phantom(name, seed=seed)
@@ -104,14 +114,16 @@ def main() -> None:
                 continue
             errors.append(distance_mm(curve, state.nodes))
             curves = dict(zip(CURVES, (state.curve, curve), strict=True))
-            for case, row in measured(state, curves, 10 * number, chosen.members, chosen.workers).items():
+            found, refused = measured(state, curves, 10 * number, chosen.members, chosen.workers)
+            misses += [{**where, "case": case, "why": why} for case, why in refused.items()]
+            for case, row in found.items():
                 rows.append({**where, "case": case, "noise_mm": 0.0, "curve_mm": errors[-1], **row})
             print(where, f"{errors[-1]:.2f} mm", flush=True)
     lines = table(rows)
     print("\n".join(printed(line) for line in lines))
     summary = {
         "states": number,
-        "not_read": misses,
+        "missing": misses,
         "curve_mm": [float(np.median(errors)), float(np.percentile(errors, 90))],
         "wall_s": time.perf_counter() - began,
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -168,3 +169,55 @@ def test_what_is_no_ct(tmp_path: Path, patient: Any, phantom: Phantom) -> None:
         ct_body(tmp_path / "absent.nii.gz", patient)
     with pytest.raises(ValueError, match="at least 2 x 2 x 2"):
         CTBody(np.zeros((3, 3)), np.zeros((3, 4)))
+
+
+@pytest.mark.parametrize(
+    ("shift", "where"),
+    [
+        ((0.012, 0, 0), "1[123] mm left of where"),
+        ((-0.012, 0, 0), "1[123] mm right of where"),
+        ((0, -0.01, 0), "(9|10|11) mm in front of where"),
+        ((0, 0.01, 0), "(9|10|11) mm behind where"),
+        ((0, 0, 0.02), "(19|20|21) mm above where"),
+        ((0.01, 0, -0.02), "(19|20|21) mm below and (9|10|11) mm left of where"),
+    ],
+)
+def test_a_ct_that_lies_beside_the_vessels_is_refused_with_the_way_to_it(
+    tmp_path: Path, patient: Any, shift: tuple[float, float, float], where: str
+) -> None:
+    with pytest.raises(MeshRefusedError, match=f"lies beside the vessels.* Hounsfield units {where}"):
+        ct_body(scan(patient, tmp_path / "ct.nii.gz", shift=shift), patient)
+
+
+@pytest.mark.parametrize("axes", [np.diag([-1.0, -1.0, 1.0]), np.eye(3)])
+def test_a_surface_in_either_frame_that_was_turned_upright_has_its_ct_turned_too(
+    tmp_path: Path, patient: Any, axes: np.ndarray
+) -> None:
+    path, upright = scan(patient, tmp_path / "ct.nii.gz"), np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    # the phantom and the account of its import, turned about the world's vertical axis
+    report = patient.imported
+    own = replace(report, kind="closed lumen", rotation=tuple(map(tuple, axes)))
+    there, here = ct_body(path, patient), ct_body(path, SimpleNamespace(grid=patient.grid, imported=own))
+    np.testing.assert_allclose(here.to_index, there.to_index, atol=1e-6)
+
+    class Turned:
+        bounds = _turned_bounds(patient.grid.bounds, upright)
+        origin, shape, spacing = patient.grid.origin, patient.grid.shape, patient.grid.spacing
+
+        def sample(self, places: np.ndarray) -> np.ndarray:
+            return patient.grid.sample(places @ upright)
+
+        def inside(self) -> np.ndarray:
+            return patient.grid.inside()
+
+        def coordinates(self, inside: np.ndarray) -> np.ndarray:
+            return np.asarray(patient.grid.coordinates(inside)) @ upright.T
+
+    turned = replace(own, rotation=tuple(map(tuple, upright @ axes)), offset=tuple(upright @ np.array(report.offset)))
+    body = ct_body(path, SimpleNamespace(grid=Turned(), imported=turned))
+    np.testing.assert_allclose(body.to_index[:, :3], there.to_index[:, :3] @ upright.T, atol=1e-6)
+
+
+def _turned_bounds(bounds: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    corners = np.array(np.meshgrid(*np.asarray(bounds).T)).reshape(3, -1).T @ turn.T
+    return np.array([corners.min(axis=0), corners.max(axis=0)])

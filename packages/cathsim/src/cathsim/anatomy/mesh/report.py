@@ -25,7 +25,9 @@ class ImportReport:
     unit: str  # the file's unit: "m", "cm", "mm" or "inch"
     unit_reason: str  # why it is taken to be that
     faces: int  # triangles in the file
-    kind: str  # "closed lumen", "lumen in a closed wall", or "tunnel" (through a thick wall or an open surface)
+    kind: (
+        str  # "closed lumen", "lumen in a closed wall", "tunnel" (through a thick wall or an open surface), "labels..."
+    )
     borders: int  # openings of the surface that were closed to find the lumen
     # rows are the patient's left, posterior and superior axis in the file's frame
     rotation: tuple[tuple[float, float, float], ...]
@@ -37,6 +39,11 @@ class ImportReport:
     notes: tuple[str, ...]  # what was left out, assumed or changed
     # ml of every vessel of a label volume: of its voxels, and of its part of the lumen
     volumes_ml: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    @property
+    def from_labels(self) -> bool:
+        """Whether the file is a label volume, which says itself where the patient's axes are."""
+        return self.kind.startswith("labels")
 
     def to_json(self) -> dict[str, Any]:
         """As a value that JSON can hold."""

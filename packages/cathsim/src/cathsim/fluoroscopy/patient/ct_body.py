@@ -14,19 +14,12 @@ from cathsim.anatomy.volume.files.reading import open_volume
 from cathsim.anatomy.volume.files.source import VolumeSource
 from cathsim.fluoroscopy.body import THORAX, Ellipsoid, MeasuredBody
 from cathsim.fluoroscopy.patient.hounsfield import BONE_FACTOR, WATER
+from cathsim.fluoroscopy.patient.identity import check_patient
 from cathsim.fluoroscopy.scene import SCENES, XRayScene, scene
 
 BLOOD = 40  # Hounsfield units of blood without contrast
 _WALL = 1.5e-3  # m around the lumen in which the CT's contrast is taken away
 _STEP = 0.7  # of a voxel's smallest side, between samples of a ray
-_INSIDE = 0.9  # of the lumen must lie within the CT
-_DEEP = 1e-3  # m from the wall: there a voxel is blood
-_LEAST, _MOST = -30.0, 900.0  # Hounsfield units of blood, with contrast or without
-_BLOOD_SHARE = 0.85  # of the lumen's voxels must lie between
-_CONTRAST = 150.0  # Hounsfield units: more is contrast agent
-_NATIVE_SPREAD = 200.0  # Hounsfield units between the tenths of a lumen without contrast
-_SHELL = (-5e-3, -2e-3)  # m from the wall, outside
-_STANDS_OUT = 25.0  # Hounsfield units by which blood exceeds what lies around the vessels, on average
 _BODY = -300  # Hounsfield units: more is body
 _CROPPED = 0.15  # of a side face that is body: the CT is cut through the body
 _AIR, _DENSEST = -1024, 3071  # of the scale
@@ -147,13 +140,21 @@ def ct_body(path: str | Path, phantom: ImportedPhantom) -> CTBody:
     if source.layers != 1 or float(np.prod(source.shape)) > _LARGEST:
         raise MeshRefusedError(f"{path.name} is too large for a CT ({source.shape} voxels); cut it to the chest.")
     values = _read(source)
-    # from the CT's indices to the patient's axes, by the frame of the import
-    turn = source.frame * source.metres
-    affine = np.eye(4)
-    affine[:3, :3] = turn @ source.affine[:3, :3]
-    affine[:3, 3] = turn @ source.affine[:3, 3] + np.array(report.offset)
-    to_index: Array = np.linalg.inv(affine).astype(np.float64)
-    _replace_contrast(values, affine, to_index, phantom.grid, path.name)
+    found, refusal = None, None
+    for affine in _placements(source, report):
+        to_index: Array = np.linalg.inv(affine).astype(np.float64)
+        try:
+            stands_out = check_patient(values, to_index, phantom.grid, path.name)
+        except MeshRefusedError as error:
+            refusal = refusal or error
+        else:
+            if found is None or stands_out > found[0]:
+                found = stands_out, affine, to_index
+    if found is None:
+        assert refusal is not None
+        raise refusal
+    _, affine, to_index = found
+    _replace_contrast(values, affine, to_index, phantom.grid)
     origin = np.asarray(phantom.grid.origin)
     centre = origin + (np.array(phantom.grid.shape) - 1) * phantom.grid.spacing / 2
     local = to_index[:3].copy()
@@ -187,58 +188,36 @@ def _read(source: VolumeSource) -> NDArray[np.int16]:
     if not (low < -500 and high > 100):
         raise MeshRefusedError(
             f"{source.path.name} is no CT in Hounsfield units: its values lie between {low:g} and {high:g}, expected "
-            "air "
-            "near -1000 and bone above 100."
+            "air near -1000 and bone above 100."
         )
     return values
 
 
-def _replace_contrast(values: NDArray[np.int16], affine: Array, to_index: Array, grid: Any, file: str) -> None:
-    """Puts blood in the lumen of a CT, after a check that it is this patient's."""
+def _placements(source: VolumeSource, report: ImportReport) -> list[Array]:
+    """(4, 4) from the CT's indices to the world, m: of a surface, whose file says neither, for either of two frames."""
+    turn = source.frame * source.metres
+    placements = []
+    rotation = np.array(report.rotation)
+    for axes in [np.eye(3)] if report.from_labels else [rotation, rotation @ np.diag((-1.0, -1.0, 1.0))]:
+        affine = np.eye(4)
+        affine[:3, :3] = axes @ turn @ source.affine[:3, :3]
+        affine[:3, 3] = axes @ turn @ source.affine[:3, 3] + np.array(report.offset)
+        placements.append(affine)
+    return placements
+
+
+def _replace_contrast(values: NDArray[np.int16], affine: Array, to_index: Array, grid: Any) -> None:
+    """Puts blood in the lumen of a CT and in the wall around it."""
     corners = np.asarray(grid.bounds)
     box = np.array(np.meshgrid(*corners.T)).reshape(3, -1).T @ to_index[:3, :3].T + to_index[:3, 3]
     low = np.maximum(np.floor(box.min(axis=0)).astype(int), 0)
     high = np.minimum(np.ceil(box.max(axis=0)).astype(int) + 1, values.shape)
-    lumen = np.asarray(grid.coordinates(grid.inside()))
-    at = lumen @ to_index[:3, :3].T + to_index[:3, 3]
-    held = float(np.mean(((at >= -0.5) & (at <= np.array(values.shape) - 0.5)).all(axis=1)))
-    if held < _INSIDE:
-        raise MeshRefusedError(
-            f"{file} is another patient's CT, or lies in another frame: {100 * held:.0f} % of the vessels lie within "
-            "it, "
-            f"expected {100 * _INSIDE:.0f}; give the CT that the labels were drawn on."
-        )
-    blood: list[NDArray[np.int16]] = []
-    around: list[NDArray[np.int16]] = []
     window = values[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
     for i, plane in enumerate(window):
         j, k = np.meshgrid(np.arange(plane.shape[0]), np.arange(plane.shape[1]), indexing="ij")
         index = np.stack([np.full(j.shape, i), j, k], axis=-1) + low
         depth = grid.sample(index @ affine[:3, :3].T + affine[:3, 3])
-        blood.append(plane[depth > _DEEP])
-        around.append(plane[(depth > _SHELL[0]) & (depth < _SHELL[1])])
         plane[(depth > -_WALL) & (plane > BLOOD)] = BLOOD
-    _check_blood(np.concatenate(blood).astype(np.float64), np.concatenate(around).astype(np.float64), file)
-
-
-def _check_blood(inside: Array, around: Array, file: str) -> None:
-    """Refuses a CT in which the vessels are not filled with blood, as where they belong to somebody else."""
-    if len(inside) == 0 or len(around) == 0:
-        raise MeshRefusedError(
-            f"{file} is too coarse for the vessels: none of its voxels lies within; give a finer CT."
-        )
-    share = float(np.mean((inside > _LEAST) & (inside < _MOST)))
-    lowest, middle, highest = np.percentile(inside, (10, 50, 90))
-    uneven = middle < _CONTRAST and highest - lowest > _NATIVE_SPREAD
-    stands_out = float(inside.mean() - around.mean())
-    if share < _BLOOD_SHARE or uneven or stands_out < _STANDS_OUT:
-        raise MeshRefusedError(
-            f"{file} is another patient's CT: the vessels would hold {lowest:.0f} to {highest:.0f} Hounsfield units "
-            "(the "
-            f"middle 80 % of their voxels), {stands_out:.0f} more than what lies around them; give the CT that the "
-            "labels "
-            "were drawn on."
-        )
 
 
 def _is_cropped(values: NDArray[np.int16]) -> bool:
