@@ -43,6 +43,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 import enn
+from cathsim.fluoroscopy import XRayScene, ct_scene
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from enn.imitation.images.policy import ImagePolicy
@@ -102,6 +103,7 @@ def arguments() -> argparse.Namespace:
         "--exchange", action="store_true", help="then try the devices of the other policy, with --steep"
     )
     parser.add_argument("--most-force", type=float, metavar="N", help="of all contacts, with which an attempt ends")
+    parser.add_argument("--ct", type=Path, metavar="FILE", help="of the one anatomy: what X-ray images show around it")
     parser.add_argument("--clutter", type=float, default=0.0, help="in X-ray images, 1: as networks learn from")
     parser.add_argument(
         "--field", type=float, metavar="MM", help="of X-ray images, instead of what the policy learnt in"
@@ -159,7 +161,8 @@ def play(
         side = task.task.image_size_px
         bare = task.test_environment(place, target, task.task.wire, ("goal_image",))
         imaging = policy.imaging | ({"field": 1e-3 * given.field} if given.field else {})
-        environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter), **imaging)
+        room = None if given.ct is None else ct_room(given.ct, place)
+        environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter), room=room, **imaging)
     controller = RetryingController(attempt, given.max_steps, given.attempts, seed, most_force=given.most_force)
     observation, info = environment.reset(seed=seed)
     forces: list[float] = []
@@ -170,6 +173,12 @@ def play(
         ended = success or truncated
     environment.close()
     return Outcome(bool(success), len(forces), np.array(forces), controller.attempts)
+
+
+@cache
+def ct_room(ct: Path, place: AnatomyFile) -> XRayScene:
+    """The patient's CT as what the vessels lie in."""
+    return ct_scene(ct, load_anatomy(place))
 
 
 def play_with(
@@ -241,6 +250,10 @@ def main() -> None:
             raise ValueError("--exchange and --then: name a policy of other devices with --steep")
         if given.clutter and any(isinstance(policy, Policy) for policy in policies):
             raise ValueError("--clutter: a policy by roadmap sees no images")
+        if given.ct is not None and (
+            len(given.anatomies or ()) != 1 or any(isinstance(policy, Policy) for policy in policies)
+        ):
+            raise ValueError("--ct belongs to one of --anatomies and to policies by images")
         tasks = [task_of(policy, given) for policy in policies]
         devices = list(zip(tasks, policies, strict=True))
         in_turn = [[devices[0]] + devices[1:2] * given.exchange, devices[1:] + devices[:1] * given.exchange]

@@ -3,7 +3,8 @@
 The view is frontal, or there are several (`cathsim.fluoroscopy.projector.VIEWS`), as of a bi-planar fluoroscope; what
 they hold says `cathsim.observations.framing`. Before an episode there is a contrast run: an image of the vessels
 without wire or contrast medium, and one with contrast medium. While the wire moves, its images have neither. Nothing
-else shows where the wire is. Clutter, where it is asked for, stands still for an episode and its contrast run.
+else shows where the wire is. Clutter, where it is asked for, stands still for an episode and its contrast run. What the
+vessels lie in is a water bath, or a room of one's own, as a patient's CT (`cathsim.fluoroscopy.ct_scene`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy import Phantom
 from cathsim.devices.catheter import Catheter
 from cathsim.environment import NavigateEnv
-from cathsim.fluoroscopy import PAIRS, BiplaneFluoroscope, DetectorDistortion, scene, wire_material
+from cathsim.fluoroscopy import PAIRS, BiplaneFluoroscope, DetectorDistortion, XRayScene, scene, wire_material
 from cathsim.fluoroscopy.c_arms import XRayCamera
 from cathsim.fluoroscopy.projector import VIEWS
 from cathsim.fluoroscopy.radiograph import expose_depth, optical_depth
@@ -51,6 +52,7 @@ def fluoroscope_of(
     view: str = VIEW,
     clutter: Clutter | None = None,
     field: float | None = None,
+    room: XRayScene | None = None,
 ) -> BiplaneFluoroscope:
     """An X-ray camera over a phantom while the devices move.
 
@@ -61,26 +63,40 @@ def fluoroscope_of(
         view: one of `cathsim.fluoroscopy.projector.VIEWS`.
         clutter: (size, size) attenuation; None: there is none. With clutter the camera is made anew at each call.
         field: as of `cathsim.observations.framing.framed`.
+        room: what the vessels lie in; None: a water bath.
     """
     if clutter is None:
-        bare = _fluoroscope(phantom, size, wire_radius, MOVING, view, field)
-        return bare if catheter is None else _with_catheter(phantom, size, wire_radius, catheter, view, field)
-    bare = _among(clutter, phantom, size, wire_radius, MOVING, view, field)
+        bare = _fluoroscope(phantom, size, wire_radius, MOVING, view, field, room)
+        return bare if catheter is None else _with_catheter(phantom, size, wire_radius, catheter, view, field, room)
+    bare = _among(clutter, phantom, size, wire_radius, MOVING, view, field, room)
     return bare if catheter is None else bare.with_catheter(material_of(catheter))
 
 
 @kept_with_owner
 def _with_catheter(
-    phantom: Phantom, size: int, wire_radius: float, catheter: Catheter, view: str, field: float | None
+    phantom: Phantom,
+    size: int,
+    wire_radius: float,
+    catheter: Catheter,
+    view: str,
+    field: float | None,
+    room: XRayScene | None,
 ) -> BiplaneFluoroscope:
-    return _fluoroscope(phantom, size, wire_radius, MOVING, view, field).with_catheter(material_of(catheter))
+    return _fluoroscope(phantom, size, wire_radius, MOVING, view, field, room).with_catheter(material_of(catheter))
 
 
 @kept_with_owner
 def _fluoroscope(
-    phantom: Phantom, size: int, wire_radius: float, filling: str, view: str, field: float | None
+    phantom: Phantom,
+    size: int,
+    wire_radius: float,
+    filling: str,
+    view: str,
+    field: float | None,
+    room: XRayScene | None,
 ) -> BiplaneFluoroscope:
-    return _seeing(_depth(phantom, size, filling, view, field), phantom, size, wire_radius, filling, view, field)
+    depth = _depth(phantom, size, filling, view, field, room)
+    return _seeing(depth, phantom, size, wire_radius, filling, view, field, room)
 
 
 def _camera(phantom: Phantom, size: int, view: str, field: float | None) -> XRayCamera:
@@ -90,13 +106,20 @@ def _camera(phantom: Phantom, size: int, view: str, field: float | None) -> XRay
 
 
 def _among(
-    clutter: Clutter, phantom: Phantom, size: int, wire_radius: float, filling: str, view: str, field: float | None
+    clutter: Clutter,
+    phantom: Phantom,
+    size: int,
+    wire_radius: float,
+    filling: str,
+    view: str,
+    field: float | None,
+    room: XRayScene | None,
 ) -> BiplaneFluoroscope:
     """As `_fluoroscope`, with clutter in the way: automatic brightness and scatter are those of all together."""
     if clutter.shape != (size, size):
         raise ValueError(f"clutter must have shape ({size}, {size}), that of the images, got {clutter.shape}")
-    depth = _depth(phantom, size, filling, view, field) + clutter
-    return _seeing(depth, phantom, size, wire_radius, filling, view, field)
+    depth = _depth(phantom, size, filling, view, field, room) + clutter
+    return _seeing(depth, phantom, size, wire_radius, filling, view, field, room)
 
 
 def _seeing(
@@ -107,19 +130,27 @@ def _seeing(
     filling: str,
     view: str,
     field: float | None,
+    room: XRayScene | None,
 ) -> BiplaneFluoroscope:
     """A camera behind an optical depth."""
     camera = _camera(phantom, size, view, field)
-    still = expose_depth(camera, scene("bath", filling), lambda projector: depth)
+    still = expose_depth(camera, _scene(filling, room), lambda projector: depth)
     material = wire_material("default", wire_radius)
     centre = phantom.bounds.mean(axis=0) if field is None else arch_centre(phantom, field)
     return BiplaneFluoroscope([camera], [still], material=material, centre=centre)
 
 
 @kept_with_owner
-def _depth(phantom: Phantom, size: int, filling: str, view: str, field: float | None) -> NDArray[np.float32]:
-    raised = 0.0 if field is None else raised_bath(phantom, field)
-    return optical_depth(phantom.grid, _camera(phantom, size, view, field).projector, scene("bath", filling), raised)
+def _depth(
+    phantom: Phantom, size: int, filling: str, view: str, field: float | None, room: XRayScene | None
+) -> NDArray[np.float32]:
+    raised = 0.0 if field is None or room is not None else raised_bath(phantom, field)
+    projector = _camera(phantom, size, view, field).projector
+    return optical_depth(phantom.grid, projector, _scene(filling, room), raised)
+
+
+def _scene(filling: str, room: XRayScene | None) -> XRayScene:
+    return scene("bath", filling) if room is None else room.filled(filling)
 
 
 def contrast_run(
@@ -129,23 +160,26 @@ def contrast_run(
     clutter: Clutter | None = None,
     view: str = VIEW,
     field: float | None = None,
+    room: XRayScene | None = None,
 ) -> ContrastRun:
     """The images before an episode, with a noise of the phantom's own.
 
     Args:
         size: side of the images, px.
         wire_radius: m, of the wire that is not in them.
-        clutter, view, field: as of `fluoroscope_of`.
+        clutter, view, field, room: as of `fluoroscope_of`.
     """
     if clutter is None:
-        return _clean_run(phantom, size, wire_radius, view, field)
-    moving, filled = (_among(clutter, phantom, size, wire_radius, one, view, field) for one in (MOVING, FILLED))
+        return _clean_run(phantom, size, wire_radius, view, field, room)
+    moving, filled = (_among(clutter, phantom, size, wire_radius, one, view, field, room) for one in (MOVING, FILLED))
     return _run(phantom, moving, filled, view)
 
 
 @kept_with_owner
-def _clean_run(phantom: Phantom, size: int, wire_radius: float, view: str, field: float | None) -> ContrastRun:
-    moving, filled = (_fluoroscope(phantom, size, wire_radius, one, view, field) for one in (MOVING, FILLED))
+def _clean_run(
+    phantom: Phantom, size: int, wire_radius: float, view: str, field: float | None, room: XRayScene | None
+) -> ContrastRun:
+    moving, filled = (_fluoroscope(phantom, size, wire_radius, one, view, field, room) for one in (MOVING, FILLED))
     return _run(phantom, moving, filled, view)
 
 
@@ -170,6 +204,8 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         clutter: draws the clutter of each episode and view; None: there is none.
         views: names of `cathsim.fluoroscopy.projector.VIEWS`.
         field: of the views, m, as of `cathsim.observations.framing.framed`.
+        room: what the vessels of every episode lie in, as `cathsim.fluoroscopy.ct_scene` makes of the CT of the one
+            anatomy; None: a water bath.
         every: steps between two images, as with pulsed fluoroscopy; in between the observations keep the last one.
             The images that are drawn, at the reset and after every so many steps, are the same as with 1.
 
@@ -187,6 +223,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         clutter: DrawClutter | None = None,
         views: Sequence[str] = (VIEW,),
         field: float | None = None,
+        room: XRayScene | None = None,
         every: int = 1,
     ) -> None:
         if not isinstance(every, int) or every < 1:
@@ -195,7 +232,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
             raise ValueError(f"views must be some of {', '.join(VIEWS)}, each once, got {', '.join(views) or 'none'}")
         require_field(field)
         self.environment, self.size, self.draw_clutter, self.every = environment, size, clutter, every
-        self.views, self.field = tuple(views), field
+        self.views, self.field, self.room = tuple(views), field, room
         # of the episode, where there is clutter
         self._rooms: list[tuple[BiplaneFluoroscope, ContrastRun]] | None = None
         assert isinstance(environment.observation_space, gymnasium.spaces.Dict)
@@ -248,8 +285,8 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
     def _seen_by(self, view: str, clutter: Clutter | None) -> tuple[BiplaneFluoroscope, ContrastRun]:
         simulation, phantom = self.environment.simulation, self.environment.phantom
         radius, catheter = wire_radius_of(simulation), catheter_in(simulation)
-        fluoroscope = fluoroscope_of(phantom, self.size, radius, catheter, view, clutter, self.field)
-        return fluoroscope, contrast_run(phantom, self.size, radius, clutter, view, self.field)
+        fluoroscope = fluoroscope_of(phantom, self.size, radius, catheter, view, clutter, self.field, self.room)
+        return fluoroscope, contrast_run(phantom, self.size, radius, clutter, view, self.field, self.room)
 
     def _seen(self, observation: dict[str, Any]) -> dict[str, Any]:
         if self._step % self.every == 0:
