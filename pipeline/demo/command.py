@@ -64,7 +64,7 @@ def run(options: argparse.Namespace) -> None:
     print(f"demo: loading the {options.model} and the anatomy{trials}", flush=True)  # noqa: T201 - progress of a command
     scene = open_scene(
         options.model, anatomy=options.anatomy, unit=options.unit, seed=options.seed, target=options.target,
-        attempts=options.attempts, catheter=not options.no_catheter,
+        attempts=options.attempts, catheter=not options.no_catheter, ct=options.ct,
     )  # fmt: skip
     print(f"demo: {scene.title}", flush=True)  # noqa: T201 - progress of a command
     folder = Path(options.output)
@@ -105,6 +105,7 @@ def _parser() -> argparse.ArgumentParser:
         "--anatomy", metavar="FILE", help="surface, label volume or folder with an aorta; default: a random arch"
     )
     parser.add_argument("--unit", choices=("m", "cm", "mm", "inch"), help="of a surface; detected when left out")
+    parser.add_argument("--ct", metavar="FILE", help="that the anatomy was segmented from: shown by the X-ray images")
     parser.add_argument("--target", help="branch to steer to; default: the first of bca, lcca, lsa that is there")
     parser.add_argument("--model", default=MODELS[0], choices=MODELS, help=f"that steers (default {MODELS[0]})")
     parser.add_argument(

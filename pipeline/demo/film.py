@@ -127,7 +127,9 @@ class DemoFilm(Film):
         from cathsim.observations.xray import fluoroscope_of
 
         radius, catheter = wire_radius_of(environment.simulation), catheter_in(environment.simulation)
-        fluoroscope = fluoroscope_of(environment.phantom, VIEW_PX, radius, catheter, view, field=self.scene.field)
+        fluoroscope = fluoroscope_of(
+            environment.phantom, VIEW_PX, radius, catheter, view, field=self.scene.field, room=self.scene.room
+        )
         return np.asarray(frame_of(environment.simulation, fluoroscope, self._noise, view).image)
 
     def _space(self, simulation: Any, goal: np.ndarray) -> np.ndarray | None:

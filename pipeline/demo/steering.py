@@ -19,6 +19,7 @@ from pipeline.task import TASK, Task
 
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
+    from cathsim.fluoroscopy import XRayScene
     from enn.imitation.images.policy import ImagePolicy
     from enn.policy import Policy
 
@@ -75,6 +76,7 @@ class Scene:
         start_seed: of the episode's start.
         attempt_steps: after which the wire is drawn back and the policy tries again.
         attempts: at most.
+        room: what X-ray images show around the vessels; None: a water bath.
     """
 
     def __init__(
@@ -86,10 +88,12 @@ class Scene:
         start_seed: int,
         attempt_steps: int,
         attempts: int,
+        room: XRayScene | None = None,
     ) -> None:
         from enn.retrying import RetryingController
 
         self.model, self.policy, self.anatomy, self.start_seed = model, policy, anatomy, start_seed
+        self.room = room
         self.environment: Any = WatchedEnvironment(environment)  # that of the policy in everything but its class
         self.steer = RetryingController(self._attempt, attempt_steps, attempts, start_seed)
         self._first_view: Any = None
@@ -165,6 +169,7 @@ def open_scene(
     target: str | None = None,
     attempts: int = 1,
     catheter: bool = True,
+    ct: str | None = None,
 ) -> Scene:
     """A shipped policy in a file's anatomy, or in a random arch that no policy was trained in.
 
@@ -178,22 +183,30 @@ def open_scene(
         catheter: where the target's ostium is set back by `CATHETER_BETTER_MM`, take the policy that steers a catheter
             over the wire, too, if there is one; in a file's anatomy with a model by a roadmap, what trials in copies of
             it say (`pipeline.anatomies.device_trials`).
+        ct: path of the CT that the anatomy was segmented from, which X-ray images then show around the vessels.
 
     Raises:
-        ConfigurationError: there is no such file or target, or the model says nothing of its task.
-        ValueError: there is no such model, or the file cannot be imported.
+        ConfigurationError: there is no such file or target, a CT without an anatomy, or the model says nothing of
+            its task.
+        ValueError: there is no such model, the file cannot be imported, or the CT is not that of the anatomy.
     """
     import enn
+    from cathsim.fluoroscopy import ct_scene
     from enn.retrying import steps_of_attempts
 
+    if ct is not None and anatomy is None:
+        raise ConfigurationError("--ct is the CT of an anatomy of one's own: give --anatomy FILE, too")
     policy = enn.load(model)
     place: int | AnatomyFile
+    room = None
     if anatomy is None:
         place, described = unseen_arches(_ARCHES)[seed], f"random arch {unseen_arches(_ARCHES)[seed]}"
         known = list(TARGETS)
     else:
         place, described = _file(anatomy, unit), Path(anatomy).name
-        known = list(place.load().targets)
+        phantom = place.load()
+        known = list(phantom.targets)
+        room = None if ct is None else ct_scene(ct, phantom)
     chosen = target or next((name for name in TARGETS if name in known), None)
     if chosen is None or chosen not in known:
         wanted = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
@@ -211,7 +224,8 @@ def open_scene(
     steps = rules.max_steps
     task = UnseenTask(TARGETS, replace(rules, max_steps=steps_of_attempts(steps, attempts)))
     start_seed = held_out_seeds(0, _ARCHES)[seed]
-    return Scene(model, policy, _environment(task, place, chosen, policy), described, start_seed, steps, attempts)
+    environment = _environment(task, place, chosen, policy, room)
+    return Scene(model, policy, environment, described, start_seed, steps, attempts, room)
 
 
 def _best_model(
@@ -251,14 +265,16 @@ def _set_back(place: int | AnatomyFile, target: str) -> float:
     return set_back_mm(phantom, target)
 
 
-def _environment(task: UnseenTask, place: int | AnatomyFile, target: str, policy: Policy | ImagePolicy) -> NavigateEnv:
+def _environment(
+    task: UnseenTask, place: int | AnatomyFile, target: str, policy: Policy | ImagePolicy, room: XRayScene | None
+) -> NavigateEnv:
     """The environment with what the policy sees among its observations."""
     from cathsim.observations.xray import XrayEnvironment
     from enn.imitation.images.policy import ImagePolicy
 
     if isinstance(policy, ImagePolicy):
         bare = task.test_environment(place, target, task.task.wire, ("goal_image",))
-        return XrayEnvironment(bare, task.task.image_size_px, **policy.imaging)  # type: ignore[return-value]
+        return XrayEnvironment(bare, task.task.image_size_px, room=room, **policy.imaging)  # type: ignore[return-value]
     return task.test_environment(place, target, task.task.wire, policy.keys)
 
 

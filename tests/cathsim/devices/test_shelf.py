@@ -151,6 +151,7 @@ def test_a_preset_is_known_again(name: str) -> None:
         ({"name": "simmons2_9f"}, "'simmons2' is not made in 9F: it has 4F, 5F, 6F"),
         ({"name": "simmons2", "french": 9}, "'simmons2' is not made in 9F"),
         ({"name": "simmons2", "french": True}, "french must be a whole number, got True"),
+        ({"name": "simmons2", "length": True}, "length must be a number .m., got True"),
         ({"name": "simmons2_6f", "french": 5}, "is of 6F, but french=5 is asked for"),
         ({"name": "simmons2", "stiffness": 3.0}, "a catheter has no stiffness; its parameters are outer_diameter"),
         ({"name": "simmons2", "inner_diameter": 2e-3}, "must be smaller than its outer one"),

@@ -102,3 +102,38 @@ def test_what_there_is_not_is_refused(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.setattr(enn, "load", lambda name: policy)
     with pytest.raises(ConfigurationError, match="'navigator' does not say which task it was trained for"):
         open_scene("navigator")
+
+
+def ct_of(phantom: Any, path: Path) -> Path:
+    """A CT of an imported phantom: contrast in the vessels, soft tissue 3 cm around them, air further away."""
+    nibabel = pytest.importorskip("nibabel", reason="a CT needs nibabel")
+    report, step = phantom.imported, 2.5e-3
+    bounds = np.asarray(phantom.grid.bounds)
+    low, high = bounds[0] - 0.04, bounds[1] + 0.04
+    places = np.stack(np.meshgrid(*(np.arange(a, b, step) for a, b in zip(low, high, strict=True)), indexing="ij"), -1)
+    values = np.where((np.abs(places - (low + high) / 2) < (high - low) / 2 - 0.01).all(axis=-1), 0, -1000)
+    values[phantom.grid.sample(places) > 0] = 350
+    values[places[..., 0] < low[0] + 0.02] = 800
+    turn = 1e3 * np.diag([-1.0, -1.0, 1.0]) @ np.array(report.rotation).T  # to a file in LPS, in mm
+    affine = np.eye(4)
+    affine[:3, :3], affine[:3, 3] = turn * step, turn @ (low - np.array(report.offset))
+    nibabel.save(nibabel.Nifti1Image(values.astype(np.int16), affine), path)
+    return path
+
+
+def test_the_patients_ct_is_what_the_navigator_sees_around_the_vessels(tmp_path: Path) -> None:
+    surface = load_phantom("type_1", resolution=2e-3).lumen_mesh.copy()
+    surface.export(tmp_path / "arch.stl")
+    own = {"anatomy": str(tmp_path / "arch.stl"), "target": "bca"}
+    bath = open_scene("navigator", **own)
+    ct = ct_of(bath.environment.phantom, tmp_path / "ct.nii.gz")
+    scene = open_scene("navigator", **own, ct=str(ct))
+    assert scene.room is not None
+    assert scene.room.name == "ct"
+    seen, of_bath = (one.environment.reset(seed=one.start_seed)[0] for one in (scene, bath))
+    assert np.abs(seen["plain"].astype(float) - of_bath["plain"]).mean() > 10
+    assert scene.steer(seen, {}).shape == (2,)
+    with pytest.raises(ValueError, match="is no NIfTI file"):
+        open_scene("navigator", **own, ct=str(tmp_path / "arch.stl"))
+    with pytest.raises(ConfigurationError, match="give --anatomy FILE, too"):
+        open_scene("navigator", ct=str(ct))

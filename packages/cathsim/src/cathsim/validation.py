@@ -9,7 +9,19 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Annotated, Any, TypeVar, cast, dataclass_transform, get_type_hints, overload
+from types import UnionType
+from typing import (
+    Annotated,
+    Any,
+    TypeVar,
+    Union,
+    cast,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+    overload,
+)
 
 import numpy as np
 from annotated_types import Ge, Gt, Interval, Le, Lt
@@ -95,6 +107,10 @@ def _checked(cls: type[Any], *, frozen: bool, eq: bool) -> type[Any]:
 
     @functools.wraps(construct)
     def init(self: Any, *args: Any, **kwargs: Any) -> None:
+        given = zip((field.name for field in dataclasses.fields(made) if field.init), args, strict=False)
+        for name, value in (*given, *kwargs.items()):
+            if isinstance(value, bool):
+                _refuse_truth(name, value, get_type_hints(made, include_extras=True).get(name))
         try:
             construct(self, *args, **kwargs)
         except ValidationError as error:
@@ -125,12 +141,30 @@ def quantity(name: str, value: Any, annotation: Any) -> Any:
     Raises:
         ValueError: one sentence that names argument, range and unit.
     """
+    if isinstance(value, bool):
+        _refuse_truth(name, value, annotation)
     try:
         return _adapter(annotation).validate_python(value)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         own = first["ctx"]["error"] if first["type"] == "value_error" else None
         raise ValueError(str(own or _sentence(name, annotation, first))) from None
+
+
+def _refuse_truth(name: str, value: bool, annotation: Any) -> None:
+    """Refuses True and False for a number, which they would become."""
+    kinds = _kinds(annotation)
+    if kinds & {int, float} and bool not in kinds:
+        raise ValueError(
+            _sentence(name, annotation, {"type": "int_type" if int in kinds else "float_type", "input": value})
+        )
+
+
+def _kinds(annotation: Any) -> set[Any]:
+    """The types that an annotation takes, of lists none."""
+    if isinstance(annotation, UnionType) or get_origin(annotation) is Union:
+        return set().union(*(_kinds(one) for one in get_args(annotation)))
+    return _kinds(get_args(annotation)[0]) if get_origin(annotation) is Annotated else {annotation}
 
 
 @functools.cache
