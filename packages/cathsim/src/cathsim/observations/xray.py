@@ -31,7 +31,8 @@ from cathsim.observations.observables import DOT_SHARE, LEAST_DOT
 from cathsim.observations.roadmap import target_image
 
 VIEW = "frontal"
-BEFORE, MOVING, FILLED = "plain", "fluid", "contrast"  # what is kept of the run, and fillings of the lumen
+RUN_FRAMES = 16  # of the contrast run before the contrast medium comes, about a second: their mean has less noise
+MOVING, FILLED = "fluid", "contrast"  # fillings of the lumen: while the devices move, and in the contrast run
 
 Clutter = NDArray[np.float32]  # (size, size), attenuation of what lies before or behind the scene
 DrawClutter = Callable[[np.random.Generator, int], Clutter]  # from a generator, for a side in px
@@ -40,7 +41,7 @@ DrawClutter = Callable[[np.random.Generator, int], Clutter]  # from a generator,
 class ContrastRun(NamedTuple):
     """Two images of a view from before an episode. Shapes (1, size, size), uint8."""
 
-    plain: NDArray[np.uint8]
+    plain: NDArray[np.uint8]  # without wire or contrast medium, the mean of `RUN_FRAMES`
     contrast: NDArray[np.uint8]
 
 
@@ -185,8 +186,10 @@ def _clean_run(
 
 def _run(phantom: Phantom, moving: BiplaneFluoroscope, filled: BiplaneFluoroscope, view: str) -> ContrastRun:
     nothing, generator = np.empty((0, 3)), np.random.default_rng(int(phantom.hash[:8], 16))
-    before, full = (one.render(nothing, generator)[view] for one in (moving, filled))
-    return ContrastRun(before.image[None], full.image[None])
+    before, full = (one.render(nothing, generator)[view].image for one in (moving, filled))
+    further = [moving.render(nothing, generator)[view].image for _ in range(RUN_FRAMES - 1)]
+    plain = np.rint(np.mean([before, *further], axis=0)).astype(np.uint8)
+    return ContrastRun(plain[None], full[None])
 
 
 class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
