@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cathsim.fluoroscopy import Projector
+from cathsim.fluoroscopy import Projector, scene
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.observations.xray import XrayEnvironment, contrast_run
 
@@ -34,12 +34,23 @@ def test_observations_are_noisy_images_and_a_contrast_run_alone() -> None:
     images.append(env.step(0 * FORWARD)[0]["image"].astype(float))
     assert 1.0 < np.std(images[0] - images[1]) < 6.0
     plain, contrast = contrast_run(env.phantom, 96, env.simulation.wire.radius)
+    # the mean of 16 images has hardly any noise beside that of one
+    assert np.std(images[0] - plain) < 0.8 * np.std(images[0] - images[1])
     filled = plain.astype(float) - contrast
     from cathsim.fluoroscopy.attenuation import lumen_path_length
 
     lumen = lumen_path_length(env.phantom.grid, Projector.frontal(env.phantom.bounds, 96)) > 5e-3
     assert filled[0][lumen].mean() > 15
     assert abs((plain - images[0])[0][lumen].mean()) < 3
+
+
+def test_a_room_of_ones_own_is_around_the_vessels() -> None:
+    thorax = scene("patient")
+    observation, _ = environment(room=thorax).reset(seed=3, options={"case": 0})
+    bath, _ = environment().reset(seed=3, options={"case": 0})
+    for name in ("image", "plain", "contrast"):
+        assert np.abs(observation[name].astype(float) - bath[name]).mean() > 10
+    assert observation["plain"].mean() - observation["contrast"].mean() > 1  # the vessels are filled there, too
 
 
 def test_masks_show_the_wire_where_asked_for() -> None:

@@ -28,8 +28,6 @@ _LEAST, _GAP = 0.2, 2  # a thin tip is doubtful, and a wire that is cut in two i
 _RARE = -3.0  # logit of a pixel before training: few show the wire
 BETWEEN = 8  # steps between two images of an episode
 _ON_WIRE = 0.8  # share of the crops with a part of the wire in their middle third
-# A patient's spine or heart lets a fifth of the light through that a water bath does: there the wire stands out less.
-_FAINTEST, _FAINT = 0.2, 0.6  # of its darkening; share of the crops in which it is made fainter
 
 
 class WireSegmenter(nn.Module):
@@ -98,8 +96,7 @@ def fit_wire_segmenter(
     progress: Callable[[int, float], None] | None = None,
     device: torch.device | str = "cpu",
 ) -> tuple[WireSegmenter, float]:
-    """Trains a segmenter on parts of images, mirrored and turned by right angles at random, in some of which the wire
-    stands out less from the noise.
+    """Trains a segmenter on parts of images, mirrored and turned by right angles at random.
 
     Args:
         images: grey levels with a wire. Shape (n, size, size).
@@ -142,7 +139,7 @@ def dice(
 def _part(
     image: NDArray[np.uint8], plain: NDArray[np.uint8], mask: NDArray[np.uint8], generator: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What is darker in a square of an image, and the wire there; mirrored, turned and made fainter at random."""
+    """What is darker in a square of an image, and the wire there; mirrored and turned at random."""
     size = image.shape[-1]
     side = min(_CROP, size)
     corner = generator.integers(0, size - side + 1, 2)
@@ -156,18 +153,7 @@ def _part(
     if generator.random() < 0.5:
         both = both[:, :, ::-1]
     darker, wire = np.ascontiguousarray(both)
-    if generator.random() < _FAINT:
-        darker = _fainter(darker, wire, float(generator.uniform(_FAINTEST, 1.0)), generator)
     return darker, wire
-
-
-def _fainter(
-    darker: NDArray[np.float32], wire: NDArray[np.float32], share: float, generator: np.random.Generator
-) -> NDArray[np.float32]:
-    """What is darker, with a share of it left and as much noise as before."""
-    noise = darker[wire == 0].std() if (wire == 0).any() else 0.0
-    further = generator.normal(0.0, noise * np.sqrt(1 - share**2), darker.shape)
-    return (share * darker + further).astype(np.float32)
 
 
 def _loss(logits: Tensor, wire: Tensor) -> Tensor:
