@@ -155,9 +155,8 @@ def _refuse_truth(name: str, value: bool, annotation: Any) -> None:
     """Refuses True and False for a number, which they would become."""
     kinds = _kinds(annotation)
     if kinds & {int, float} and bool not in kinds:
-        raise ValueError(
-            _sentence(name, annotation, {"type": "int_type" if int in kinds else "float_type", "input": value})
-        )
+        wanted = "float_type" if float in kinds else "int_type"
+        raise ValueError(_sentence(name, annotation, {"type": wanted, "input": value}))
 
 
 def _kinds(annotation: Any) -> set[Any]:

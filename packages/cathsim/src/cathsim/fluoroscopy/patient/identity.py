@@ -21,6 +21,7 @@ _SHELL = (-5e-3, -2e-3)  # m from the wall, outside
 _STANDS_OUT = 25.0  # Hounsfield units by which blood exceeds what lies around the vessels, on average
 _SAMPLES = 20_000  # places in the lumen, and around it, that are looked at
 _STEPS = (8e-3, 4e-3, 2e-3, 1e-3)  # m, of the search for where the vessels stand out most
+_STILL_INSIDE = 0.8  # of the lumen must lie within the CT where it is moved to
 _MOST_SHIFT = 0.03  # m of that search: beyond, somebody else's vessels may be met
 _DISPLACED = 7e-3  # m from there: labels' voxels, breath and pulse account for less
 _GAIN = 1.15  # by which the vessels must stand out more there
@@ -59,7 +60,7 @@ def check_patient(values: NDArray[np.int16], to_index: Array, grid: Any, file: s
     stands_out = _standing_out(values, places, to_index, np.zeros(3))
     shift, most = _best_shift(values, places, to_index, stands_out)
     far = float(np.linalg.norm(shift))
-    moved = far > _DISPLACED and most > _GAIN * stands_out
+    moved = bool(np.isfinite(stands_out)) and far > _DISPLACED and most > _GAIN * stands_out
     within = [[_sampled(values, _indices(part + by, to_index)) for part in places] for by in (np.zeros(3), shift)]
     fault = _fault_of_blood(*within[0])
     if moved and far <= _MOST_SHIFT and _fault_of_blood(*within[1]) is None:
@@ -109,10 +110,10 @@ def _sampled(values: NDArray[np.int16], at: Array) -> Array:
 def _standing_out(values: NDArray[np.int16], places: tuple[Array, Array], to_index: Array, shift: Array) -> float:
     """Hounsfield units by which a lumen that is moved exceeds what lies around it; -inf where too much is outside."""
     means = []
-    for part in places:
+    for part, least in zip(places, (_STILL_INSIDE, 0.0), strict=True):
         at = _indices(part + shift, to_index)
         within = ((at >= 0) & (at <= np.array(values.shape) - 1)).all(axis=1)
-        if within.mean() < _INSIDE:
+        if not within.any() or within.mean() < least:
             return -np.inf
         means.append(float(map_coordinates(values, at[within].T, order=1, output=np.float64).mean()))
     return means[0] - means[1]
