@@ -66,92 +66,68 @@ def fluoroscope_of(
         field: as of `cathsim.observations.framing.framed`.
         room: what the vessels lie in; None: a water bath.
     """
+    shot = _Shot(size, wire_radius, view, field, room)
     if clutter is None:
-        bare = _fluoroscope(phantom, size, wire_radius, MOVING, view, field, room)
-        return bare if catheter is None else _with_catheter(phantom, size, wire_radius, catheter, view, field, room)
-    bare = _among(clutter, phantom, size, wire_radius, MOVING, view, field, room)
+        return _fluoroscope(phantom, shot, MOVING) if catheter is None else _with_catheter(phantom, shot, catheter)
+    bare = _among(clutter, phantom, shot, MOVING)
     return bare if catheter is None else bare.with_catheter(material_of(catheter))
 
 
-@kept_with_owner
-def _with_catheter(
-    phantom: Phantom,
-    size: int,
-    wire_radius: float,
-    catheter: Catheter,
-    view: str,
-    field: float | None,
-    room: XRayScene | None,
-) -> BiplaneFluoroscope:
-    return _fluoroscope(phantom, size, wire_radius, MOVING, view, field, room).with_catheter(material_of(catheter))
+class _Shot(NamedTuple):
+    """How an image is taken; see `fluoroscope_of`."""
+
+    size: int
+    wire_radius: float
+    view: str
+    field: float | None
+    room: XRayScene | None
+
+    def scene(self, filling: str) -> XRayScene:
+        """What is in the way of the rays."""
+        return scene("bath", filling) if self.room is None else self.room.filled(filling)
+
+    def camera(self, phantom: Phantom) -> XRayCamera:
+        """The camera: light, blur and noise of the navigation's first one."""
+        detector = PAIRS["guide3d"](phantom.bounds.mean(axis=0), self.size)[0].detector
+        projector = framed(phantom, self.view, self.size, self.field)
+        return XRayCamera(projector, DetectorDistortion.none(self.size, self.size), detector)
 
 
 @kept_with_owner
-def _fluoroscope(
-    phantom: Phantom,
-    size: int,
-    wire_radius: float,
-    filling: str,
-    view: str,
-    field: float | None,
-    room: XRayScene | None,
-) -> BiplaneFluoroscope:
-    depth = _depth(phantom, size, filling, view, field, room)
-    return _seeing(depth, phantom, size, wire_radius, filling, view, field, room)
+def _with_catheter(phantom: Phantom, shot: _Shot, catheter: Catheter) -> BiplaneFluoroscope:
+    return _fluoroscope(phantom, shot, MOVING).with_catheter(material_of(catheter))
 
 
-def _camera(phantom: Phantom, size: int, view: str, field: float | None) -> XRayCamera:
-    centre = phantom.bounds.mean(axis=0)
-    detector = PAIRS["guide3d"](centre, size)[0].detector  # light, blur and noise of the navigation's first camera
-    return XRayCamera(framed(phantom, view, size, field), DetectorDistortion.none(size, size), detector)
+@kept_with_owner
+def _fluoroscope(phantom: Phantom, shot: _Shot, filling: str) -> BiplaneFluoroscope:
+    return _seeing(_depth(phantom, shot, filling), phantom, shot, filling)
 
 
-def _among(
-    clutter: Clutter,
-    phantom: Phantom,
-    size: int,
-    wire_radius: float,
-    filling: str,
-    view: str,
-    field: float | None,
-    room: XRayScene | None,
-) -> BiplaneFluoroscope:
+def _among(clutter: Clutter, phantom: Phantom, shot: _Shot, filling: str) -> BiplaneFluoroscope:
     """As `_fluoroscope`, with clutter in the way: automatic brightness and scatter are those of all together."""
+    size = shot.size
     if clutter.shape != (size, size):
         raise ValueError(f"clutter must have shape ({size}, {size}), that of the images, got {clutter.shape}")
-    depth = _depth(phantom, size, filling, view, field, room) + clutter
-    return _seeing(depth, phantom, size, wire_radius, filling, view, field, room)
+    return _seeing(_depth(phantom, shot, filling) + clutter, phantom, shot, filling)
 
 
-def _seeing(
-    depth: NDArray[np.float32],
-    phantom: Phantom,
-    size: int,
-    wire_radius: float,
-    filling: str,
-    view: str,
-    field: float | None,
-    room: XRayScene | None,
-) -> BiplaneFluoroscope:
+def _seeing(depth: NDArray[np.float32], phantom: Phantom, shot: _Shot, filling: str) -> BiplaneFluoroscope:
     """A camera behind an optical depth."""
-    camera = _camera(phantom, size, view, field)
-    still = expose_depth(camera, _scene(filling, room), lambda projector: depth)
-    material = wire_material("default", wire_radius)
-    centre = phantom.bounds.mean(axis=0) if field is None else arch_centre(phantom, field)
+    camera = shot.camera(phantom)
+    still = expose_depth(camera, shot.scene(filling), lambda projector: depth)
+    material = wire_material("default", shot.wire_radius)
+    centre = phantom.bounds.mean(axis=0) if shot.field is None else arch_centre(phantom, shot.field)
     return BiplaneFluoroscope([camera], [still], material=material, centre=centre)
 
 
+def _depth(phantom: Phantom, shot: _Shot, filling: str) -> NDArray[np.float32]:
+    return _kept_depth(phantom, shot._replace(wire_radius=0.0), filling)  # the same whatever the wire
+
+
 @kept_with_owner
-def _depth(
-    phantom: Phantom, size: int, filling: str, view: str, field: float | None, room: XRayScene | None
-) -> NDArray[np.float32]:
-    raised = 0.0 if field is None or room is not None else raised_bath(phantom, field)
-    projector = _camera(phantom, size, view, field).projector
-    return optical_depth(phantom.grid, projector, _scene(filling, room), raised)
-
-
-def _scene(filling: str, room: XRayScene | None) -> XRayScene:
-    return scene("bath", filling) if room is None else room.filled(filling)
+def _kept_depth(phantom: Phantom, shot: _Shot, filling: str) -> NDArray[np.float32]:
+    raised = 0.0 if shot.field is None or shot.room is not None else raised_bath(phantom, shot.field)
+    return optical_depth(phantom.grid, shot.camera(phantom).projector, shot.scene(filling), raised)
 
 
 def contrast_run(
@@ -170,18 +146,17 @@ def contrast_run(
         wire_radius: m, of the wire that is not in them.
         clutter, view, field, room: as of `fluoroscope_of`.
     """
+    shot = _Shot(size, wire_radius, view, field, room)
     if clutter is None:
-        return _clean_run(phantom, size, wire_radius, view, field, room)
-    moving, filled = (_among(clutter, phantom, size, wire_radius, one, view, field, room) for one in (MOVING, FILLED))
+        return _clean_run(phantom, shot)
+    moving, filled = (_among(clutter, phantom, shot, one) for one in (MOVING, FILLED))
     return _run(phantom, moving, filled, view)
 
 
 @kept_with_owner
-def _clean_run(
-    phantom: Phantom, size: int, wire_radius: float, view: str, field: float | None, room: XRayScene | None
-) -> ContrastRun:
-    moving, filled = (_fluoroscope(phantom, size, wire_radius, one, view, field, room) for one in (MOVING, FILLED))
-    return _run(phantom, moving, filled, view)
+def _clean_run(phantom: Phantom, shot: _Shot) -> ContrastRun:
+    moving, filled = (_fluoroscope(phantom, shot, one) for one in (MOVING, FILLED))
+    return _run(phantom, moving, filled, shot.view)
 
 
 def _run(phantom: Phantom, moving: BiplaneFluoroscope, filled: BiplaneFluoroscope, view: str) -> ContrastRun:
