@@ -43,7 +43,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 import enn
-from cathsim.fluoroscopy import XRayScene, ct_scene
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from enn.imitation.images.policy import ImagePolicy
@@ -122,7 +121,7 @@ def cells(given: argparse.Namespace) -> Iterator[tuple[str, str, list[tuple[int 
     """Name of the anatomy, target, and anatomy and seed of each episode."""
     if given.anatomies:
         for path in given.anatomies:
-            place = AnatomyFile(str(path))
+            place = AnatomyFile.of(str(path), ct=None if given.ct is None else str(given.ct))
             there = [target for target in load_anatomy(place).targets if target in GENERATED_TARGETS]
             for number, target in enumerate(there):
                 if target in (given.targets or GENERATED_TARGETS):
@@ -161,7 +160,7 @@ def play(
         side = task.task.image_size_px
         bare = task.test_environment(place, target, task.task.wire, ("goal_image",))
         imaging = policy.imaging | ({"field": 1e-3 * given.field} if given.field else {})
-        room = None if given.ct is None else ct_room(given.ct, place)
+        room = place.room() if isinstance(place, AnatomyFile) else None
         environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter), room=room, **imaging)
     controller = RetryingController(attempt, given.max_steps, given.attempts, seed, most_force=given.most_force)
     observation, info = environment.reset(seed=seed)
@@ -173,12 +172,6 @@ def play(
         ended = success or truncated
     environment.close()
     return Outcome(bool(success), len(forces), np.array(forces), controller.attempts)
-
-
-@cache
-def ct_room(ct: Path, place: AnatomyFile) -> XRayScene:
-    """The patient's CT as what the vessels lie in."""
-    return ct_scene(ct, load_anatomy(place))
 
 
 def play_with(

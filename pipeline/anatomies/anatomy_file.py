@@ -1,4 +1,4 @@
-"""An anatomy of a file (surface, label volume, folder) with how it is imported, and points in the file's axes."""
+"""An anatomy of a file (surface, label volume, folder) with how it is imported, its CT, points in the file's axes."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
+    from cathsim.fluoroscopy import XRayScene
 
 RESOLUTION = 1e-3  # m, of the distance grid
 _LONGEST_NAME = 60  # letters of a name that is made of a path
@@ -28,15 +29,24 @@ class AnatomyFile:
         unit: of a surface.
         names: of branches: pairs of an automatic name and one's own, or names from the heart on.
         labels: of a label volume: pairs of a label and a vessel's name, or None.
+        ct: path of the CT that it was segmented from.
     """
 
     path: str
     unit: str | None = None
     names: tuple[Any, ...] | None = None
     labels: tuple[tuple[int | str, str | None], ...] | None = None
+    ct: str | None = None
 
     @classmethod
-    def of(cls, path: str, unit: str | None, names: Any, labels: Mapping[str, str | None] | None) -> AnatomyFile:
+    def of(
+        cls,
+        path: str,
+        unit: str | None = None,
+        names: Any = None,
+        labels: Mapping[str, str | None] | None = None,
+        ct: str | None = None,
+    ) -> AnatomyFile:
         """From a mapping or list of names, and a mapping of labels whose keys are text."""
         pairs = tuple(names.items()) if isinstance(names, Mapping) else names
         numbered = not Path(path).is_dir()  # a folder's labels are names of its files
@@ -49,6 +59,7 @@ class AnatomyFile:
             unit,
             tuple(pairs) if pairs else None,
             tuple((key(label), vessel) for label, vessel in labels.items()) if labels else None,
+            ct,
         )
 
     @property
@@ -70,7 +81,15 @@ class AnatomyFile:
         Raises:
             ValueError: the file cannot be imported, or not so.
         """
-        return _imported(self, resolution)
+        return _imported(replace(self, ct=None), resolution)
+
+    def room(self) -> XRayScene | None:
+        """What X-ray images show around its vessels: its CT; None where there is none.
+
+        Raises:
+            ValueError: the file cannot be imported, or the CT is not that of the anatomy.
+        """
+        return None if self.ct is None else _room(self)
 
 
 @functools.lru_cache(maxsize=_KEPT)
@@ -88,6 +107,14 @@ def _imported(file: AnatomyFile, resolution: float) -> Phantom:
         resolution=resolution,
     )
     return replace(phantom, name=file.name)
+
+
+@functools.lru_cache(maxsize=1)  # a CT has hundreds of MB
+def _room(file: AnatomyFile) -> XRayScene:
+    from cathsim.fluoroscopy import ct_scene
+
+    assert file.ct is not None
+    return ct_scene(file.ct, file.load())
 
 
 def load_anatomy(anatomy: str | AnatomyFile) -> Phantom:

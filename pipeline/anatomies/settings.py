@@ -38,7 +38,7 @@ RANDOM = "random"  # arches like those of most patients
 _LOGGER = logging.getLogger(__name__)
 _LEAST_TIMES, _TIMES = 2.0, 3.0  # of the steps that a way takes at full speed: the fewest of an episode; a long one's
 _ROOM = 0.03  # m of wire beyond the way to the target and what lies in the sheath
-_IMPORT_SETTINGS = ("unit", "names", "labels")
+_OF_A_FILE = ("unit", "names", "labels", "ct")
 _Coordinates = Annotated[list[float], Len(3, 3)]
 
 
@@ -46,16 +46,20 @@ _Coordinates = Annotated[list[float], Len(3, 3)]
 class FileSettings:
     """A file with an anatomy of one's own; results depend on what is in it, not on where it lies."""
 
+    shows_ct: ClassVar[bool] = False  # whether films, pictures or X-ray images of the stage show a CT
+
     file: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # as cathsim imports it
     unit: str | None = None  # of a surface
     names: BranchNames = None  # of its branches: a mapping from automatic names, or a list from the heart on
     labels: VesselLabels = None  # of a label volume: which label is which vessel
+    ct: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # that it was segmented from
     file_name: FolderName | None = None  # filled in, as the next: what its anatomy is called
     file_sha256: str | None = None
+    ct_sha256: str | None = None
 
     def __post_init__(self) -> None:
         """Reads the file, and refuses what belongs to one where there is none."""
-        self.file_name = self.file_sha256 = None
+        self.file_name = self.file_sha256 = self.ct_sha256 = None
         if self.file is not None:
             if not Path(self.file).exists():
                 raise ConfigurationError(
@@ -64,14 +68,22 @@ class FileSettings:
                 )
             self.file_name = AnatomyFile(self.file).name
             self.file_sha256 = hash_anatomy(Path(self.file))
-        for name in _IMPORT_SETTINGS:
+        for name in _OF_A_FILE:
             if self.file is None and getattr(self, name) is not None:
                 raise ConfigurationError(f"phantom.{name} belongs to a file: give phantom.file=PATH too")
+        if self.ct is not None:
+            if not self.shows_ct:
+                raise ConfigurationError(
+                    "phantom.ct is shown by the stages phantoms, expert, rehearsal and unseen alone"
+                )
+            if not Path(self.ct).is_file():
+                raise ConfigurationError(f"phantom.ct={self.ct} is no file: give the path of the CT (NIfTI, NRRD)")
+            self.ct_sha256 = hash_anatomy(Path(self.ct))
 
     @property
     def anatomy_file(self) -> AnatomyFile | None:
         """The file; None: there is none."""
-        return None if self.file is None else AnatomyFile.of(self.file, self.unit, self.names, self.labels)
+        return None if self.file is None else AnatomyFile.of(self.file, self.unit, self.names, self.labels, self.ct)
 
 
 @validated()
@@ -163,6 +175,7 @@ def settle(settings: ChosenAnatomies) -> None:
         return
     try:
         phantom = file.load()
+        file.room()  # now, and not after the work
         if settings.point_mm is not None:
             point = world_point(phantom, settings.point_mm)
             phantom.target(point)

@@ -11,6 +11,7 @@ import numpy as np
 
 from cathsim.opencv import cv2
 from cathsim.viewing.film import Film, film_palette, write_gif
+from cathsim.viewing.room_fluoroscope import VIEWS, DisplayWindow
 from pipeline.demo.steering import Scene
 from pipeline.store.atomic_files import atomic_path
 
@@ -18,13 +19,11 @@ VIEW_PX, SPACE_PX = 384, 300  # side of the X-ray views; width of the 3-D view
 TITLE_PX = 30
 FRAMES_PER_SECOND = 10.0  # of playback; every second step is shown, so at twice the episode's speed
 STRIDE = 2
-USUAL_VIEWS = ("frontal", "lateral")
 # red, green, blue
 WIRE, WAY, LUMEN, TARGET = (255, 214, 10), (80, 220, 120), (90, 165, 255), (255, 92, 92)
 TRUE_WIRE = (226, 226, 236)
 _TITLE_BACK, _TITLE_INK = (24, 27, 31), (232, 236, 240)
 _GIF_SHARE, _GIF_STRIDE, _GREYS, _COLOURS = 0.62, 2, 24, 72
-_WINDOW, _LIGHTEST = (2, 98), 235.0  # percentiles of the first image's grey levels, shown as 0 and as this
 _CONSTANT_RATE_FACTOR = 21  # of libx264
 _LAST_FRAME = 15  # times that the last frame is shown
 _SHIFT = 4  # bits of cv2's fixed-point places
@@ -45,7 +44,7 @@ class DemoFilm(Film):
         self.curves: dict[str, list[float]] = {"distance_mm": [], "force_n": []}
         self._noise = np.random.default_rng(scene.start_seed)
         self._projectors: dict[str, Any] = {}
-        self._windows: dict[str, tuple[float, float]] = {}
+        self._window = DisplayWindow()
 
     def add(self, environment: Any) -> None:
         """Looks at a step of the episode."""
@@ -70,8 +69,8 @@ class DemoFilm(Film):
     @property
     def views(self) -> tuple[str, ...]:
         """Those that the policy sees, and usual ones so that there are two."""
-        seen = self.scene.cameras[: len(USUAL_VIEWS)]
-        return (*seen, *(view for view in USUAL_VIEWS if view not in seen))[: len(USUAL_VIEWS)]
+        seen = self.scene.cameras[: len(VIEWS)]
+        return (*seen, *(view for view in VIEWS if view not in seen))[: len(VIEWS)]
 
     def _titled_view(self, environment: Any, goal: np.ndarray, view: str) -> np.ndarray:
         if view in self.scene.cameras:
@@ -92,12 +91,7 @@ class DemoFilm(Film):
 
     def _grey(self, image: np.ndarray, view: str) -> np.ndarray:
         """A grey image as a panel: with more contrast, the same through the film; its pixels stay visible."""
-        if view not in self._windows:
-            inside = image[(image > 0) & (image < 255)]
-            low, high = np.percentile(inside, _WINDOW).tolist() if inside.size else (0.0, 255.0)
-            self._windows[view] = low, max(high - low, 1.0)
-        low, width = self._windows[view]
-        shown = np.clip((image - low) * (_LIGHTEST / width), 0, 255).astype(np.uint8)
+        shown = self._window.shown(image, view)
         large = cv2.resize(shown, (VIEW_PX, VIEW_PX), interpolation=cv2.INTER_NEAREST)
         return np.repeat(large[:, :, None], 3, axis=2)
 

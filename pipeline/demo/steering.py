@@ -191,7 +191,6 @@ def open_scene(
         ValueError: there is no such model, the file cannot be imported, or the CT is not that of the anatomy.
     """
     import enn
-    from cathsim.fluoroscopy import ct_scene
     from enn.retrying import steps_of_attempts
 
     if ct is not None and anatomy is None:
@@ -203,10 +202,10 @@ def open_scene(
         place, described = unseen_arches(_ARCHES)[seed], f"random arch {unseen_arches(_ARCHES)[seed]}"
         known = list(TARGETS)
     else:
-        place, described = _file(anatomy, unit), Path(anatomy).name
+        place, described = _file(anatomy, unit, ct), Path(anatomy).name
         phantom = place.load()
         known = list(phantom.targets)
-        room = None if ct is None else ct_scene(ct, phantom)
+        room = place.room()
     chosen = target or next((name for name in TARGETS if name in known), None)
     if chosen is None or chosen not in known:
         wanted = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
@@ -278,10 +277,10 @@ def _environment(
     return task.test_environment(place, target, task.task.wire, policy.keys)
 
 
-def _file(path: str, unit: str | None) -> AnatomyFile:
+def _file(path: str, unit: str | None, ct: str | None) -> AnatomyFile:
     if not Path(path).exists():
         raise ConfigurationError(
             f"there is no anatomy {path}: give the path of a surface (STL, OBJ, PLY, VTP, GLB), of a label volume "
             "(NIfTI, NRRD), or of a folder with one file a vessel"
         )
-    return AnatomyFile.of(path, unit, None, None)
+    return AnatomyFile.of(path, unit, ct=ct)

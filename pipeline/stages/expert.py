@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.anatomies.settings import ChosenAnatomies, check_anatomies, settle
@@ -28,6 +28,8 @@ OPERATOR, EVALUATION = "sampling_expert", "evaluation"
 @validated()
 class ExpertSettings(ChosenAnatomies, DeviceSettings):
     """Settings of the sampling expert's episodes; the task is that of the evaluation."""
+
+    shows_ct: ClassVar[bool] = True
 
     name: str = "expert"
     episodes: Episodes = 1  # demonstrations a phantom and target, from starts that are not turned
@@ -109,7 +111,10 @@ def record_trial(trial: Trial, settings: ExpertSettings, folder: Path, *, seed: 
     task = settings.task if trial.evaluation else replace(settings.task, start_rotation_deg=0.0)
     environment = LearningTask(trial.phantom, trial.target, task, settings.anatomy_file).environment("tip")
     expert = SamplingExpert(environment, seed=seed, threads=settings.threads or None)
-    film = Film() if settings.film and not trial.evaluation and trial.episode < settings.film_episodes else None
+    film = None
+    if settings.film and not trial.evaluation and trial.episode < settings.film_episodes:
+        file = settings.anatomy_file
+        film = Film(room=None if file is None else file.room())
     try:
         metrics = record_episode(
             environment,

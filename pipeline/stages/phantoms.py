@@ -5,7 +5,7 @@ from __future__ import annotations
 import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -22,8 +22,10 @@ from pipeline.store.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom, SignedDistanceGrid
+    from cathsim.fluoroscopy import XRayScene
 
 _MM = 1e3
+RADIOGRAPH, _RADIOGRAPH_PX = "radiograph.png", 512  # with a CT; side of a view
 _SLAB = 16  # layers of a grid written at once
 COARSEST_RESOLUTION_MM = 2.5  # above it a carotid artery is no longer resolved
 
@@ -31,6 +33,8 @@ COARSEST_RESOLUTION_MM = 2.5  # above it a carotid artery is no longer resolved
 @validated()
 class PhantomsSettings(FileSettings):
     """Settings of the phantoms stage; with a file, its anatomy is the only one."""
+
+    shows_ct: ClassVar[bool] = True
 
     name: str = "phantoms"
     phantoms: FolderNames = field(default_factory=list)  # named anatomies
@@ -42,6 +46,8 @@ class PhantomsSettings(FileSettings):
     def __post_init__(self) -> None:
         """Checks that there is something to build."""
         super().__post_init__()
+        if self.ct is not None and not self.picture:
+            raise ConfigurationError("phantom.ct shows in a picture: give stage.picture=true, too, or leave it out")
         if self.file is None and not self.phantoms and not self.random_seeds:
             raise ConfigurationError("stage.phantoms is empty: name at least one")
 
@@ -82,16 +88,20 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:
     for anatomy in context.folder.resumable(anatomies, key=lambda a: a.label, label="phantoms"):
         try:
             phantom = _build(anatomy, settings)
+            room = None if anatomy.file is None else anatomy.file.room()
         except ValueError as error:
             raise ConfigurationError(f"phantom {anatomy.label} cannot be built: {error}") from error
         folder = context.path / anatomy.label
         write_bundle(phantom, folder, wall_thickness=settings.wall_thickness_mm / _MM, picture=settings.picture)
+        if room is not None:
+            write_radiograph(phantom, room, folder / RADIOGRAPH)
         context.folder.mark_done(anatomy.label, phantom.dimensions())
     measured = {a.label: context.folder.result_of(a.label) for a in anatomies}
     models = {a.label: {"convex_hulls": "none", "source": "file" if a.file else "parametric"} for a in anatomies}
     write_results(context.path, {"phantoms": measured, "aortas": models})
     if settings.picture:
-        write_figures(context.path, [_figure(a, measured[a.label] or {}) for a in anatomies])
+        figures = [_figure(a, measured[a.label] or {}) for a in anatomies]
+        write_figures(context.path, figures + [_radiograph_figure(a) for a in anatomies if a.file and a.file.ct])
 
 
 def _build(anatomy: Anatomy, settings: PhantomsSettings) -> Phantom:
@@ -149,6 +159,16 @@ def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, pictu
                 draw_import(phantom, path)
 
 
+def write_radiograph(phantom: Phantom, room: XRayScene, path: Path) -> None:
+    """Writes a picture of an anatomy's contrast run in its CT, by both C-arms."""
+    from cathsim.opencv import cv2
+    from cathsim.viewing.room_fluoroscope import contrast_picture
+
+    with atomic_path(path) as temporary:
+        encoded = cv2.imencode(".png", contrast_picture(phantom, _RADIOGRAPH_PX, room))[1]
+        temporary.write_bytes(encoded.tobytes())
+
+
 def _figure(anatomy: Anatomy, measured: dict[str, Any]) -> Figure:
     return Figure(
         title=f"Phantom {anatomy.label}",
@@ -158,12 +178,21 @@ def _figure(anatomy: Anatomy, measured: dict[str, Any]) -> Figure:
     )
 
 
+def _radiograph_figure(anatomy: Anatomy) -> Figure:
+    return Figure(
+        title=f"X-ray of {anatomy.label}",
+        caption="Contrast run in the patient's CT, from the front and from the side.",
+        file=f"{anatomy.label}/{RADIOGRAPH}",
+    )
+
+
 STAGE = Stage(
     settings=PhantomsSettings,
     run=run_phantoms,
     writes=(
         "<phantom>/{lumen.stl, wall.stl, grid.npz, centrelines.json, targets.json, phantom.json, picture.png}",
         "<phantom>/import.json (of a mesh)",
+        "<phantom>/radiograph.png (with its CT)",
         "results.json",
         "figures.json",
     ),

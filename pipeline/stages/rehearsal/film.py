@@ -41,7 +41,8 @@ def film_scan(job: RehearsalJob, report: Report) -> dict[str, Any]:
     environment.reset(seed=0, options={"case": 0})
     shown = environment.current
     controller = retrying(controllers(Policy.load(job.policy), settings.mode), steps, settings.attempts)(seeds[number])
-    film = Film(STRIDE * math.ceil(task.max_steps / _USUAL_STEPS))
+    file = settings.anatomy_file
+    film = Film(STRIDE * math.ceil(task.max_steps / _USUAL_STEPS), None if file is None else file.room())
     try:
         observation, info = shown.reset(seed=seeds[number])
         film.add(shown)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import field
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from annotated_types import Ge, Le
 
@@ -43,6 +43,8 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
 
     Without `policy` it starts from the stage unseen's, or a shipped one, with the same devices.
     """
+
+    shows_ct: ClassVar[bool] = True
 
     name: str = "rehearsal"
     phantoms: FolderNames = field(default_factory=lambda: ["type_1"])  # one: that of the scan

@@ -32,6 +32,7 @@ from pipeline.store.atomic_files import write_json, write_text
 from pipeline.task import TASK
 
 if TYPE_CHECKING:
+    from cathsim.fluoroscopy import XRayScene
     from enn.imitation.advised_episodes import EpisodeStart
     from enn.imitation.images.lumen_segmentation import LumenSegmenter
     from enn.imitation.images.perception import ImagePerception
@@ -84,15 +85,15 @@ class ImagePolicyJob(PolicyJob):
 
         return (*(("goal_image",) if self.xray else IMAGE_KEYS), *further)
 
-    def seen(self, environment: Any, clutter: float = 0.0, **further: Any) -> Any:
-        """The environment as the policy sees it, X-ray images with so much clutter."""
+    def seen(self, environment: Any, clutter: float = 0.0, room: XRayScene | None = None, **further: Any) -> Any:
+        """The environment as the policy sees it: X-ray images with so much clutter, in a water bath or a room."""
         from cathsim.observations.xray import XrayEnvironment
 
         if not self.xray:
             return environment
         return XrayEnvironment(
-            environment, self.task.task.image_size_px, clutter=clutter_of(clutter), views=self.views, field=self.field,
-            **further,
+            environment, self.task.task.image_size_px, clutter=clutter_of(clutter), room=room, views=self.views,
+            field=self.field, **further,
         )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from pipeline.seeds import held_out_seeds
 from pipeline.task import DESCENDING
 
 if TYPE_CHECKING:
+    from cathsim.fluoroscopy import XRayScene
     from cathsim.metrics import EpisodeMetrics
     from pipeline.stages.unseen.task import UnseenTask
 
@@ -80,7 +81,7 @@ def run_tests(
     controllers: Callable[[str], Callable[[int], Controller]],
     observation: tuple[str, ...],
     report: Callable[[float, str], None],
-    seen: Callable[[Any, float], Any] = lambda environment, clutter: environment,
+    seen: Callable[[Any, float, XRayScene | None], Any] = lambda environment, clutter, room: environment,
 ) -> list[dict[str, Any]]:
     """Puts a policy to its tests; episodes whose log is there are not repeated.
 
@@ -88,7 +89,7 @@ def run_tests(
         job: whose tests.
         controllers: gives, for a mode, the policy for the episode of a seed.
         report: takes the share done and a few words.
-        seen: the environment as the policy sees it, with so much clutter.
+        seen: the environment as the policy sees it, with so much clutter, in a room of its own or the usual one.
 
     Returns:
         A row for each test set, target and mode: their names and the summary of the episodes.
@@ -106,6 +107,7 @@ def run_tests(
             environment = seen(
                 job.task.test_environment(phantom, target, test.wire, observation, test.registration_noise, test.entry),
                 test.clutter,
+                phantom.room() if isinstance(phantom, AnatomyFile) else None,
             )
             seeds = held_out_seeds(job.seed, len(test.phantoms) * test.episodes)
             metrics += run_trials(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +11,15 @@ import numpy as np
 
 if TYPE_CHECKING:
     from cathsim.environment import NavigateEnv
+    from cathsim.fluoroscopy import XRayScene
     from cathsim.simulation import Simulation
 
-HEIGHT_PX = 400
+HEIGHT_PX, ROOM_PX = 400, 320  # usually; with both C-arms in a room
 VIEW_WIDTH_PX = 300
 FRAMES_PER_SECOND = 12.5  # of playback; every second step is shown, so at 2.5 times the episode's own speed
 STRIDE = 2
 _GREYS, _COLOURS = 112, 144  # of the palette: for the fluoroscopy, and for the rest
+_NOISY_GREYS = 32  # for images with noise, which more of them only make large
 _GREY_RANGE = 12  # most difference of red, green and blue of what counts as grey
 
 _LOGGER = logging.getLogger(__name__)
@@ -30,13 +32,15 @@ class Film:
 
     Args:
         stride: of so many steps one is shown, and the last.
+        room: what X-ray images show around the vessels, such as a patient's CT (`cathsim.fluoroscopy.ct_scene`), from
+            the front and from the side; None: the usual fluoroscopy, frontal and without a body.
     """
 
-    def __init__(self, stride: int = STRIDE) -> None:
-        self._stride = stride
+    def __init__(self, stride: int = STRIDE, room: XRayScene | None = None) -> None:
+        self._stride, self._room = stride, room
         self._frames: list[np.ndarray] = []
         self._count = 0
-        self._fluoroscope: Any = None
+        self._take_image: Callable[[], np.ndarray] | None = None
         self._view: Any = None
 
     def add(self, environment: NavigateEnv) -> None:
@@ -52,10 +56,9 @@ class Film:
         Args:
             goal: target to mark in the 3-D view, m. Shape (3,).
         """
-        if self._fluoroscope is None:
-            self._open(simulation)
-        self._fluoroscope.update()
-        frame = np.repeat(self._fluoroscope.image()[:, :, None], 3, axis=2)
+        if self._take_image is None:
+            self._take_image = self._open(simulation)
+        frame = self._take_image()
         if self._view is not None:
             frame = np.concatenate((frame, self._view.render(simulation, goal)), axis=1)
         self._frames.append(frame)
@@ -64,20 +67,21 @@ class Film:
         """Adds the frames of a film of the same size, such as of an episode in another anatomy."""
         self._frames += other._frames
 
-    def _open(self, simulation: Simulation) -> None:
-        from cathsim.observations.fluoroscopes import Fluoroscope
+    def _open(self, simulation: Simulation) -> Callable[[], np.ndarray]:
         from cathsim.viewing.camera_view import RenderingUnavailableError, View
 
-        self._fluoroscope = Fluoroscope(simulation, HEIGHT_PX)
+        height = HEIGHT_PX if self._room is None else ROOM_PX
         try:
-            self._view = View(simulation.phantom, width=VIEW_WIDTH_PX, height=HEIGHT_PX)
+            self._view = View(simulation.phantom, width=VIEW_WIDTH_PX, height=height)
         except RenderingUnavailableError as error:
             _LOGGER.warning("the film shows fluoroscopy only: %s", error)
+        return _usual_xray(simulation) if self._room is None else _xray_in(self._room, simulation)
 
     def write(self, path: Path) -> None:
         """Writes the film as a GIF."""
         # one palette for the whole film keeps colours from flickering
-        palette = film_palette(self._frames[:: max(1, len(self._frames) // 6)], _GREYS, _COLOURS)
+        greys = _GREYS if self._room is None else _NOISY_GREYS
+        palette = film_palette(self._frames[:: max(1, len(self._frames) // 6)], greys, _COLOURS)
         write_gif(path, self._frames, palette, FRAMES_PER_SECOND)
 
     def close(self) -> None:
@@ -85,6 +89,24 @@ class Film:
         if self._view is not None:
             self._view.close()
             self._view = None
+
+
+def _usual_xray(simulation: Simulation) -> Callable[[], np.ndarray]:
+    from cathsim.observations.fluoroscopes import Fluoroscope
+
+    fluoroscope = Fluoroscope(simulation, HEIGHT_PX)
+
+    def image() -> np.ndarray:
+        fluoroscope.update()
+        return np.repeat(fluoroscope.image()[:, :, None], 3, axis=2)
+
+    return image
+
+
+def _xray_in(room: XRayScene, simulation: Simulation) -> Callable[[], np.ndarray]:
+    from cathsim.viewing.room_fluoroscope import RoomFluoroscope
+
+    return RoomFluoroscope(simulation, ROOM_PX, room).image
 
 
 def film_states(

@@ -1,0 +1,144 @@
+"""The CT of a file's anatomy in the stages: in pictures, in films, and in what policies of X-ray images see."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cathsim import load_phantom
+from cathsim.viewing import film
+from cathsim.viewing.film import ROOM_PX, VIEW_WIDTH_PX
+from pipeline.anatomies.anatomy_file import AnatomyFile
+from pipeline.jobs.worker import Report
+from pipeline.stages import load_stage
+from pipeline.stages.expert import ExpertSettings, Trial, record_trial
+from pipeline.stages.learning.settings import EnnSettings
+from pipeline.stages.phantoms import PhantomsSettings, run_phantoms
+from pipeline.stages.rehearsal.copies import SCAN
+from pipeline.stages.rehearsal.film import film_scan
+from pipeline.stages.unseen.settings import UnseenSettings
+from pipeline.stages.unseen.task import XRAY
+from pipeline.stages.unseen.trials import HeldOutSet, run_tests
+from pipeline.store.errors import ConfigurationError
+from pipeline.task import Task
+from tests.pipeline.anatomies.small_ct import ct_of
+from tests.pipeline.composed import composed
+from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
+from tests.pipeline.stages.small_expert import context
+from tests.pipeline.stages.unseen.small_unseen import image_job
+
+WITH_3D = 2 * ROOM_PX + VIEW_WIDTH_PX
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory, anatomy_cache: Path) -> dict[str, Any]:
+    """The settings of an arch and of its CT."""
+    folder = tmp_path_factory.mktemp("scan")
+    load_phantom("type_1", resolution=2e-3).lumen_mesh.export(folder / "arch.stl")
+    own = AnatomyFile.of(str(folder / "arch.stl"), "m")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+        return {"file": own.path, "unit": "m", "ct": str(ct_of(own.load(), folder / "ct.nii.gz"))}
+
+
+@pytest.fixture(autouse=True)
+def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+
+
+def test_the_stage_phantoms_draws_the_contrast_run_in_the_ct(scan: dict[str, Any], tmp_path: Path) -> None:
+    run_phantoms(PhantomsSettings(**scan, resolution_mm=2.0), context(tmp_path, "phantoms"))
+    stage = tmp_path / "phantoms"
+    shown = json.loads((stage / "figures.json").read_text())
+    assert "arch/radiograph.png" in json.dumps(shown)
+    picture = np.asarray(Image.open(stage / "arch" / "radiograph.png"), float)
+    assert picture.shape == (512, 1024)
+    assert picture.std() > 20, "a body and vessels full of contrast medium"
+
+
+def test_the_expert_s_film_shows_both_c_arms_in_the_ct(scan: dict[str, Any], tmp_path: Path) -> None:
+    settings = ExpertSettings(**scan, phantoms=["x"], targets=["bca"], threads=1, task=Task(max_steps=2))
+    record_trial(Trial("arch", "bca", 0), settings, tmp_path, seed=0)
+    with Image.open(tmp_path / "arch" / "bca" / "000.gif") as shown:
+        assert shown.size in {(2 * ROOM_PX, ROOM_PX), (WITH_3D, ROOM_PX)}
+        assert np.asarray(shown.convert("L"), float)[:, :ROOM_PX].std() > 20
+
+
+def test_the_rehearsal_s_film_is_taken_in_the_ct(
+    scan: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rooms: list[Any] = []
+
+    class Kept(film.Film):
+        def __init__(self, stride: int, room: Any) -> None:
+            rooms.append(room)
+            super().__init__(stride)  # the usual fluoroscopy is faster
+
+    monkeypatch.setattr(film, "Film", Kept)
+    job = job_of(tmp_path, **scan, targets=["bca"])
+    (tmp_path / "after" / SCAN / "0").mkdir(parents=True)
+    film_scan(replace(job, policy=GENERALIST, tested="after"), Report())
+    assert [room.name for room in rooms] == ["ct"]
+
+
+def test_policies_of_images_are_tested_in_the_ct(scan: dict[str, Any], tmp_path: Path) -> None:
+    place = AnatomyFile.of(scan["file"], "m", ct=scan["ct"])
+    job = replace(image_job(tmp_path, 1, XRAY), tests=(HeldOutSet("arch", (place, 1), targets=("bca",)),))
+    rooms: list[Any] = []
+
+    def seen(environment: Any, clutter: float, room: Any) -> Any:
+        rooms.append(room)
+        return environment
+
+    forward = np.array([1.0, 0.0])
+    run_tests(job, lambda mode: lambda seed: lambda observation, info: forward, ("tip",), lambda *_: None, seen)
+    assert [room and room.name for room in rooms] == ["ct", None]
+    assert rooms[0] is place.room(), "read once"
+    bare = job.task.test_environment(place, "bca", "default", ("goal_image",))
+    images = [job.seen(bare, room=room).reset(seed=0)[0]["image"].astype(float) for room in (place.room(), None)]
+    assert np.abs(images[0] - images[1]).mean() > 10
+
+
+@pytest.mark.parametrize(
+    ("settings", "values", "message"),
+    [
+        (ExpertSettings, {"ct": "none.nii.gz"}, "phantom.ct=none.nii.gz is no file: give the path of the CT (NIfTI, "),
+        (ExpertSettings, {"file": None, "unit": None}, "phantom.ct belongs to a file: give phantom.file=PATH too"),
+        (EnnSettings, {}, "phantom.ct is shown by the stages phantoms, expert, rehearsal and unseen alone"),
+        (UnseenSettings, {"xray": False}, "phantom.ct shows in X-ray images: give stage.xray=true, too, or leave it"),
+        (PhantomsSettings, {"picture": False}, "phantom.ct shows in a picture: give stage.picture=true, too, or"),
+    ],
+)
+def test_a_ct_that_nothing_would_show_is_one_sentence(
+    scan: dict[str, Any], settings: type, values: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=f"^{re.escape(message)}"):
+        settings(**scan | values)
+
+
+def test_the_ct_of_somebody_else_is_refused_before_the_work(scan: dict[str, Any], tmp_path: Path) -> None:
+    nibabel = pytest.importorskip("nibabel", reason="a CT needs nibabel")
+    own = nibabel.load(scan["ct"])
+    away = own.affine.copy()
+    away[:3, 3] += 400.0  # mm
+    nibabel.save(nibabel.Nifti1Image(np.asarray(own.dataobj), away), tmp_path / "other.nii.gz")
+    given = (f"phantom.file='{scan['file']}'", "phantom.unit=m", f"phantom.ct='{tmp_path / 'other.nii.gz'}'")
+    settings = composed("stage=expert", "budget=smoke", *given, "target=bca").stage
+    with pytest.raises(ConfigurationError, match=r"other\.nii\.gz"):
+        load_stage("expert").prepare(settings)
+
+
+def test_results_depend_on_the_ct(scan: dict[str, Any], tmp_path: Path) -> None:
+    with_ct = ExpertSettings(**scan, phantoms=["x"], targets=["bca"])
+    copy = tmp_path / "copy.nii.gz"
+    copy.write_bytes(Path(scan["ct"]).read_bytes())
+    assert replace(with_ct, ct=str(copy)).ct_sha256 == with_ct.ct_sha256
+    copy.write_bytes(b"another")
+    assert replace(with_ct, ct=str(copy)).ct_sha256 != with_ct.ct_sha256
