@@ -91,7 +91,8 @@ def test_same_seed_same_bits_and_cameras_do_not_disturb_each_other(small):
         np.testing.assert_array_equal(first[name].image, again[name].image)
         np.testing.assert_array_equal(first[name].mask, again[name].mask)
         np.testing.assert_array_equal(first[name].image, small.render(wire, 5, only=[name])[name].image)
-    assert (small.render(wire, 6)["a"].image != first["a"].image).mean() > 0.5
+    lit = first["a"].image > 40
+    assert (small.render(wire, 6)["a"].image != first["a"].image)[lit].mean() > 0.45, "half a grey level of noise"
     assert (first["a"].mask != first["b"].mask).any()
     np.testing.assert_array_equal(small.render(wire)["a"].image, small.render(wire)["a"].image)
 
@@ -129,7 +130,7 @@ def test_noise_has_the_size_and_grain_it_should(fluoroscope):
     part = np.s_[:, 350:450, 180:330]
     assert frames[part].mean() == pytest.approx(clean[part[1:]].mean(), abs=0.1)
     rest = frames[part] - frames[part].mean(axis=0)
-    assert 1.5 < rest.std() < 2.5
+    assert 1.2 < rest.std() < 1.6  # real images of 512 px: 1.1 and 1.2 (docs/results/fluoroscopy.md)
     # half the size: half the screen's blur in px, so that neighbours correlate little
     beside = (rest[:, :, 1:] * rest[:, :, :-1]).mean() / rest.var()
     assert 0.02 < beside < 0.3
@@ -220,3 +221,12 @@ def test_bad_input_is_refused(small):
         BiplaneFluoroscope([camera, camera], [])
     with pytest.raises(ValueError, match="a radiograph a camera"):
         BiplaneFluoroscope([camera], [])
+
+
+@pytest.mark.parametrize(("size", "real"), [(512, 1.19), (256, 0.76), (128, 0.45)])
+def test_a_smaller_image_has_less_noise_as_the_mean_of_more_pixels(size, real):
+    camera = guide3d_pair(np.zeros(3), size)[0]
+    field = np.full((size, size), camera.detector.white(size, size) * (100 / 255) ** 2, np.float32)
+    one = BiplaneFluoroscope([camera], [Radiograph(field, np.zeros_like(field))])
+    images = [one.render(NOTHING, seed)["a"].image.astype(float) for seed in range(4)]
+    assert real < np.std(images, axis=0, ddof=1).mean() < 1.7 * real

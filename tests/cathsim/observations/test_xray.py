@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_dilation
 
 from cathsim.fluoroscopy import Projector, scene
 from cathsim.many_anatomies import NavigateManyEnv
@@ -26,17 +27,20 @@ def test_observations_are_noisy_images_and_a_contrast_run_alone() -> None:
     for _ in range(10):
         observation = env.step(FORWARD)[0]
     images = [observation["image"].astype(float)]
-    again, _ = (twin := environment()).reset(seed=3, options={"case": 0})
+    again, _ = (twin := environment(with_mask=True)).reset(seed=3, options={"case": 0})
     for _ in range(10):
         again = twin.step(FORWARD)[0]
     np.testing.assert_array_equal(observation["image"], again["image"])
     # the noise is another one in every step, and the lumen is not filled while the wire moves
     images.append(env.step(0 * FORWARD)[0]["image"].astype(float))
-    assert 1.0 < np.std(images[0] - images[1]) < 6.0
+    lit = images[0] > 40
+    # as much of one image as real ones of this size have, and half as much again (docs/results/fluoroscopy.md)
+    assert 0.35 < np.std((images[0] - images[1])[lit]) / np.sqrt(2) < 0.7
     plain, contrast = contrast_run(env.phantom, 96, env.simulation.wire.radius)
-    # the mean of 16 images has hardly any noise beside that of one
-    assert np.std(images[0] - plain) < 0.8 * np.std(images[0] - images[1])
     filled = plain.astype(float) - contrast
+    # the mean of 16 images has hardly any noise beside that of one, where no wire is
+    away = lit & (binary_dilation(again["mask"][0], iterations=3)[None] == 0)
+    assert np.std((images[0] - plain)[away]) < 0.85 * np.std((images[0] - images[1])[away])
     from cathsim.fluoroscopy.attenuation import lumen_path_length
 
     lumen = lumen_path_length(env.phantom.grid, Projector.frontal(env.phantom.bounds, 96)) > 5e-3
@@ -133,7 +137,8 @@ def test_several_views_show_the_same_moment() -> None:
         column, row = projector.project(two.simulation.wire_points()[2:3])[0]
         assert seen["mask"][view, round(row), round(column)] == 255
         darker = seen["plain"][view].astype(float) - seen["image"][view]
-        assert darker[seen["mask"][view] > 0].mean() > 10
+        on = seen["mask"][view] > 0
+        assert darker[on].mean() > 10 * darker[~on].std()
 
 
 def test_clutter_is_another_in_each_view() -> None:

@@ -10,7 +10,14 @@ import pytest
 import torch
 from torch.nn import functional
 
-from enn.imitation.images.wire_segmentation import WireSegmenter, dice, fit_wire_segmenter, wire_frames
+from enn.imitation.images.wire_segmentation import (
+    NOISE,
+    WireSegmenter,
+    dice,
+    fit_wire_segmenter,
+    noise_scale,
+    wire_frames,
+)
 from tests.enn.imitation.straight_wire import Expert
 
 SIZE = 64
@@ -101,3 +108,25 @@ def test_gaps_are_closed_as_by_pooling(network: WireSegmenter) -> None:
     closed = torch.maximum(wire, -pooled)[0, 0].numpy() > 0.2
     assert 0.05 < closed.mean() < 0.95
     np.testing.assert_array_equal(network.mask(image, plain) > 0, closed)
+
+
+@pytest.mark.parametrize("deviation", [0.7, 1.4])
+def test_differences_are_scaled_to_one_strength_of_the_noise(deviation: float) -> None:
+    generator = np.random.default_rng(0)
+    plain = np.full((SIZE, SIZE), 120.0)
+    plain[:, :8] = 3.0  # outside the field, where there is none
+    noise = generator.normal(0.0, deviation, plain.shape) * (plain > 24)
+    image = plain + noise
+    image[:, 30:32] -= 40.0  # a wire
+    scale = noise_scale(np.rint(image).astype(np.uint8), plain.astype(np.uint8))
+    assert scale * np.hypot(deviation, 12**-0.5) == pytest.approx(NOISE, rel=0.06)
+    noisy = np.rint(plain + 5 * noise).clip(0, 255).astype(np.uint8)
+    assert noise_scale(noisy, plain.astype(np.uint8)) == 1.0, "left as it is"
+
+
+def test_a_faint_wire_is_found_where_there_is_little_noise(network: WireSegmenter) -> None:
+    images, plains, masks = wires(20, 3)
+    middle = plains.astype(float).mean()
+    faint, even = (np.rint(middle + (one - middle) / 2.5).astype(np.uint8) for one in (images, plains))
+    assert dice(network, faint, even, masks) > 0.85
+    assert noise_scale(even[0], even[0]) == 4.0, "no noise at all"

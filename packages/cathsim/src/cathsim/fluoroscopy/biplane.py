@@ -275,7 +275,7 @@ class BiplaneFluoroscope:
             *(width, height, still.primary.ctypes.data, still.veil.ctypes.data),
             *window,
             detector.white(width, height),
-            detector.video_noise if seed is not None else 0.0,
+            detector.video(width, height) if seed is not None else 0.0,
             int(seed is not None),
             len(kernel) - 1,
             kernel.ctypes.data,

@@ -27,7 +27,8 @@ class Detector:
 
     # mean count of a white pixel of a 1024 px image; larger pixels catch more
     photons: Annotated[float, Interval(gt=0, le=1e9), Unit("photons a pixel")] = 870.0
-    video_noise: _Grey = 1.7  # standard deviation of what the display chain adds, grey levels
+    # standard deviation of what the display chain adds to a 1024 px image, grey levels; larger pixels are means of those
+    video_noise: _Grey = 1.7
     focal_blur: _Blur = 0.5  # standard deviation of the blur before the photons are counted, px: the focal spot's
     screen_blur: _Blur = 1.1  # that of the blur behind, which also smooths the noise, px
     glare: _Grey = 5.0  # grey level of the dark around the field
@@ -49,6 +50,10 @@ class Detector:
     def white(self, width: int, height: int) -> float:
         """Mean photon count of a white pixel of an image of some size."""
         return self.photons / self.scale(width, height) ** 2
+
+    def video(self, width: int, height: int) -> float:
+        """Standard deviation of what the display chain adds to an image of some size, grey levels."""
+        return self.video_noise * min(self.scale(width, height), 1.0)
 
     def illumination(self, width: int, height: int) -> NDArray[np.float32]:
         """Light (height, width) on the detector without an object: 1 in the middle, 0 outside the collimator."""

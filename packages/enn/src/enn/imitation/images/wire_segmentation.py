@@ -1,6 +1,8 @@
 """Wire segmentation: which pixels of a noisy fluoroscopic image show the guidewire, by a small network.
 
-It sees how much darker the image is than one taken before the wire came in, so that only wire and noise are left.
+It sees how much darker the image is than one taken before the wire came in, so that only wire and noise are left, and
+sees it scaled to one strength of the noise: a faint wire in an image with little noise is as plain as a dark one in
+another with much.
 """
 
 from __future__ import annotations
@@ -22,12 +24,28 @@ from enn.imitation.perturbed_controller import PerturbedController
 from enn.policy import Policy
 
 DARKENING = 10.0  # grey levels that count as one
+NOISE = 2.0  # grey levels, standard deviation of the noise that differences of two images are scaled to
+_MOST_SCALE = 4.0  # of them; noisier ones are left as they are
+_LIT = 24  # grey levels of the darkest pixels whose noise counts; outside the field there is none
 _DILATIONS = (2, 4, 8)
 _CROP = 96  # px, side of what an update sees of an image
 _LEAST, _GAP = 0.2, 2  # a thin tip is doubtful, and a wire that is cut in two is worse than one too wide; px
 _RARE = -3.0  # logit of a pixel before training: few show the wire
 BETWEEN = 8  # steps between two images of an episode
 _ON_WIRE = 0.8  # share of the crops with a part of the wire in their middle third
+
+
+def noise_scale(image: NDArray[np.uint8], plain: NDArray[np.uint8]) -> float:
+    """What the difference of two images is multiplied by, so that its noise has the standard deviation `NOISE` at least.
+
+    The noise is taken from pixels that became brighter, which no wire does: half of those without a wire.
+
+    Args:
+        image, plain: grey, from the same camera, with the wire and without. Shape (height, width).
+    """
+    brighter = np.minimum(plain.astype(np.float32) - image, 0.0)[plain > _LIT]
+    deviation = float(np.sqrt(2 * np.mean(np.square(brighter)))) if brighter.size else NOISE
+    return float(np.clip(NOISE / max(deviation, 1e-6), 1.0, _MOST_SCALE))
 
 
 class WireSegmenter(nn.Module):
@@ -48,7 +66,7 @@ class WireSegmenter(nn.Module):
         self.layers = nn.Sequential(*layers, head)
 
     def forward(self, darker: Tensor) -> Tensor:
-        """Logits from grey levels that were lost to the wire. Shape (N, 1, height, width) to the same."""
+        """Logits from grey levels that were lost to the wire, scaled. Shape (N, 1, height, width) to the same."""
         return self.layers(darker / DARKENING)
 
     @torch.inference_mode()
@@ -68,7 +86,8 @@ class WireSegmenter(nn.Module):
         if image.shape != plain.shape:
             raise ValueError(f"expected two images of one shape, got {image.shape} and {plain.shape}")
         self.eval()
-        darker = torch.as_tensor(plain.astype(np.float32) - image)[None, None].to(device_of(self))
+        scaled = (plain.astype(np.float32) - image) * np.float32(noise_scale(image, plain))
+        darker = torch.as_tensor(scaled)[None, None].to(device_of(self))
         wire = torch.sigmoid(self(darker))[0, 0]
         closed = torch.maximum(wire, -_dilated(-_dilated(wire)))
         return (closed > _LEAST).to(torch.uint8).cpu().numpy() * np.uint8(255)
@@ -115,8 +134,10 @@ def fit_wire_segmenter(
     if len(shapes) != 1 or images.ndim != 3 or not len(images):
         raise ValueError(f"expected images and masks of one shape (n, size, size), got {sorted(shapes)}")
 
+    scales = [noise_scale(image, plain) for image, plain in zip(images, plains, strict=True)]
+
     def loss_of(network: WireSegmenter, rows: NDArray[np.intp], generator: np.random.Generator) -> Tensor:
-        parts = [_part(images[k], plains[k], masks[k], generator) for k in rows]
+        parts = [_part(images[k], plains[k], masks[k], scales[k], generator) for k in rows]
         darker, wire = (torch.as_tensor(np.stack(one))[:, None].to(device) for one in zip(*parts, strict=True))
         return _loss(network(darker).float(), wire)
 
@@ -137,9 +158,13 @@ def dice(
 
 
 def _part(
-    image: NDArray[np.uint8], plain: NDArray[np.uint8], mask: NDArray[np.uint8], generator: np.random.Generator
+    image: NDArray[np.uint8],
+    plain: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    scale: float,
+    generator: np.random.Generator,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What is darker in a square of an image, and the wire there; mirrored and turned at random."""
+    """What is darker in a square of an image, scaled, and the wire there; mirrored and turned at random."""
     size = image.shape[-1]
     side = min(_CROP, size)
     corner = generator.integers(0, size - side + 1, 2)
@@ -148,7 +173,8 @@ def _part(
         middle = seen[generator.integers(len(seen))] - side // 2 + generator.integers(-side // 6, side // 6 + 1, 2)
         corner = np.clip(middle, 0, size - side)
     square = slice(corner[0], corner[0] + side), slice(corner[1], corner[1] + side)
-    both = np.stack((plain[square].astype(np.float32) - image[square], (mask[square] > 0).astype(np.float32)))
+    darker = (plain[square].astype(np.float32) - image[square]) * np.float32(scale)
+    both = np.stack((darker, (mask[square] > 0).astype(np.float32)))
     both = np.rot90(both, int(generator.integers(4)), (1, 2))
     if generator.random() < 0.5:
         both = both[:, :, ::-1]
