@@ -5,7 +5,8 @@
 REAL is a folder of real images, ``*_a.png`` and ``*_b.png``, whose cameras and background stand still. A real image of
 a smaller size is the mean over squares of its pixels. Noise is what two images differ by, over the square root of two:
 the standard deviation of their difference, slow differences and what is beyond four of it (a wire) taken out; the
-median over all pairs of images. Only pixels brighter than 40 count. Simulated are the same pair of cameras over a water bath with `type_1` and no wire.
+median over all pairs of images. Only pixels brighter than 40 count. Simulated are the same pair of cameras over a
+water bath with `type_1` and no wire.
 Prints a line a camera and, last, one JSON object: camera to size to real and simulated noise, grey levels.
 """
 

@@ -27,7 +27,7 @@ class Detector:
 
     # mean count of a white pixel of a 1024 px image; larger pixels catch more
     photons: Annotated[float, Interval(gt=0, le=1e9), Unit("photons a pixel")] = 870.0
-    # standard deviation of what the display chain adds to a 1024 px image, grey levels; larger pixels are means of those
+    # standard deviation of what the display chain adds to a 1024 px image, grey levels; larger pixels are means
     video_noise: _Grey = 1.7
     focal_blur: _Blur = 0.5  # standard deviation of the blur before the photons are counted, px: the focal spot's
     screen_blur: _Blur = 1.1  # that of the blur behind, which also smooths the noise, px

@@ -36,7 +36,7 @@ _ON_WIRE = 0.8  # share of the crops with a part of the wire in their middle thi
 
 
 def noise_scale(image: NDArray[np.uint8], plain: NDArray[np.uint8]) -> float:
-    """What the difference of two images is multiplied by, so that its noise has the standard deviation `NOISE` at least.
+    """What the difference of two images is multiplied by, so that its noise is `NOISE` or more.
 
     The noise is taken from pixels that became brighter, which no wire does: half of those without a wire.
 
