@@ -43,6 +43,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 import enn
+from cathsim.fluoroscopy.scene import SCENES
 from cathsim.metrics.intervals import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from enn.imitation.images.policy import ImagePolicy
@@ -103,6 +104,7 @@ def arguments() -> argparse.Namespace:
     )
     parser.add_argument("--most-force", type=float, metavar="N", help="of all contacts, with which an attempt ends")
     parser.add_argument("--ct", type=Path, metavar="FILE", help="of the one anatomy: what X-ray images show around it")
+    parser.add_argument("--room", choices=SCENES, help="what X-ray images show around vessels that have no CT")
     parser.add_argument("--clutter", type=float, default=0.0, help="in X-ray images, 1: as networks learn from")
     parser.add_argument(
         "--field", type=float, metavar="MM", help="of X-ray images, instead of what the policy learnt in"
@@ -161,6 +163,7 @@ def play(
         bare = task.test_environment(place, target, task.task.wire, ("goal_image",))
         imaging = policy.imaging | ({"field": 1e-3 * given.field} if given.field else {})
         room = place.room() if isinstance(place, AnatomyFile) else None
+        room = room or (SCENES[given.room] if given.room else None)
         environment = XrayEnvironment(bare, side, clutter=clutter_of(given.clutter), room=room, **imaging)
     controller = RetryingController(attempt, given.max_steps, given.attempts, seed, most_force=given.most_force)
     observation, info = environment.reset(seed=seed)
@@ -243,6 +246,8 @@ def main() -> None:
             raise ValueError("--exchange and --then: name a policy of other devices with --steep")
         if given.clutter and any(isinstance(policy, Policy) for policy in policies):
             raise ValueError("--clutter: a policy by roadmap sees no images")
+        if given.room is not None and any(isinstance(policy, Policy) for policy in policies):
+            raise ValueError("--room: a policy by roadmap sees no images")
         if given.ct is not None and (
             len(given.anatomies or ()) != 1 or any(isinstance(policy, Policy) for policy in policies)
         ):

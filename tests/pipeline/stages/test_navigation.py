@@ -269,6 +269,7 @@ def test_targets_that_a_camera_does_not_see_are_left_out() -> None:
         )
 
 
+@pytest.mark.usefixtures("results")
 def test_a_trial_needs_a_target_in_view(run: Path, tmp_path: Path) -> None:
     network = load_perception(run / "navigation", "cpu")
     policy, perception = load_navigator(run / "navigation" / "splineformer" / NAVIGATOR, network)

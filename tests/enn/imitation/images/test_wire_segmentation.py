@@ -13,9 +13,10 @@ from torch.nn import functional
 from enn.imitation.images.wire_segmentation import (
     NOISE,
     WireSegmenter,
+    darkening,
     dice,
     fit_wire_segmenter,
-    noise_scale,
+    most_enhanced,
     wire_frames,
 )
 from tests.enn.imitation.straight_wire import Expert
@@ -111,22 +112,28 @@ def test_gaps_are_closed_as_by_pooling(network: WireSegmenter) -> None:
 
 
 @pytest.mark.parametrize("deviation", [0.7, 1.4])
-def test_differences_are_scaled_to_one_strength_of_the_noise(deviation: float) -> None:
-    generator = np.random.default_rng(0)
+def test_noise_is_taken_from_what_no_wire_does(deviation: float) -> None:
+    noise = np.random.default_rng(0).normal(0.0, deviation, (SIZE, SIZE))
     plain = np.full((SIZE, SIZE), 120.0)
     plain[:, :8] = 3.0  # outside the field, where there is none
-    noise = generator.normal(0.0, deviation, plain.shape) * (plain > 24)
+    noise[:, :8] = 0.0
     image = plain + noise
     image[:, 30:32] -= 40.0  # a wire
-    scale = noise_scale(np.rint(image).astype(np.uint8), plain.astype(np.uint8))
-    assert scale * np.hypot(deviation, 12**-0.5) == pytest.approx(NOISE, rel=0.06)
-    noisy = np.rint(plain + 5 * noise).clip(0, 255).astype(np.uint8)
-    assert noise_scale(noisy, plain.astype(np.uint8)) == 1.0, "left as it is"
+    most = most_enhanced(np.rint(image).astype(np.uint8), plain.astype(np.uint8))
+    assert most * np.hypot(deviation, 12**-0.5) == pytest.approx(NOISE, rel=0.06)
+    assert most_enhanced(np.rint(plain + 5 * noise).clip(0, 255).astype(np.uint8), plain.astype(np.uint8)) == 1.0
 
 
-def test_a_faint_wire_is_found_where_there_is_little_noise(network: WireSegmenter) -> None:
+def test_dark_parts_are_enhanced_as_far_as_noise_allows() -> None:
+    plain = np.array([[200, 130, 65, 26, 0]], np.uint8)
+    image = np.array([[190, 120, 60, 24, 0]], np.uint8)
+    np.testing.assert_allclose(darkening(image, plain, 9.0), [[10.0, 10.0, 10.0, 10.0, 0.0]])
+    np.testing.assert_allclose(darkening(image, plain, 1.5), [[10.0, 10.0, 7.5, 3.0, 0.0]])
+    np.testing.assert_allclose(darkening(image, plain, 1.0), [[10.0, 10.0, 5.0, 2.0, 0.0]])
+
+
+def test_a_faint_wire_is_found_in_the_dark_where_there_is_little_noise(network: WireSegmenter) -> None:
     images, plains, masks = wires(20, 3)
-    middle = plains.astype(float).mean()
-    faint, even = (np.rint(middle + (one - middle) / 2.5).astype(np.uint8) for one in (images, plains))
-    assert dice(network, faint, even, masks) > 0.85
-    assert noise_scale(even[0], even[0]) == 4.0, "no noise at all"
+    faint, dark = (np.rint(0.4 * one.astype(float)).astype(np.uint8) for one in (images, plains))
+    assert dice(network, faint, dark, masks) > 0.85
+    assert network.mask(dark[0], dark[1]).sum() < 3 * 255  # no wire, no mask

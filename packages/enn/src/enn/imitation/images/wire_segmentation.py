@@ -1,8 +1,8 @@
 """Wire segmentation: which pixels of a noisy fluoroscopic image show the guidewire, by a small network.
 
-It sees how much darker the image is than one taken before the wire came in, so that only wire and noise are left, and
-sees it scaled to one strength of the noise: a faint wire in an image with little noise is as plain as a dark one in
-another with much.
+It sees how much darker the image is than one taken before the wire came in, so that only wire and noise are left. A
+wire takes a share of the light, so that it is faint where little comes through the body: there it is enhanced, as far
+as the noise allows.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from enn.imitation.perturbed_controller import PerturbedController
 from enn.policy import Policy
 
 DARKENING = 10.0  # grey levels that count as one
-NOISE = 2.0  # grey levels, standard deviation of the noise that differences of two images are scaled to
-_MOST_SCALE = 4.0  # of them; noisier ones are left as they are
+BRIGHT = 130.0  # grey levels from which on a difference counts as it is; darker ones are enhanced
+NOISE = 2.0  # grey levels, standard deviation of the noise of a difference beyond which nothing is enhanced
 _LIT = 24  # grey levels of the darkest pixels whose noise counts; outside the field there is none
 _DILATIONS = (2, 4, 8)
 _CROP = 96  # px, side of what an update sees of an image
@@ -35,17 +35,29 @@ BETWEEN = 8  # steps between two images of an episode
 _ON_WIRE = 0.8  # share of the crops with a part of the wire in their middle third
 
 
-def noise_scale(image: NDArray[np.uint8], plain: NDArray[np.uint8]) -> float:
-    """What the difference of two images is multiplied by, so that its noise is `NOISE` or more.
+def most_enhanced(image: NDArray[np.uint8], plain: NDArray[np.uint8]) -> float:
+    """How often the noise in the difference of two images goes into `NOISE`; 1 where it is more.
 
-    The noise is taken from pixels that became brighter, which no wire does: half of those without a wire.
+    It is taken from pixels that became brighter, which no wire does: half of those without a wire.
 
     Args:
         image, plain: grey, from the same camera, with the wire and without. Shape (height, width).
     """
     brighter = np.minimum(plain.astype(np.float32) - image, 0.0)[plain > _LIT]
     deviation = float(np.sqrt(2 * np.mean(np.square(brighter)))) if brighter.size else NOISE
-    return float(np.clip(NOISE / max(deviation, 1e-6), 1.0, _MOST_SCALE))
+    return max(NOISE / max(deviation, 1e-6), 1.0)
+
+
+def darkening(image: NDArray[np.uint8], plain: NDArray[np.uint8], most: float) -> NDArray[np.float32]:
+    """How much darker an image is than another, grey levels, relative to its brightness where that is below `BRIGHT`.
+
+    Args:
+        image, plain: grey, of any one shape.
+        most: times that a difference is enhanced.
+    """
+    before = plain.astype(np.float32)
+    share = np.clip(BRIGHT / np.maximum(before, 1.0), 1.0, np.float32(most))
+    return np.asarray((before - image) * share, np.float32)
 
 
 class WireSegmenter(nn.Module):
@@ -66,7 +78,7 @@ class WireSegmenter(nn.Module):
         self.layers = nn.Sequential(*layers, head)
 
     def forward(self, darker: Tensor) -> Tensor:
-        """Logits from grey levels that were lost to the wire, scaled. Shape (N, 1, height, width) to the same."""
+        """Logits from grey levels that were lost to the wire. Shape (N, 1, height, width) to the same."""
         return self.layers(darker / DARKENING)
 
     @torch.inference_mode()
@@ -86,8 +98,8 @@ class WireSegmenter(nn.Module):
         if image.shape != plain.shape:
             raise ValueError(f"expected two images of one shape, got {image.shape} and {plain.shape}")
         self.eval()
-        scaled = (plain.astype(np.float32) - image) * np.float32(noise_scale(image, plain))
-        darker = torch.as_tensor(scaled)[None, None].to(device_of(self))
+        seen = darkening(image, plain, most_enhanced(image, plain))
+        darker = torch.as_tensor(seen)[None, None].to(device_of(self))
         wire = torch.sigmoid(self(darker))[0, 0]
         closed = torch.maximum(wire, -_dilated(-_dilated(wire)))
         return (closed > _LEAST).to(torch.uint8).cpu().numpy() * np.uint8(255)
@@ -134,10 +146,10 @@ def fit_wire_segmenter(
     if len(shapes) != 1 or images.ndim != 3 or not len(images):
         raise ValueError(f"expected images and masks of one shape (n, size, size), got {sorted(shapes)}")
 
-    scales = [noise_scale(image, plain) for image, plain in zip(images, plains, strict=True)]
+    most = [most_enhanced(image, plain) for image, plain in zip(images, plains, strict=True)]
 
     def loss_of(network: WireSegmenter, rows: NDArray[np.intp], generator: np.random.Generator) -> Tensor:
-        parts = [_part(images[k], plains[k], masks[k], scales[k], generator) for k in rows]
+        parts = [_part(images[k], plains[k], masks[k], most[k], generator) for k in rows]
         darker, wire = (torch.as_tensor(np.stack(one))[:, None].to(device) for one in zip(*parts, strict=True))
         return _loss(network(darker).float(), wire)
 
@@ -161,10 +173,10 @@ def _part(
     image: NDArray[np.uint8],
     plain: NDArray[np.uint8],
     mask: NDArray[np.uint8],
-    scale: float,
+    most: float,
     generator: np.random.Generator,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What is darker in a square of an image, scaled, and the wire there; mirrored and turned at random."""
+    """What is darker in a square of an image, and the wire there; mirrored and turned at random."""
     size = image.shape[-1]
     side = min(_CROP, size)
     corner = generator.integers(0, size - side + 1, 2)
@@ -173,8 +185,7 @@ def _part(
         middle = seen[generator.integers(len(seen))] - side // 2 + generator.integers(-side // 6, side // 6 + 1, 2)
         corner = np.clip(middle, 0, size - side)
     square = slice(corner[0], corner[0] + side), slice(corner[1], corner[1] + side)
-    darker = (plain[square].astype(np.float32) - image[square]) * np.float32(scale)
-    both = np.stack((darker, (mask[square] > 0).astype(np.float32)))
+    both = np.stack((darkening(image[square], plain[square], most), (mask[square] > 0).astype(np.float32)))
     both = np.rot90(both, int(generator.integers(4)), (1, 2))
     if generator.random() < 0.5:
         both = both[:, :, ::-1]
