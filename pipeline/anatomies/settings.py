@@ -46,7 +46,8 @@ _Coordinates = Annotated[list[float], Len(3, 3)]
 class FileSettings:
     """A file with an anatomy of one's own; results depend on what is in it, not on where it lies."""
 
-    shows_ct: ClassVar[bool] = False  # whether films, pictures or X-ray images of the stage show a CT
+    # of the stage, by which its films, pictures or X-ray images show a CT; None: nothing does
+    shows_ct: ClassVar[str | None] = None
 
     file: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # as cathsim imports it
     unit: str | None = None  # of a surface
@@ -72,10 +73,12 @@ class FileSettings:
             if self.file is None and getattr(self, name) is not None:
                 raise ConfigurationError(f"phantom.{name} belongs to a file: give phantom.file=PATH too")
         if self.ct is not None:
-            if not self.shows_ct:
+            if self.shows_ct is None:
                 raise ConfigurationError(
                     "phantom.ct is shown by the stages phantoms, expert, rehearsal and unseen alone"
                 )
+            if not getattr(self, self.shows_ct):
+                raise ConfigurationError(f"phantom.ct needs stage.{self.shows_ct}=true: give it, or leave out the CT")
             if not Path(self.ct).is_file():
                 raise ConfigurationError(f"phantom.ct={self.ct} is no file: give the path of the CT (NIfTI, NRRD)")
             self.ct_sha256 = hash_anatomy(Path(self.ct))

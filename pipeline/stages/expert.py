@@ -29,7 +29,7 @@ OPERATOR, EVALUATION = "sampling_expert", "evaluation"
 class ExpertSettings(ChosenAnatomies, DeviceSettings):
     """Settings of the sampling expert's episodes; the task is that of the evaluation."""
 
-    shows_ct: ClassVar[bool] = True
+    shows_ct: ClassVar[str | None] = "film"
 
     name: str = "expert"
     episodes: Episodes = 1  # demonstrations a phantom and target, from starts that are not turned

@@ -34,7 +34,7 @@ COARSEST_RESOLUTION_MM = 2.5  # above it a carotid artery is no longer resolved
 class PhantomsSettings(FileSettings):
     """Settings of the phantoms stage; with a file, its anatomy is the only one."""
 
-    shows_ct: ClassVar[bool] = True
+    shows_ct: ClassVar[str | None] = "picture"
 
     name: str = "phantoms"
     phantoms: FolderNames = field(default_factory=list)  # named anatomies
@@ -46,8 +46,6 @@ class PhantomsSettings(FileSettings):
     def __post_init__(self) -> None:
         """Checks that there is something to build."""
         super().__post_init__()
-        if self.ct is not None and not self.picture:
-            raise ConfigurationError("phantom.ct shows in a picture: give stage.picture=true, too, or leave it out")
         if self.file is None and not self.phantoms and not self.random_seeds:
             raise ConfigurationError("stage.phantoms is empty: name at least one")
 

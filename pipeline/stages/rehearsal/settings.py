@@ -44,7 +44,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     Without `policy` it starts from the stage unseen's, or a shipped one, with the same devices.
     """
 
-    shows_ct: ClassVar[bool] = True
+    shows_ct: ClassVar[str | None] = "film"
 
     name: str = "rehearsal"
     phantoms: FolderNames = field(default_factory=lambda: ["type_1"])  # one: that of the scan

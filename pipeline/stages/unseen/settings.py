@@ -46,7 +46,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
     """Settings of the policies for anatomies that were never seen; `policy` starts the main one by a roadmap."""
 
     needs_anatomy: ClassVar[bool] = False
-    shows_ct: ClassVar[bool] = True
+    shows_ct: ClassVar[str | None] = "xray"
 
     name: str = "unseen"
     own_entry: PathText = DESCENDING  # filled in: where wires come in in `phantoms`
@@ -119,8 +119,6 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
             )
         if self.clutter and self.xray:
             require_clutter_fits(self.task.image_size_px, "task.image_size_px")
-        if self.ct is not None and not self.xray:
-            raise ConfigurationError("phantom.ct shows in X-ray images: give stage.xray=true, too, or leave it out")
         if self.task.catheter is not None and self.image:
             raise ConfigurationError(
                 "with a catheter stage unseen trains no policy by images and the true mask: give stage.image=false"

@@ -112,8 +112,9 @@ def test_policies_of_images_are_tested_in_the_ct(scan: dict[str, Any], tmp_path:
         (ExpertSettings, {"ct": "none.nii.gz"}, "phantom.ct=none.nii.gz is no file: give the path of the CT (NIfTI, "),
         (ExpertSettings, {"file": None, "unit": None}, "phantom.ct belongs to a file: give phantom.file=PATH too"),
         (EnnSettings, {}, "phantom.ct is shown by the stages phantoms, expert, rehearsal and unseen alone"),
-        (UnseenSettings, {"xray": False}, "phantom.ct shows in X-ray images: give stage.xray=true, too, or leave it"),
-        (PhantomsSettings, {"picture": False}, "phantom.ct shows in a picture: give stage.picture=true, too, or"),
+        (ExpertSettings, {"film": False}, "phantom.ct needs stage.film=true: give it, or leave out the CT"),
+        (UnseenSettings, {"xray": False}, "phantom.ct needs stage.xray=true: give it, or leave out the CT"),
+        (PhantomsSettings, {"picture": False}, "phantom.ct needs stage.picture=true: give it, or leave out the CT"),
     ],
 )
 def test_a_ct_that_nothing_would_show_is_one_sentence(

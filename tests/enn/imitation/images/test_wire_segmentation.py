@@ -121,6 +121,7 @@ def test_noise_is_taken_from_what_no_wire_does(deviation: float) -> None:
     image[:, 30:32] -= 40.0  # a wire
     most = most_enhanced(np.rint(image).astype(np.uint8), plain.astype(np.uint8))
     assert most * np.hypot(deviation, 12**-0.5) == pytest.approx(NOISE, rel=0.06)
+    assert most_enhanced(plain.astype(np.uint8), plain.astype(np.uint8)) == 4.0
     assert most_enhanced(np.rint(plain + 5 * noise).clip(0, 255).astype(np.uint8), plain.astype(np.uint8)) == 1.0
 
 
