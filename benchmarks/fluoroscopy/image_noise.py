@@ -1,6 +1,6 @@
 """Noise of X-ray images by their size: real ones made smaller, and simulated ones drawn as small.
 
-    python -m benchmarks.cathsim.image_noise REAL [--sizes 1024,512,256,192,96]
+    python -m benchmarks.fluoroscopy.image_noise REAL [--sizes 1024,512,256,192,96]
 
 REAL is a folder of real images, ``*_a.png`` and ``*_b.png``, whose cameras and background stand still. A real image of
 a smaller size is the mean over squares of its pixels. Noise is what two images differ by, over the square root of two:
