@@ -52,7 +52,7 @@ def load_catheter(name: str | Path, *, french: int | None = None, **changes: obj
         catheter = Catheter(**values)
     except ValueError as error:
         raise ValueError(in_file(path, error)) from None
-    return dataclasses.replace(catheter, **changes)  # type: ignore[arg-type]
+    return dataclasses.replace(catheter, **changes) if changes else catheter  # type: ignore[arg-type]
 
 
 def wire_file(name: str) -> DeviceFile:
@@ -92,13 +92,11 @@ def _shape_and_size(name: str) -> tuple[str, int | None]:
 
 def _presets() -> dict[str, Catheter]:
     """Every shape in its default size, then every shape in every size."""
-    plain = {shape: load_catheter(shape) for shape in SHAPES}
+    files = {shape: read_preset(CATHETER, shape) for shape in SHAPES}
     sized = {
-        f"{shape}_{french}f": load_catheter(shape, french=french)
-        for shape in SHAPES
-        for french in read_preset(CATHETER, shape).sizes
+        f"{shape}_{french}f": load_catheter(shape, french=french) for shape in SHAPES for french in files[shape].sizes
     }
-    return plain | sized
+    return {shape: sized[f"{shape}_{file.default_french}f"] for shape, file in files.items()} | sized
 
 
 CATHETERS: dict[str, Catheter] = _presets()

@@ -52,12 +52,14 @@ class Box:
     def chord(self, source: Array, directions: Array) -> Array:
         """Length of rays inside, as `Ellipsoid.chord` gives it."""
         start = source - np.asarray(self.centre)
-        slopes = np.where(np.abs(directions) < 1e-12, 1e-12, directions)
-        ends = (np.stack((-np.asarray(self.half_sides), np.asarray(self.half_sides))) - start)[
-            :, None
-        ] / slopes.reshape(1, -1, 3)
-        enter, leave = ends.min(axis=0).max(axis=-1), ends.max(axis=0).min(axis=-1)
-        return np.maximum(leave - np.maximum(enter, 0.0), 0.0).reshape(directions.shape[:-1])
+        enter, leave = np.zeros(directions.shape[:-1]), np.full(directions.shape[:-1], np.inf)
+        for axis, half in enumerate(self.half_sides):  # axis by axis: reductions over three numbers take far longer
+            slope = directions[..., axis]
+            slope = np.where(np.abs(slope) < 1e-12, 1e-12, slope)
+            one, other = (-half - start[axis]) / slope, (half - start[axis]) / slope
+            np.maximum(enter, np.minimum(one, other), out=enter)
+            np.minimum(leave, np.maximum(one, other), out=leave)
+        return np.maximum(leave - enter, 0.0)
 
 
 class MeasuredBody:
