@@ -90,7 +90,7 @@ def _identity(stage: Stage, config: RunConfig, run_path: Path, input_hashes: dic
     return Identity(
         config_hash=hash_value(settings),
         input_hashes={**input_hashes, **files, **stage.further_inputs(run_path)},
-        code_hash=source_closure(run_path).hash(stage_module(stage.name)),
+        code_hash=source_closure().hash(stage_module(stage.name)),
     )
 
 

@@ -6,15 +6,17 @@ Found by reading the sources, not by importing them, among the project's own pac
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.util
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.store.file_cache import CACHE, FileCache
+from pipeline.store.file_cache import FileCache
 from pipeline.store.provenance import hash_file
 from pipeline.store.source_references import references
+from pipeline.store.user_cache import user_cache
 
 PACKAGES = ("pipeline", "cathsim", "enn", "guide3d", "splineformer")
 # These carry work out, share out memory, keep files and check what the user wrote: results do not depend on them.
@@ -87,7 +89,8 @@ class SourceClosure:
         digest = hashlib.sha256()
         for name, file in sorted(self.files(*names).items()):
             digest.update(f"{name}\0{self._read(file)['sha256']}\n".encode())
-        self._cache.save()
+        with contextlib.suppress(OSError):  # a cache that cannot be written to only costs time
+            self._cache.save()
         return digest.hexdigest()
 
     def _referred(self, name: str) -> Iterator[str]:
@@ -169,6 +172,6 @@ def installed_packages() -> dict[str, Path]:
     }
 
 
-def source_closure(run_path: Path) -> SourceClosure:
-    """The sources behind modules, with the cache of a run."""
-    return SourceClosure(run_path / CACHE / "sources.json")
+def source_closure() -> SourceClosure:
+    """The sources behind modules; what each file refers to is kept in the user's cache, for all runs."""
+    return SourceClosure(user_cache() / "sources.json")

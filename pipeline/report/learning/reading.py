@@ -16,7 +16,7 @@ from typing import Any
 from pipeline.report.learning.logs import COMPARED, DEMONSTRATION, Evaluation, UnusableLogError, read_evaluation
 from pipeline.store.file_cache import FileCache
 from pipeline.store.interruption import stop_if_interrupted
-from pipeline.store.source_closure import SourceClosure
+from pipeline.store.source_closure import source_closure
 
 CACHE = Path(".cache", "learning.json")  # below the run: a stage's own folder is emptied when it runs again
 PARALLEL_FROM = 200  # logs; fewer are read sooner than processes start
@@ -54,8 +54,7 @@ def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: 
     if not folders:
         return found
     run_path = folders[0].parent
-    sources = SourceClosure(cache and cache.with_name("sources.json"))
-    code = sources.hash("pipeline.report.learning.logs", "cathsim.metrics")
+    code = source_closure().hash("pipeline.report.learning.logs", "cathsim.metrics")
     kept = FileCache(cache, run_path, version=code)
     paths = [path for folder in folders for path in sorted(folder.rglob("*.mcap"))]
     known = {path: kept.recall(path) for path in paths}

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import time
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ from pipeline.stages import available_stages, load_stage
 from pipeline.stages.learning.settings import BaselinesSettings
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.run_folder import Identity, RunFolder
+from tests.pipeline.jobs.toy_training import where
 
 GB = 1_000_000_000
 SETTINGS = {name: load_stage(name).settings for name in available_stages()}
@@ -26,13 +25,6 @@ SETTINGS = {name: load_stage(name).settings for name in available_stages()}
 
 def gpu(visible: str, free_gb: float) -> Gpu:
     return Gpu(visible, "drawn", int(free_gb * GB), 24 * GB)
-
-
-def where(given: Any, report: Report) -> Any:
-    """Where a job finds itself, and from when to when."""
-    began = time.monotonic()
-    time.sleep(0.3)
-    return {"visible": os.environ["CUDA_VISIBLE_DEVICES"], "device": report.device, "time": [began, time.monotonic()]}
 
 
 @pytest.fixture

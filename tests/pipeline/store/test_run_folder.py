@@ -8,6 +8,9 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -229,40 +232,49 @@ def run_killed(path: Path, identity: Identity, names: str, at: int) -> bool:
     return code == 9
 
 
-@pytest.fixture
-def no_flushing(monkeypatch: pytest.MonkeyPatch) -> None:
+def do_without_flushing() -> None:
     """A killed process loses nothing that it has handed to the kernel; waiting for the disk takes a minute."""
+    os.fsync = lambda descriptor: None  # type: ignore[assignment]
+
+
+@pytest.fixture
+def killed(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[Path, Identity, str, int], bool]]:
+    """`run_killed` in a small process: forks of the tests' own, which has gigabytes, take ten times as long."""
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=do_without_flushing) as small:
+        yield lambda *given: small.submit(run_killed, *given).result()
 
 
-@pytest.mark.usefixtures("no_flushing")
-def test_whatever_is_killed_wherever_the_next_run_ends_as_a_clean_one(tmp_path: Path) -> None:
+def test_whatever_is_killed_wherever_the_next_run_ends_as_a_clean_one(
+    tmp_path: Path, killed: Callable[[Path, Identity, str, int], bool]
+) -> None:
     clean = outputs(work(tmp_path / "clean", IDENTITY, "abc").path)
     other = Identity("other", {}, "code")
     kills = 0
     for half_done in (25, 10_000):  # run A: killed at its beginning, in the middle, or done
-        at, killed = 1, True
-        while killed:
+        at, not_done = 1, True
+        while not_done:
             path = tmp_path / f"{half_done}-{at}"
-            run_killed(path, IDENTITY, "abc", half_done)
-            killed = run_killed(path, other, "xyza", at)  # run B with other settings, at every step
+            killed(path, IDENTITY, "abc", half_done)
+            not_done = killed(path, other, "xyza", at)  # run B with other settings, at every step
             work(path, IDENTITY, "abc")  # run A again
             assert outputs(path) == clean
             assert {entry.name for entry in path.iterdir()} == {*"abc", "results.json", "manifest.json", ".lock"}
             assert RunFolder(path, IDENTITY).is_up_to_date()
             shutil.rmtree(path)
-            kills += killed
+            kills += not_done
             at += 1
     assert kills > 100
 
 
-@pytest.mark.usefixtures("no_flushing")
 @pytest.mark.parametrize("damage", ["file gone", "file changed", "mark cut", "folder gone", "a file in its place"])
-def test_an_item_whose_files_are_not_as_it_left_them_is_done_again(damage: str, tmp_path: Path, caplog) -> None:
+def test_an_item_whose_files_are_not_as_it_left_them_is_done_again(
+    damage: str, tmp_path: Path, caplog, killed: Callable[[Path, Identity, str, int], bool]
+) -> None:
     path = tmp_path / "stage"
     clean = outputs(work(tmp_path / "clean", IDENTITY, "abc").path)
     steps = 1
-    while run_killed(path, IDENTITY, "abc", steps) and len(list(path.glob(".progress/item-*.json"))) < 2:
+    while killed(path, IDENTITY, "abc", steps) and len(list(path.glob(".progress/item-*.json"))) < 2:
         shutil.rmtree(path, ignore_errors=True)
         steps += 1
     write_json(path / "results.json", "of an earlier attempt")

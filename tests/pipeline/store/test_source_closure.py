@@ -14,6 +14,7 @@ import pytest
 from pipeline.stages import available_stages, load_stage, stage_module
 from pipeline.store import source_closure
 from pipeline.store.source_closure import SourceClosure, installed_packages, is_without_effect
+from pipeline.store.user_cache import user_cache
 
 TREE = {
     "__init__.py": "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from tree import typed\n"
@@ -176,7 +177,7 @@ print(json.dumps([n for n in sorted(sys.modules) if n.split(".")[0] in
 """)
     loaded = set(json.loads(told.splitlines()[-1]))
     assert stage_module(stage) in loaded
-    known = SourceClosure().modules(stage_module(stage))
+    known = source_closure.source_closure().modules(stage_module(stage))
     assert sorted(name for name in loaded - known if not is_without_effect(name)) == []
     assert load_stage(stage).settings.__module__ in known
 
@@ -193,3 +194,26 @@ def test_every_stage_has_sources_and_a_second_look_reads_none_again(
 
     monkeypatch.setattr(source_closure, "references", parsed)
     assert {stage: SourceClosure(cache).hash(stage_module(stage)) for stage in available_stages()} == first
+
+
+@pytest.mark.parametrize("place", ["a folder", "a file in its place", "below a file"])
+def test_all_runs_share_the_users_cache_and_do_without_one(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cache = tmp_path / "cache"
+    if place != "a folder":
+        cache.write_text("no folder")
+    monkeypatch.setenv("ENDONAV_CACHE", str(cache / "below" if place == "below a file" else cache))
+    assert source_closure.source_closure().hash("pipeline.seeds") == SourceClosure().hash("pipeline.seeds")
+    if place == "a folder":
+        monkeypatch.setattr(source_closure, "references", None)  # none is read again
+        assert source_closure.source_closure().hash("pipeline.seeds")
+    else:
+        assert cache.read_text() == "no folder"
+
+
+def test_the_users_cache_is_where_caches_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert user_cache().parent != tmp_path
+    monkeypatch.delenv("ENDONAV_CACHE")
+    assert user_cache() == tmp_path / "endonav"

@@ -1,0 +1,24 @@
+"""Fixtures for the pipeline's tests: what the processes of jobs start with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from multiprocessing import forkserver
+
+import pytest
+
+# What jobs need beside the pipeline, of all stages; importing it takes a job longer than most tests do.
+OF_ANY_JOB = (
+    "cathsim.rehearsal.environment", "cathsim.statics", "enn.imitation.distillation", "enn.imitation.recurrent_policy",
+    "enn.reinforcement.rehearsal", "enn.reinforcement.training.training", "guide3d.learning.evaluation",
+    "guide3d.train", "pipeline.recording.record", "splineformer.train", "torch._dynamo",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_fork_server_for_all_jobs() -> Iterator[None]:
+    """A process keeps the server that forks its first job for those of all tests: it imports what any of them needs."""
+    preload = forkserver.set_forkserver_preload
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(forkserver, "set_forkserver_preload", lambda modules: preload([*modules, *OF_ANY_JOB]))
+        yield
