@@ -53,7 +53,7 @@ from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.device_trials import best_in_copies
 from pipeline.anatomies.known import GENERATED_TARGETS, TARGETS
-from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, set_back_mm
+from pipeline.anatomies.take_offs import catheter_better_mm, set_back_mm
 from pipeline.clutter import clutter_of
 from pipeline.stages.unseen.task import STEEP, TEST_PHANTOM, TRUNK, UnseenTask, arch_of_test
 from pipeline.task import TASK, task_in_random_arches
@@ -82,7 +82,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--policy", default="generalist", help=f"a file, or among {', '.join(enn.models())}")
     parser.add_argument("--steep", metavar="POLICY", help="for targets that are set back far")
     parser.add_argument("--then", metavar="POLICY", help="for what --steep has not reached")
-    parser.add_argument("--steep-from", type=float, default=CATHETER_BETTER_MM, metavar="MM", help="how far that is")
+    parser.add_argument(
+        "--steep-from", type=float, metavar="MM", help="how far that is; without: from where it is better"
+    )
     parser.add_argument("--among", nargs="+", metavar="POLICY", help="tried in copies; the best one plays")
     parser.add_argument("--arches", type=int, default=50, help="random arches, one episode each and target")
     parser.add_argument("--first", type=int, default=FIRST_ARCH, help="seed of the first arch")
@@ -208,12 +210,18 @@ def ostium_set_back(place: int | AnatomyFile, target: str, setting: str) -> floa
     return set_back_mm(phantom_of(place, setting), target)
 
 
+def steep_from(given: argparse.Namespace, target: str) -> float:
+    """The set-back, mm, from which on the second policy steers to a target, which has its branch's name."""
+    second = given.among[1] if given.among else given.steep or given.policy
+    return catheter_better_mm(second, target) if given.steep_from is None else float(given.steep_from)
+
+
 def best_in_trials(
     devices: Sequence[tuple[UnseenTask, Any]], place: int | AnatomyFile, target: str, given: argparse.Namespace
 ) -> int:
     """Number of the task and policy that fare best in copies of the anatomy."""
     phantom = phantom_of(place, given.setting)
-    usual = int(set_back_mm(phantom, target) >= given.steep_from)
+    usual = int(set_back_mm(phantom, target) >= steep_from(given, target))
     rules = [dataclasses.replace(task.task, max_steps=given.max_steps) for task, _ in devices]
     return best_in_copies([policy for _, policy in devices], rules, phantom, target, usual=usual, seed=FIRST_TRIAL)
 
@@ -262,7 +270,7 @@ def main() -> None:
         for name, target, episodes in cells(given):
             backs = [ostium_set_back(place, target, given.setting) for place, _ in episodes]
             chosen = [
-                best(place, target) if given.among else int(back >= given.steep_from)
+                best(place, target) if given.among else int(back >= steep_from(given, target))
                 for back, (place, _) in zip(backs, episodes, strict=True)
             ]
             outcomes = [

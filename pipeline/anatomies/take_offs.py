@@ -21,8 +21,19 @@ SOFTER_WIRES = ("radifocus_angled", "radifocus_angled_025")
 _SOFTER = f"{CATHETER}_4f"
 # mm; from here on the shipped policies of wire and catheter reach more targets than those of the wire alone (same page)
 CATHETER_BETTER_MM = 5.0
+_BETTER_MM = {("generalist_jb2", "lcca"): 0.0, ("generalist_jb2", "lsa"): 0.0}  # of others: policy and branch
 
 _LOGGER = logging.getLogger(__name__)
+
+
+def catheter_better_mm(policy: str, branch: str) -> float:
+    """The set-back, mm, from which on a policy of wire and catheter reaches more targets than that of the wire alone.
+
+    Args:
+        policy: its name among the shipped ones, or a file.
+        branch: that the target lies in.
+    """
+    return _BETTER_MM.get((policy, branch), CATHETER_BETTER_MM)
 
 
 def set_back_mm(phantom: Phantom, target: TargetLike) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.device_trials import best_in_copies
 from pipeline.anatomies.known import TARGETS
-from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, WITH_POLICIES, set_back_mm, softened
+from pipeline.anatomies.take_offs import WITH_POLICIES, catheter_better_mm, set_back_mm, softened
 from pipeline.seeds import ARCHES, held_out_seeds, unseen_arches
 from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
 from pipeline.store.errors import ConfigurationError
@@ -180,9 +180,9 @@ def open_scene(
         seed: of the arch among the unseen ones, and of the episode's start.
         target: None: the first of `TARGETS` that the anatomy has.
         attempts: of the policy, each as long as an episode of its training.
-        catheter: where the target's ostium is set back by `CATHETER_BETTER_MM`, take the policy that steers a catheter
-            over the wire, too, if there is one; in a file's anatomy with a model by a roadmap, what trials in copies of
-            it say (`pipeline.anatomies.device_trials`).
+        catheter: where the target's ostium is set back far enough (`catheter_better_mm`), take the policy that steers a
+            catheter over the wire, too, if there is one; in a file's anatomy with a model by a roadmap, what trials in
+            copies of it say (`pipeline.anatomies.device_trials`).
         ct: path of the CT that the anatomy was segmented from, which X-ray images then show around the vessels.
 
     Raises:
@@ -238,7 +238,7 @@ def _best_model(
     import enn
     from enn.policy import Policy
 
-    usual = int(_set_back(place, target) >= CATHETER_BETTER_MM)
+    usual = int(_is_steep(place, target, names[1]))
     policy = enn.load(names[usual])
     if not (isinstance(place, AnatomyFile) and isinstance(policy, Policy)):
         return names[usual], policy, None
@@ -256,12 +256,11 @@ def _best_model(
     return tried[best_in_copies(policies, tasks, load_anatomy(place), target, usual=usual, seed=_FIRST_TRIAL)]
 
 
-def _set_back(place: int | AnatomyFile, target: str) -> float:
-    """How far the target's ostium is set back, mm; 0 for a target in the aorta itself."""
+def _is_steep(place: int | AnatomyFile, target: str, policy: str) -> bool:
+    """Whether a policy of a catheter, too, gets further than the wire alone; it does not in the aorta itself."""
     phantom = load_anatomy(f"{TEST_PHANTOM}_{place}" if isinstance(place, int) else place)
-    if phantom.target(target).branch == phantom.tree.root.name:
-        return 0.0
-    return set_back_mm(phantom, target)
+    branch = phantom.target(target).branch
+    return branch != phantom.tree.root.name and set_back_mm(phantom, target) >= catheter_better_mm(policy, branch)
 
 
 def _environment(

@@ -72,13 +72,36 @@ def test_trials_choose_the_devices_in_an_anatomy_of_ones_own(monkeypatch: pytest
     name, _, task = steering._best_model(names, AnatomyFile("own.stl"), "lcca")
     assert (name, task) == ("generalist_jb2", Task(**both.metadata[TASK]))
     devices = [("default", None), ("default", "jb2"), ("radifocus_angled_025", "jb2_4f")]
-    assert asked == [("type_1", "lcca", devices, 0)]
+    assert asked == [("type_1", "lcca", devices, 1)]  # set back by 1.0 mm
     best = 2
     name, _, task = steering._best_model(names, AnatomyFile("own.stl"), "lcca")
     assert task is not None
     assert (name, task.wire, task.catheter) == ("generalist_jb2", *devices[2])
-    assert steering._best_model(names, 203, "lcca") == ("generalist", policy, None)  # a random arch: by its shape
+    assert steering._best_model(names, 203, "lsa") == ("generalist", policy, None)  # a random arch: by its shape
     assert len(asked) == 2
+
+
+@pytest.mark.parametrize(
+    ("model", "target", "back", "steep"),
+    [
+        ("generalist", "lcca", 2.0, True), ("generalist", "lsa", 2.0, True), ("generalist", "lcca", -0.5, False),
+        ("generalist", "bca", 2.0, False), ("navigator", "lcca", 2.0, False), ("navigator", "lcca", 5.0, True),
+        ("generalist", "bca", 5.0, True),
+    ],
+)  # fmt: skip
+def test_from_where_on_the_catheter_is_better_depends_on_policy_and_branch(
+    model: str, target: str, back: float, steep: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(steering, "set_back_mm", lambda phantom, target: back)
+    assert steering._is_steep(40_000, target, f"{model}_jb2") is steep
+
+
+def test_the_wire_alone_goes_to_targets_in_the_aorta(monkeypatch: pytest.MonkeyPatch) -> None:
+    phantom = load_phantom("type_1")
+    monkeypatch.setattr(steering, "load_anatomy", lambda place: phantom)
+    inside_aorta = tuple(phantom.tree.root.point_at(0.1))
+    assert not steering._is_steep(0, inside_aorta, "generalist_jb2")  # type: ignore[arg-type]
+    assert steering._is_steep(0, "lcca", "generalist_jb2")  # set back by 1.0 mm
 
 
 def test_the_generalist_goes_by_the_scan() -> None:
