@@ -179,6 +179,8 @@ def test_noise(tmp_path: Path) -> None:
     speckles = np.where(np.random.default_rng(1).random((90, 90, 60)) < 0.05, 52, 0).astype(np.uint8)
     speckles[3, 3, 3] = 58
     refused(save_nifti(tmp_path / "b.nii.gz", speckles, AFFINE), "is noise")
+    many = np.random.default_rng(2).integers(0, 105, (120, 120, 60)).astype(np.uint8)  # as TotalSegmentator's
+    refused(save_nifti(tmp_path / "d.nii.gz", many, AFFINE), "is noise, or no label volume: .* 1 % have the same label")
     large = np.full((120, 120, 60), 52, np.uint8)
     refused(save_nifti(tmp_path / "c.nii.gz", large, np.diag([3.0, 3.0, 3.0, 1.0])), "litres")
 
