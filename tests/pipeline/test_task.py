@@ -271,8 +271,13 @@ def test_a_log_says_which_catheter_its_task_had(tmp_path: Path) -> None:
         record_episode(environment, lambda *_: np.zeros(4), log, seed=0, operator="test", pictures=False)
         assert not differences(task_of_log(log, learnt.task).task, learnt.task)
         assert differences(task_of_log(log, learnt.task).task, replace(learnt.task, catheter=None)) == ["catheter"]
-    with pytest.raises(StageError, match="a catheter that this version does not have"):
+    no_preset = r"a catheter that is no preset .*: give task\.catheter=… the file that it was recorded with"
+    with pytest.raises(StageError, match=no_preset):
         task_of_log(tmp_path / "1.mcap")
+    for asked in (None, "straight", "vertebral"):
+        with pytest.raises(StageError, match=no_preset):
+            require_demonstrations("enn", LearningTask("type_1", "lcca", Task(catheter=asked)), [tmp_path / "1.mcap"])
+    require_demonstrations("enn", LearningTask("type_1", "lcca", Task(catheter=str(own))), [tmp_path / "1.mcap"])
     assert not differences(Task(catheter="simmons2"), Task(catheter="simmons2_5f"))
     assert differences(Task(catheter="simmons2"), Task(catheter="simmons2", torsion="rigid")) == ["torsion"]
     with pytest.raises(StageError, match=r"asked for catheter=None, but the episode .* with catheter=simmons2"):

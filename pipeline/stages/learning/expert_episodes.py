@@ -237,7 +237,7 @@ def task_of_log(log: Path, like: Task | None = None) -> LearningTask:
 
     Raises:
         EpisodeReadError: the log is damaged or unfinished.
-        StageError: its wire or catheter is none of this version's.
+        StageError: its wire or catheter is none of this version's, nor that of `like`.
     """
     from cathsim.anatomy.entry import TOWARDS
     from cathsim.guidewire import preset_of
@@ -252,7 +252,10 @@ def task_of_log(log: Path, like: Task | None = None) -> LearningTask:
         raise StageError(f"{log} was recorded with a wire that this version does not have: record it again")
     name = None if catheter is None else _catheter_name(catheter, like)
     if catheter is not None and name is None:
-        raise StageError(f"{log} was recorded with a catheter that this version does not have: record it again")
+        raise StageError(
+            f"{log} was recorded with a catheter that is no preset of this version, nor the one that was asked for: "
+            "give task.catheter=… the file that it was recorded with, or record it again"
+        )
     task = Task(
         wire=preset[0],
         wire_length_mm=_MM * preset[1],

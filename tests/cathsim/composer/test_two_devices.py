@@ -10,6 +10,7 @@ import pytest
 
 from cathsim import Accuracy, NavigateEnv
 from cathsim.devices.shelf import load_catheter
+from cathsim.simulation import LEAD_ADVANCE
 
 pytest.importorskip("dm_control")
 
@@ -76,6 +77,19 @@ def test_starts_turn_both_devices_by_their_own() -> None:
     starts = np.array([env.reset().observation["devices"] for _ in range(8)])
     assert (np.abs(starts[:, 1, 0]) < 2e-4).all()
     assert (np.ptp(starts[:, :, 1], axis=0) > 0.3).all()
+    env.close()
+
+
+def test_where_the_drive_is_stuck_the_feeders_slip() -> None:
+    env = composer.load(seed=0, numerics=QUICK, catheter="straight", start_jitter=0.0)
+    env.reset()
+    for _ in range(30):
+        start = env.step(np.array([1.0, 0.0, 1.0, 0.0])).observation["devices"][:, 0]
+    assert start.min() > 0.05
+    env.physics.bind(env.task.feeder.joints[0]).damping = 1e6  # kg/s: it withstands the servo
+    moved = np.array([env.step(np.array([1.0, 0.0, 0.0, 0.0])).observation["devices"][:, 0] for _ in range(20)]) - start
+    assert np.abs(moved).max() < LEAD_ADVANCE + 1e-4  # 40 mm were asked for
+    assert (np.ptp(moved[1:], axis=0) < 2e-4).all()  # neither wire nor catheter, once the servo's lead is used up
     env.close()
 
 
