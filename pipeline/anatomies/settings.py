@@ -65,7 +65,7 @@ class FileSettings:
             if not Path(self.file).exists():
                 raise ConfigurationError(
                     f"phantom.file={self.file} is no file: give the path of a surface (STL, OBJ, PLY, VTP, GLB), of a "
-                    "label volume (NIfTI, NRRD), or of a folder with one file a vessel"
+                    "label volume (NIfTI, NRRD, MetaImage), or of a folder with one file a vessel"
                 )
             self.file_name = AnatomyFile(self.file).name
             self.file_sha256 = hash_anatomy(Path(self.file))
@@ -80,7 +80,9 @@ class FileSettings:
             if not getattr(self, self.shows_ct):
                 raise ConfigurationError(f"phantom.ct needs stage.{self.shows_ct}=true: give it, or leave out the CT")
             if not Path(self.ct).is_file():
-                raise ConfigurationError(f"phantom.ct={self.ct} is no file: give the path of the CT (NIfTI, NRRD)")
+                raise ConfigurationError(
+                    f"phantom.ct={self.ct} is no file: give the path of the CT (NIfTI, NRRD, MetaImage)"
+                )
             self.ct_sha256 = hash_anatomy(Path(self.ct))
 
     @property

@@ -280,6 +280,6 @@ def _file(path: str, unit: str | None, ct: str | None) -> AnatomyFile:
     if not Path(path).exists():
         raise ConfigurationError(
             f"there is no anatomy {path}: give the path of a surface (STL, OBJ, PLY, VTP, GLB), of a label volume "
-            "(NIfTI, NRRD), or of a folder with one file a vessel"
+            "(NIfTI, NRRD, MetaImage), or of a folder with one file a vessel"
         )
     return AnatomyFile.of(path, unit, ct=ct)

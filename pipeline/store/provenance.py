@@ -33,13 +33,23 @@ def hash_file(path: Path) -> str:
 
 
 def hash_anatomy(path: Path) -> str:
-    """SHA-256 of a file's content, or of the names and contents of a folder's files, in hex."""
-    if path.is_file():
+    """SHA-256 of a file's content, or of the names and contents of a folder's files, in hex.
+
+    A volume whose data lie in a file beside its header counts with them.
+    """
+    files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else _whole(path)
+    if files == [path]:
         return hash_file(path)
     digest = hashlib.sha256()
-    for one in sorted(p for p in path.iterdir() if p.is_file()):
+    for one in files:
         digest.update(f"{one.name}\0{hash_file(one)}\0".encode())
     return digest.hexdigest()
+
+
+def _whole(path: Path) -> list[Path]:
+    from cathsim.anatomy.volume.files.detached import with_detached_data
+
+    return with_detached_data([path])
 
 
 @functools.cache

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from cathsim.anatomy.mesh.importer import import_mesh, mesh_digest
+from cathsim.anatomy.mesh.reading import FORMATS as SURFACES
 from cathsim.anatomy.mesh.reading import is_mesh_path
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.mesh.request import names_of
 from cathsim.anatomy.mesh.surface_import import Names
 from cathsim.anatomy.phantom import Phantom
+from cathsim.anatomy.volume.files.reading import FORMATS as VOLUMES
 from cathsim.anatomy.volume.files.reading import is_volume_path
 from cathsim.anatomy.volume.importer import import_volume, volume_digest
 from cathsim.anatomy.volume.labels.choice import Labels
@@ -20,6 +22,15 @@ from cathsim.anatomy.volume.labels.choice import Labels
 def is_anatomy_path(name: str) -> bool:
     """Whether a phantom's name is the path of an anatomy: it ends like a file of one, or is a folder."""
     return is_mesh_path(name) or is_volume_path(name)
+
+
+def of_no_kind(path: str | Path) -> str:
+    """What is said of a file or folder that is none of an anatomy."""
+    kind = "holds no file" if Path(path).is_dir() else "is no file"
+    return (
+        f"{Path(path).name} {kind} of a kind that is read: surfaces are {SURFACES} files, label volumes {VOLUMES}; "
+        "export it as one of them."
+    )
 
 
 def import_anatomy(
@@ -46,6 +57,8 @@ def import_anatomy(
         ValueError: for an impossible resolution, or an argument that the kind of file does not take.
     """
     if not is_volume_path(path):
+        if Path(path).exists() and not is_mesh_path(path):
+            raise MeshRefusedError(of_no_kind(path))
         if labels:
             raise MeshRefusedError(f"{Path(path).name} is no label volume, it takes no labels; give names instead.")
         return import_mesh(path, unit=unit, names=names, resolution=resolution, cache_dir=cache_dir)

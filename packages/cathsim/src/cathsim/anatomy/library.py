@@ -25,7 +25,8 @@ from cathsim.anatomy.generator.recipe import (
     recipe_of,
 )
 from cathsim.anatomy.generator.scan_arch import ScanArch
-from cathsim.anatomy.importing import import_again, import_anatomy, import_digest, is_anatomy_path
+from cathsim.anatomy.importing import import_again, import_anatomy, import_digest, is_anatomy_path, of_no_kind
+from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.phantom import Phantom, locate_targets, target_share
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 
@@ -217,8 +218,10 @@ def _parameters_of(name: str, seed: int | None) -> Recipe:
             raise ValueError(f"phantom '{name}' needs a seed, a whole number from 0 on; got {seed!r}.")
         return draw_recipe(name, int(seed))
     if name not in NAMED:
+        if Path(name).exists():
+            raise MeshRefusedError(of_no_kind(name))
         known = f"{', '.join(PHANTOMS)}, random or arch_variety (with a seed)"
-        raise ValueError(f"unknown phantom {name!r}; choose from {known}, or give the path of a mesh.")
+        raise ValueError(f"unknown phantom {name!r}; choose from {known}, or give the path of a mesh or label volume.")
     if seed is not None:
         raise ValueError(f"phantom {name!r} takes no seed, got {seed!r}; only 'random' does.")
     return NAMED[name]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cathsim import load_phantom
 from cathsim.anatomy.importing import import_anatomy, is_anatomy_path
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.files.reading import open_volume, read_labels
@@ -221,11 +222,22 @@ def test_folders(tmp_path: Path) -> None:
     refused(folder, "no branch|no label", labels={"spleen": "aorta"})
 
 
+def test_files_of_no_kind_that_is_read(tmp_path: Path) -> None:
+    (tmp_path / "series").mkdir()
+    for path in (tmp_path / "series" / "1.dcm", tmp_path / "aorta.vtk"):
+        path.write_text("x")
+        for load in (import_anatomy, load_phantom):
+            with pytest.raises(MeshRefusedError, match=f"{path.name} is no file of a kind .*: surfaces are STL"):
+                load(str(path))
+    with pytest.raises(MeshRefusedError, match=r"series holds no file of a kind .* label volumes NIfTI, NRRD or M"):
+        load_phantom(str(tmp_path / "series"))
+
+
 def test_a_reader_that_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = builtins.__import__
 
     def without(name: str, *rest: Any, **more: Any) -> Any:
-        if name in ("nibabel", "nrrd"):
+        if name in ("SimpleITK", "nibabel", "nrrd"):
             raise ModuleNotFoundError(name)
         return real(name, *rest, **more)
 
@@ -234,3 +246,6 @@ def test_a_reader_that_is_not_installed(tmp_path: Path, monkeypatch: pytest.Monk
     for path in paths:
         with pytest.raises(MeshRefusedError, match=r"install cathsim\[volumes\]"):
             read_labels(path)
+    (tmp_path / "a.mha").write_text("x")
+    with pytest.raises(MeshRefusedError, match=r"install cathsim\[metaimage\]"):
+        read_labels(tmp_path / "a.mha")

@@ -1,1 +1,1 @@
-"""Anatomies imported from label volumes (segmentations of a CT): NIfTI, NRRD, or a folder with one file a vessel."""
+"""Anatomies imported from label volumes (segmentations of a CT): one file, or a folder with one file a vessel."""

@@ -1,4 +1,4 @@
-"""A phantom from a label volume: NIfTI, NRRD, or a folder with one file a vessel."""
+"""A phantom from a label volume: NIfTI, NRRD, MetaImage, or a folder with one file a vessel."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 from cathsim.anatomy.vessel_names import vessel_name
-from cathsim.anatomy.volume.files.reading import LabelVolume, file_stem, read_labels, volume_files
+from cathsim.anatomy.volume.files.detached import with_detached_data
+from cathsim.anatomy.volume.files.reading import FORMATS, LabelVolume, file_stem, read_labels, volume_files
 from cathsim.anatomy.volume.files.repeated import join_repeated
 from cathsim.anatomy.volume.labels.checks import check_labels
 from cathsim.anatomy.volume.labels.choice import Labels
@@ -39,7 +40,7 @@ def import_volume(
     resolution: float = 1e-3,
     cache_dir: Path | None = None,
 ) -> Phantom:
-    """Makes a phantom of a segmentation: a NIfTI or NRRD file, or a folder with one file a vessel; cached by content.
+    """Makes a phantom of a segmentation: a file, or a folder with one file a vessel; cached by content.
 
     Args:
         path: of the file or folder.
@@ -76,9 +77,9 @@ def volume_digest(path: Path, labels: tuple | None, names: tuple | None, resolut
     elif path.is_file():
         files = [path]
     else:
-        raise MeshRefusedError(f"there is no file {path}; give a NIfTI or NRRD file, or a folder of them.")
+        raise MeshRefusedError(f"there is no file {path}; give a file in {FORMATS} format, or a folder of them.")
     settings = {"volume": VOLUME_VERSION, "labels": labels, "names": names, "resolution": resolution}
-    return content_digest(settings, files, in_folder=path.is_dir())
+    return content_digest(settings, with_detached_data(files), in_folder=path.is_dir())
 
 
 @lru_cache(maxsize=16)

@@ -124,7 +124,7 @@ def ct_body(path: str | Path, phantom: ImportedPhantom) -> CTBody:
     through the body goes on as soft tissue within the thorax of the scene "patient".
 
     Args:
-        path: of a NIfTI or NRRD file in Hounsfield units.
+        path: of a NIfTI, NRRD or MetaImage file in Hounsfield units.
         phantom: imported from labels, or from a surface in the CT's coordinates.
 
     Raises:

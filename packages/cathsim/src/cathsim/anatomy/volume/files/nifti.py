@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.volume.files.source import Slab, VolumeSource
+from cathsim.anatomy.volume.files.source import Slab, VolumeSource, require_one_volume
 
 SUFFIXES = (".nii", ".nii.gz")
 SLAB_BYTES = 1 << 23
@@ -47,13 +47,7 @@ def open_nifti(path: Path) -> VolumeSource:
     except (*BROKEN, nibabel.spatialimages.HeaderDataError, np.linalg.LinAlgError) as error:
         raise MeshRefusedError(f"{path.name} is damaged: {_told(error)}; copy or export it again.") from None
     notes: tuple[str, ...] = ()
-    while len(shape) > 3 and shape[-1] == 1:
-        shape = shape[:-1]
-    if len(shape) != 3:
-        raise MeshRefusedError(
-            f"{path.name} has {len(shape)} axes ({' x '.join(map(str, shape))}), expected a volume of three; save one "
-            "volume of the series as its own file."
-        )
+    three = require_one_volume(path, shape)
     if not any(codes):
         notes += ("the file says nothing of the patient's axes: its voxels' order is taken for right, front, up",)
     if not unit:
@@ -68,19 +62,18 @@ def open_nifti(path: Path) -> VolumeSource:
 
     def slabs() -> Iterator[Slab]:
         slope, inter = float(proxy.slope), float(proxy.inter)
-        step = max(1, int(SLAB_BYTES // (shape[0] * shape[1] * kind.itemsize)))
+        step = max(1, int(SLAB_BYTES // (three[0] * three[1] * kind.itemsize)))
         try:
             with nibabel.openers.ImageOpener(image.file_map["image"].filename or str(path)) as file:
                 file.seek(int(proxy.offset))
-                for first in range(0, shape[2], step):
-                    count = min(step, shape[2] - first)
-                    content = file.read(count * shape[0] * shape[1] * kind.itemsize)
-                    values = np.frombuffer(content, dtype=kind).reshape((shape[0], shape[1], count), order="F")
+                for first in range(0, three[2], step):
+                    count = min(step, three[2] - first)
+                    content = file.read(count * three[0] * three[1] * kind.itemsize)
+                    values = np.frombuffer(content, dtype=kind).reshape((three[0], three[1], count), order="F")
                     yield first, (values if slope == 1.0 and inter == 0.0 else values * slope + inter)[None]
         except BROKEN as error:
             raise MeshRefusedError(f"{path.name} is damaged: {_told(error)}; copy or export it again.") from None
 
-    three = (shape[0], shape[1], shape[2])
     return VolumeSource(path, three, affine, "RAS", unit, kind.itemsize, slabs, names=names, notes=notes)
 
 

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import AORTA, vessel_name
-from cathsim.anatomy.volume.files import nifti, nrrd_file
+from cathsim.anatomy.volume.files import metaimage, nifti, nrrd_file
 from cathsim.anatomy.volume.files.source import VolumeSource
 from cathsim.anatomy.volume.labels.choice import Key, LabelChoice, Labels, choose_labels
 from cathsim.anatomy.volume.labels.scheme_check import CELL, misfit
 
-SUFFIXES = (*nifti.SUFFIXES, *nrrd_file.SUFFIXES)
+SUFFIXES = (*nifti.SUFFIXES, *nrrd_file.SUFFIXES, *metaimage.SUFFIXES)
+FORMATS = "NIfTI, NRRD or MetaImage"
 _MOST_LITRES = 5.0  # of all vessels together
 _MOST_VOXELS = 2.5e8  # of the box around them
 _MOST_TAKEN = 60_000_000  # voxels of vessels
@@ -77,9 +78,11 @@ def open_volume(path: Path) -> VolumeSource:
         MeshRefusedError: it is damaged, or no volume.
     """
     if not path.is_file():
-        raise MeshRefusedError(f"there is no file {path}; give a NIfTI or NRRD file, or a folder of them.")
+        raise MeshRefusedError(f"there is no file {path}; give a file in {FORMATS} format, or a folder of them.")
     if path.name.lower().endswith(nrrd_file.SUFFIXES):
         return nrrd_file.open_nrrd(path)
+    if path.name.lower().endswith(metaimage.SUFFIXES):
+        return metaimage.open_metaimage(path)
     return nifti.open_nifti(path)
 
 
@@ -118,13 +121,13 @@ def _misfit(source: VolumeSource, present: dict[Key, int], scheme: str, vessels:
 
 def file_stem(path: Path) -> str:
     """A volume file's name without its endings."""
-    return re.sub(r"(\.seg)?(\.nii\.gz|\.nii|\.nrrd|\.nhdr)$", "", path.name, flags=re.IGNORECASE)
+    return re.sub(r"(\.seg)?(\.nii\.gz|\.nii|\.nrrd|\.nhdr|\.mha|\.mhd)$", "", path.name, flags=re.IGNORECASE)
 
 
 def _folder(path: Path, labels: Labels) -> LabelVolume:
     files = {file_stem(file): file for file in volume_files(path)}
     if not files:
-        raise MeshRefusedError(f"{path} holds no NIfTI or NRRD file; give a folder with one file a vessel.")
+        raise MeshRefusedError(f"{path} holds no file in {FORMATS} format; give a folder with one file a vessel.")
     names = {(0, number): stem for number, stem in enumerate(files, 1)}
     if labels is None and not any(vessel_name(stem) for stem in files):
         raise MeshRefusedError(

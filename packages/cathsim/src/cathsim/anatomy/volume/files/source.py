@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -64,6 +64,31 @@ class VolumeSource:
     def frame(self) -> Array:
         """(3, 3) rows are the patient's left, posterior and superior axis in the file's world."""
         return np.diag(FRAMES[self.world])
+
+
+def require_one_volume(path: Path, sizes: Sequence[int], components: int = 1) -> tuple[int, int, int]:
+    """The three sizes of a volume, without further axes of one.
+
+    Args:
+        sizes: of all axes of the file.
+        components: values a voxel.
+
+    Raises:
+        MeshRefusedError: it is a series, a slice, or has several values a voxel.
+    """
+    sizes = [int(size) for size in sizes]
+    while len(sizes) > 3 and sizes[-1] == 1:
+        sizes = sizes[:-1]
+    if len(sizes) != 3:
+        raise MeshRefusedError(
+            f"{path.name} has {len(sizes)} axes ({' x '.join(map(str, sizes))}), expected a volume of three; save one "
+            "volume of the series as its own file."
+        )
+    if components != 1:
+        raise MeshRefusedError(
+            f"{path.name} has {components} values a voxel, expected one label; save one of them as its own file."
+        )
+    return sizes[0], sizes[1], sizes[2]
 
 
 def check_geometry(path: Path, shape: tuple[int, ...], affine: Array, metres: float) -> None:

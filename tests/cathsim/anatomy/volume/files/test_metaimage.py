@@ -1,0 +1,112 @@
+"""Label volumes in MetaImage files: places, data beside the header, and those that cannot be read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cathsim.anatomy.importing import import_anatomy, import_digest
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.volume.files.reading import open_volume, read_labels
+
+SimpleITK = pytest.importorskip("SimpleITK", reason="MetaImage files need SimpleITK")
+
+SPACING, ORIGIN = (0.8, 0.9, 2.0), (40.0, -30.0, 12.0)
+TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def tubes() -> np.ndarray:
+    """Labels of an upright vessel (52) and of one that leaves it (58), in the order x, y, z."""
+    labels = np.zeros((40, 36, 30), dtype=np.uint8)
+    labels[10:20, 10:20] = 52
+    labels[20:30, 13:17, 14:18] = 58
+    return labels
+
+
+def written(path: Path, labels: np.ndarray, *, packed: bool = False, vector: bool = False) -> Path:
+    image = SimpleITK.GetImageFromArray(labels.T, isVector=vector)
+    if image.GetDimension() == 3:
+        image.SetSpacing(SPACING)
+        image.SetOrigin(ORIGIN)
+        image.SetDirection(TURN.ravel().tolist())
+    image.SetMetaData("dim[0]", "3")  # a field as conversions of NIfTI leave them
+    SimpleITK.WriteImage(image, str(path), packed)
+    return path
+
+
+@pytest.mark.parametrize("name", ["a.mha", "a.mhd"])
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.float32])
+def test_voxels_lie_where_itk_says(tmp_path: Path, name: str, packed: bool, kind: type) -> None:
+    volume = read_labels(written(tmp_path / name, tubes().astype(kind), packed=packed))
+    assert volume.names == ("aorta", "lcca")
+    np.testing.assert_allclose(volume.frame, np.eye(3))  # left, posterior, superior
+    at = 1e-3 * (TURN @ (np.array(SPACING) * [10, 10, 0]) + ORIGIN)
+    np.testing.assert_allclose((volume.affine @ [0, 0, 0, 1])[:3], at, atol=1e-9)
+    np.testing.assert_array_equal(volume.vessels[:10, :10], 1)
+    np.testing.assert_array_equal(volume.vessels[10:20, 3:7, 14:18], 2)
+    assert np.count_nonzero(volume.vessels) == np.count_nonzero(tubes())
+
+
+def test_slices_are_read_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cathsim.anatomy.volume.files.metaimage.SLAB_BYTES", 4 * 40 * 36)
+    slabs = list(open_volume(written(tmp_path / "a.mha", tubes())).slabs())
+    assert [first for first, _ in slabs] == list(range(0, 30, 4))
+    np.testing.assert_array_equal(np.concatenate([slab[0] for _, slab in slabs], axis=2), tubes())
+
+
+def test_a_header_without_axes_is_noted(tmp_path: Path) -> None:
+    file = written(tmp_path / "a.mha", tubes())
+    lines = file.read_bytes().split(b"\n", 13)
+    file.write_bytes(b"\n".join(line for line in lines if not line.startswith(b"TransformMatrix")))
+    assert "says nothing of the patient's axes" in open_volume(file).notes[0]
+    assert not open_volume(written(tmp_path / "b.mha", tubes())).notes
+
+
+@pytest.mark.parametrize(
+    ("damage", "match"),
+    [
+        ("text", "is no MetaImage file; give a .mha file"),
+        ("header", "is damaged: its header cannot be read"),
+        ("cut", "is damaged, or its data are not beside it"),
+        ("alone", "is damaged, or its data are not beside it"),
+        ("series", r"has 4 axes \(8 x 9 x 8 x 3\), expected a volume of three"),
+        ("colours", "has 3 values a voxel, expected one label"),
+    ],
+)
+def test_what_cannot_be_read_is_refused(tmp_path: Path, damage: str, match: str) -> None:
+    file = tmp_path / ("a.mhd" if damage == "alone" else "a.mha")
+    if damage == "series":
+        written(file, np.zeros((8, 9, 8, 3), np.uint8))
+    elif damage == "colours":
+        written(file, np.zeros((3, 8, 9, 8), np.uint8), vector=True)
+    else:
+        written(file, tubes())
+    if damage == "text":
+        file.write_text("hello")
+    elif damage == "header":
+        file.write_bytes(file.read_bytes().replace(b"DimSize = 40", b"DimSize = no"))
+    elif damage == "cut":
+        file.write_bytes(file.read_bytes()[:-5000])
+    elif damage == "alone":
+        file.with_suffix(".raw").unlink()
+    with pytest.raises(MeshRefusedError, match=match) as caught:
+        import_anatomy(file, cache_dir=tmp_path)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).endswith(".")
+
+
+@pytest.mark.parametrize("name", ["a.mhd", "a.nhdr"])
+def test_data_beside_a_header_are_part_of_what_is_hashed(tmp_path: Path, name: str) -> None:
+    header = tmp_path / name
+    SimpleITK.WriteImage(SimpleITK.GetImageFromArray(tubes().T), str(header))
+    data = next(file for file in tmp_path.iterdir() if file != header)
+    source = {"path": header, "unit": None, "names": None}
+    before = import_digest(source, 1e-3)
+    assert import_digest(source, 1e-3) == before
+    content = bytearray(data.read_bytes())
+    content[-1] ^= 1
+    data.write_bytes(content)
+    assert import_digest(source, 1e-3) != before
