@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import threading
 from collections.abc import Mapping
 from functools import lru_cache
@@ -218,7 +219,7 @@ def _parameters_of(name: str, seed: int | None) -> Recipe:
             raise ValueError(f"phantom '{name}' needs a seed, a whole number from 0 on; got {seed!r}.")
         return draw_recipe(name, int(seed))
     if name not in NAMED:
-        if Path(name).exists():
+        if name and os.path.exists(name):
             raise MeshRefusedError(of_no_kind(name))
         known = f"{', '.join(PHANTOMS)}, random or arch_variety (with a seed)"
         raise ValueError(f"unknown phantom {name!r}; choose from {known}, or give the path of a mesh or label volume.")

@@ -231,6 +231,9 @@ def test_files_of_no_kind_that_is_read(tmp_path: Path) -> None:
                 load(str(path))
     with pytest.raises(MeshRefusedError, match=r"series holds no file of a kind .* label volumes NIfTI, NRRD or M"):
         load_phantom(str(tmp_path / "series"))
+    for name in ("", "x" * 5000):
+        with pytest.raises(ValueError, match="unknown phantom"):
+            load_phantom(name)
 
 
 def test_a_reader_that_is_not_installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -80,7 +81,7 @@ class Triangles:
 def is_mesh_path(name: str | Path) -> bool:
     """Whether a phantom's name is a path to a surface: it ends like one, or is a folder that holds such files."""
     path = Path(name)
-    if path.is_dir():
+    if os.path.isdir(path):  # False, too, for a name that no file can have
         return any(file.suffix.lower() in SUFFIXES for file in path.iterdir())
     return path.name.lower().endswith(SUFFIXES)
 

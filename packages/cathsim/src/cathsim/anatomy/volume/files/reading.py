@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
 from dataclasses import dataclass
@@ -63,7 +64,7 @@ class LabelVolume:
 def is_volume_path(path: str | Path) -> bool:
     """Whether a path is that of a volume's file, or of a folder that holds some."""
     path = Path(path).expanduser()
-    return path.name.lower().endswith(SUFFIXES) or (path.is_dir() and bool(volume_files(path)))
+    return path.name.lower().endswith(SUFFIXES) or (os.path.isdir(path) and bool(volume_files(path)))
 
 
 def volume_files(folder: Path) -> list[Path]:
