@@ -28,8 +28,8 @@ def of_no_kind(path: str | Path) -> str:
     """What is said of a file or folder that is none of an anatomy."""
     kind = "holds no file" if Path(path).is_dir() else "is no file"
     return (
-        f"{Path(path).name or path} {kind} of a kind that is read: surfaces are {SURFACES} files, label volumes {VOLUMES}; "
-        "export it as one of them."
+        f"{Path(path).name or path} {kind} of a kind that is read: surfaces are {SURFACES} files, label volumes "
+        f"{VOLUMES}; export it as one of them."
     )
 
 
