@@ -29,7 +29,7 @@ def of_no_kind(path: str | Path) -> str:
     kind = "holds no file" if Path(path).is_dir() else "is no file"
     return (
         f"{Path(path).name or path} {kind} of a kind that is read: surfaces are {SURFACES} files, label volumes "
-        f"{VOLUMES}; export it as one of them."
+        f"{VOLUMES}; convert it to one of them."
     )
 
 

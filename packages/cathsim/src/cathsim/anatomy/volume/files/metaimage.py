@@ -62,7 +62,8 @@ def open_metaimage(path: Path) -> VolumeSource:
         values = SimpleITK.GetArrayViewFromImage(image).reshape(sizes[::-1]).transpose(2, 1, 0)
         step = max(1, int(SLAB_BYTES // (sizes[0] * sizes[1] * itemsize)))
         for first in range(0, sizes[2], step):
-            yield first, values[None, :, :, first : first + step]
+            # copied: what SimpleITK shows is gone with its image
+            yield first, values[None, :, :, first : first + step].copy(order="F")
 
     return VolumeSource(path, sizes, affine, "LPS", "mm", itemsize, slabs, notes=notes)
 
