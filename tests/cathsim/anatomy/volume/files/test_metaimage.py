@@ -70,6 +70,7 @@ def test_a_header_without_axes_is_noted(tmp_path: Path) -> None:
     [
         ("text", "is no MetaImage file; give a .mha file"),
         ("header", "is damaged: its header cannot be read"),
+        ("kind", "is damaged: its header cannot be read"),
         ("cut", "is damaged, or its data are not beside it"),
         ("alone", "is damaged, or its data are not beside it"),
         ("series", r"has 4 axes \(8 x 9 x 8 x 3\), expected a volume of three"),
@@ -88,6 +89,8 @@ def test_what_cannot_be_read_is_refused(tmp_path: Path, damage: str, match: str)
         file.write_text("hello")
     elif damage == "header":
         file.write_bytes(file.read_bytes().replace(b"DimSize = 40", b"DimSize = no"))
+    elif damage == "kind":
+        file.write_bytes(file.read_bytes().replace(b"MET_UCHAR", b"MET_COLOR"))
     elif damage == "cut":
         file.write_bytes(file.read_bytes()[:-5000])
     elif damage == "alone":
@@ -109,4 +112,6 @@ def test_data_beside_a_header_are_part_of_what_is_hashed(tmp_path: Path, name: s
     content = bytearray(data.read_bytes())
     content[-1] ^= 1
     data.write_bytes(content)
+    assert import_digest(source, 1e-3) != before
+    header.write_bytes(header.read_bytes().replace(data.name.encode(), b"x" * 5000))
     assert import_digest(source, 1e-3) != before

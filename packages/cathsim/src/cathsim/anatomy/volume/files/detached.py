@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -23,6 +24,6 @@ def with_detached_data(files: Iterable[Path]) -> list[Path]:
             with file.open("rb") as header:
                 named = _DATA.search(header.read(_MOST_BYTES))
             data = file.parent / named[1].decode(errors="replace") if named else file
-            if data != file and data.is_file():
+            if data != file and os.path.isfile(data):  # False, too, for a name that no file can have
                 found.append(data)
     return found

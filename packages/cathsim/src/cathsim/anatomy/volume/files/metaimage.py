@@ -40,6 +40,7 @@ def open_metaimage(path: Path) -> VolumeSource:
     reader.SetFileName(str(path))
     try:
         reader.ReadImageInformation()
+        itemsize = SimpleITK.GetArrayViewFromImage(SimpleITK.Image([1, 1, 1], reader.GetPixelID())).itemsize
     except RuntimeError:
         raise MeshRefusedError(f"{path.name} is damaged: its header cannot be read; export it again.") from None
     axes = reader.GetDimension()
@@ -50,7 +51,6 @@ def open_metaimage(path: Path) -> VolumeSource:
     notes: tuple[str, ...] = ()
     if not keys.intersection(_AXES):
         notes += ("the file says nothing of the patient's axes: its voxels' order is taken for left, back, up",)
-    itemsize = SimpleITK.GetArrayViewFromImage(SimpleITK.Image([1, 1, 1], reader.GetPixelID())).itemsize
 
     def slabs() -> Iterator[Slab]:
         try:
