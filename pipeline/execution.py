@@ -17,12 +17,11 @@ from pipeline.jobs.engines.settings import LOCAL
 from pipeline.jobs.engines.shared_files import end_earlier_jobs
 from pipeline.jobs.gpus import CPU, check_device
 from pipeline.settings.checks import settings_that_matter
-from pipeline.stages import Stage, StageContext, load_stage, missing_module, stage_module
+from pipeline.stages import Stage, StageContext, load_stage, missing_module
 from pipeline.store.errors import StageError
-from pipeline.store.manifest import Identity
-from pipeline.store.provenance import hash_value
+from pipeline.store.manifest import Identity, read_manifest
+from pipeline.store.provenance import hash_value, present_commit
 from pipeline.store.run_folder import RunFolder
-from pipeline.store.source_closure import source_closure
 from pipeline.task import Task, device_files
 from pipeline.variants import RunRequest, effective_overrides, require_input, variant_of
 
@@ -59,7 +58,7 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
     with folder.locked():
         end_earlier_jobs(folder.path)
         if not config.force and folder.is_up_to_date():
-            _LOGGER.info("%s: up to date in %s", stage.name, folder.path)
+            _LOGGER.info("%s: up to date in %s%s", stage.name, folder.path, _other_commits(folder.path))
             return Outcome.UP_TO_DATE
         kept = folder.prepare(force=config.force)
         _LOGGER.info("%s: working in %s%s", stage.name, folder.path, f", {kept} finished items kept" if kept else "")
@@ -90,7 +89,16 @@ def _identity(stage: Stage, config: RunConfig, run_path: Path, input_hashes: dic
     return Identity(
         config_hash=hash_value(settings),
         input_hashes={**input_hashes, **files, **stage.further_inputs(run_path)},
-        code_hash=source_closure().hash(stage_module(stage.name)),
+        version=stage.version,
+    )
+
+
+def _other_commits(folder: Path) -> str:
+    """What to say of results that other code made: a version that nobody raised says that they mean the same."""
+    manifest, present = read_manifest(folder), present_commit()
+    others = [commit for commit in (manifest.commits if manifest else ()) if commit != present]
+    return (
+        f", made by commit {', '.join(others)}, the code is at {present} (force=true makes it again)" if others else ""
     )
 
 

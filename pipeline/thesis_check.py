@@ -20,7 +20,7 @@ from pipeline.jobs.costs import OK, OWN_PROCESS, kept_costs
 from pipeline.stages import available_stages
 from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.manifest import read_manifest
-from pipeline.store.provenance import git_state, software_versions
+from pipeline.store.provenance import present_commit, software_versions
 
 EXPERIMENT = "thesis-check"
 JSON, MARKDOWN = "thesis_check.json", "thesis_check.md"
@@ -75,7 +75,7 @@ def provenance(command: Sequence[str]) -> dict[str, Any]:
     """Command, code, versions and machine."""
     return {
         "command": shlex.join(command),
-        "git": git_state(),
+        "commit": present_commit(),
         "versions": software_versions(),
         "machine": {"cores": os.cpu_count(), "architecture": platform.machine(), "system": platform.system()},
     }
@@ -86,9 +86,8 @@ def markdown(found: Sequence[Row], command: str) -> str:
     source = provenance([command])
     versions = ", ".join(f"{name} {source['versions'][name]}" for name in _VERSIONS if name in source["versions"])
     machine = source["machine"]
-    commit = str(source["git"].get("commit"))[:12]
     lines = [
-        f"`{command}`, commit {commit}, {machine['cores']} cores ({machine['architecture']}), {versions}.",
+        f"`{command}`, commit {source['commit']}, {machine['cores']} cores ({machine['architecture']}), {versions}.",
         "",
         "Rows without a job are the stages' own processes; memory counts libraries.",
         "",

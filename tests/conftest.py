@@ -28,15 +28,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: item.path not in slow)
 
 
-@pytest.fixture(scope="session", autouse=True)
-def user_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The pipeline's cache for the test session: tests neither see nor fill the user's own."""
-    folder = tmp_path_factory.mktemp("user_cache")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ENDONAV_CACHE", str(folder))
-        yield folder
-
-
 @pytest.fixture(autouse=True)
 def logging_as_before() -> Iterator[None]:
     """Undoes what a command line run in this process sets: levels, handlers, and loggers that are switched off."""

@@ -58,6 +58,7 @@ class Stage:
 
     settings: type  # declared with `validated`; its field `name` is the stage's name
     run: Callable[[Any, StageContext], None]  # settings, context
+    version: int = 1  # raised by hand where the same settings and inputs give results of another meaning
     reads: tuple[str, ...] = ()  # stages that must have finished
     writes: tuple[str, ...] = ()  # what lies in its folder afterwards
     prepare: Callable[[Any], None] = as_given  # fills in what only reading files tells, before `check`

@@ -22,7 +22,7 @@ from pipeline.stages import Stage, StageContext, available_stages
 from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.file_cache import digests_of
 from pipeline.store.manifest import Manifest, read_manifest
-from pipeline.store.provenance import git_state, machine, software_versions
+from pipeline.store.provenance import machine, present_commit, software_versions
 
 METRICS = "metrics.json"
 TABLES_FOLDER = "tables"
@@ -74,7 +74,7 @@ def run_report(settings: ReportSettings, context: StageContext) -> None:
         budget="+".join(dict.fromkeys(m.budget for m in finished.values())) or context.budget,
         seeds=sorted({m.seed for m in finished.values()}) or [context.seed],
         written=datetime.now(UTC).isoformat(timespec="minutes"),
-        records=records, tables=tables, figures=figures, remarks=learning.remarks, git=git_state(),
+        records=records, tables=tables, figures=figures, remarks=learning.remarks, commit=present_commit(),
         made=notes_of(context.run_path, finished), versions=software_versions(), machine=machine(),
     )  # fmt: skip
     write_text(context.path / PAGE, page)
@@ -118,7 +118,7 @@ def _environment() -> Table:
 
 
 def _inputs(run_path: Path) -> dict[str, str]:
-    states = {}
+    states = {"commit": present_commit()}
     for name, manifest in finished_stages(run_path).items():
         digests = digests_of(run_path / name)
         changed = manifest.changed_output(run_path / name, digests)

@@ -14,10 +14,10 @@ from pydantic import AfterValidator, TypeAdapter, ValidationError
 from pipeline.settings.checks import sentence, shown
 from pipeline.store.atomic_files import read_json
 from pipeline.store.file_cache import FileCache
-from pipeline.store.provenance import git_state, hash_value, software_versions
+from pipeline.store.provenance import hash_value, software_versions
 
 MANIFEST = "manifest.json"
-MANIFEST_VERSION = 2
+MANIFEST_VERSION = 3
 
 _LONGEST_PART = 255  # bytes that a file system takes
 
@@ -30,7 +30,7 @@ class Identity:
 
     config_hash: str
     input_hashes: dict[str, str]  # folder of a stage that was read -> hash of its outputs
-    code_hash: str
+    version: int  # of the stage: see `pipeline.stages.Stage`
 
     @property
     def fingerprint(self) -> str:
@@ -73,7 +73,7 @@ class Manifest:
     overrides: list[str] = field(default_factory=list)  # that it was run with, e.g. ["seed=1", "stage.episodes=5"]
     jobs: dict[str, dict[str, Any]] = field(default_factory=dict)  # what each of its jobs cost: see pipeline.jobs.costs
     variant: list[str] = field(default_factory=list)  # those of them that its folder is named after
-    git: dict[str, Any] = field(default_factory=git_state)
+    commits: list[str] = field(default_factory=list)  # of the code that made it: see `present_commit`
     versions: dict[str, str] = field(default_factory=software_versions)
     version: int = MANIFEST_VERSION
 

@@ -53,18 +53,10 @@ def _whole(path: Path) -> list[Path]:
 
 
 @functools.cache
-def git_state() -> dict[str, Any]:
-    """Names the commit the code stands at.
-
-    Returns:
-        ``commit`` (hex, or "unknown" outside a repository or before the first commit) and ``dirty`` (True when files
-        differ from the commit; None when unknown).
-    """
-    commit = _git("rev-parse", "HEAD")
-    if commit is None:
-        return {"commit": "unknown", "dirty": None}
-    status = _git("status", "--porcelain")
-    return {"commit": commit, "dirty": None if status is None else bool(status)}
+def present_commit() -> str:
+    """Names the commit of the code: hex, with "+" where files differ from it; "unknown" outside a repository."""
+    commit = _git("rev-parse", "--short=12", "HEAD")
+    return "unknown" if commit is None else f"{commit}+" if _git("status", "--porcelain") else commit
 
 
 def _git(*arguments: str) -> str | None:

@@ -8,7 +8,8 @@ In it:
 - ``.lock``: held while a process works here. The kernel frees it when the process dies, so it never goes stale.
 - other names that begin with a dot: what the stage's parts hand to each other. All of it is gone at the end.
 
-``runs/<name>/.cache/digests/`` remembers the digests of every folder's files.
+``runs/<name>/.cache/digests/`` remembers the digests of every folder's files. ``runs/<name>/.old/<stage>-<time>/``
+holds results that others replaced: nothing here removes them.
 """
 
 from __future__ import annotations
@@ -26,16 +27,19 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pipeline.jobs.costs import kept_costs
-from pipeline.store.atomic_files import remove_unfinished, write_json
+from pipeline.store.atomic_files import remove_unfinished, write_json, write_text
 from pipeline.store.errors import FolderBusyError, StageError
 from pipeline.store.finished_items import FinishedItems
 from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.manifest import MANIFEST, Identity, Manifest, files_below, read_manifest
 from pipeline.store.progress import progress
+from pipeline.store.provenance import present_commit
 
 Item = TypeVar("Item")
 
 _LOCK = ".lock"
+_COMMITS = "commits.txt"
+OLD = ".old"  # below the run
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -92,7 +96,9 @@ class RunFolder(FinishedItems):
         return True
 
     def prepare(self, *, force: bool = False) -> int:
-        """Readies the folder for work: keeps finished items of the same identity, removes everything else.
+        """Readies the folder for work: keeps finished items of the same identity, moves everything else aside.
+
+        What is moved lies in ``runs/<name>/.old/<stage>-<time>/`` until the user removes it.
 
         Args:
             force: start from nothing even when finished items could be kept.
@@ -105,15 +111,41 @@ class RunFolder(FinishedItems):
             remove_unfinished(self.path)
             kept = self._verify()
             self._digests.save()
+            self._note_commit(kept)
             return kept
-        # In this order a kill at any point leaves a folder that the next run clears: no item, no manifest to trust.
-        self._revoke()
-        manifest.unlink(missing_ok=True)
-        for entry in self.path.iterdir():
-            if entry.name != _LOCK:
-                shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
+        self._move_aside()
         write_json(self._identity_path, self.identity.fingerprint)
+        self._note_commit(0)
         return 0
+
+    def _move_aside(self) -> None:
+        results = any(files_below(self.path))
+        aside = self.path.parent / OLD / f"{self.path.name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}"
+        # A kill at any point leaves no item and no manifest to trust here, and no file is lost.
+        self._revoke()
+        for entry in sorted(self.path.iterdir(), key=lambda entry: entry.name != MANIFEST):
+            if entry.name == _LOCK:
+                continue
+            if results:
+                aside.mkdir(parents=True, exist_ok=True)
+                entry.rename(aside / entry.name)
+            else:
+                shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
+        if results:
+            _LOGGER.warning("%s: earlier results were moved to %s, which you may remove", self.path, aside)
+
+    def _note_commit(self, kept: int) -> None:
+        """Adds the present commit to those that the items were made by, and warns of another one."""
+        present = present_commit()
+        others = [commit for commit in self._commits() if kept and commit != present]
+        if others:
+            made = "%s: the %d finished items were made by commit %s, the code is at %s"
+            _LOGGER.warning(made, self.path, kept, ", ".join(others), present)
+        write_text(self._place / _COMMITS, "\n".join([*others, present]))
+
+    def _commits(self) -> list[str]:
+        path = self._place / _COMMITS
+        return path.read_text(encoding="utf-8").split() if path.is_file() else []
 
     def pending(self, items: Sequence[Item], *, key: Callable[[Item], str] = str) -> list[Item]:
         """Lists the items that are not done yet, for stages that hand them to worker processes themselves.
@@ -155,7 +187,7 @@ class RunFolder(FinishedItems):
         remove_unfinished(self.path)
         manifest = Manifest(
             stage=stage, run=run, budget=budget, seed=seed, config=config, identity=self.identity,
-            overrides=list(overrides), variant=list(variant), jobs=kept_costs(self.path),
+            overrides=list(overrides), variant=list(variant), jobs=kept_costs(self.path), commits=self._commits(),
             outputs={n: self._digests.entry(self.path / n) for n in files_below(self.path) if n != MANIFEST},
             wall_time_s=round(time.monotonic() - started, 3), finished=datetime.now(UTC).isoformat(timespec="seconds"),
         )  # fmt: skip

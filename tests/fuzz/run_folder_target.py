@@ -14,7 +14,7 @@ from pipeline.store.run_folder import RunFolder
 from tests.fuzz.mutations import altered, damaged, text_of
 from tests.fuzz.target import Target, WrongError, refused
 
-IDENTITY = Identity("settings", {"phantoms": "inputs"}, "code")
+IDENTITY = Identity("settings", {"phantoms": "inputs"}, 1)
 ITEMS = ("a", "b", "c")
 
 

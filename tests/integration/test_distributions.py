@@ -15,7 +15,6 @@ import pytest
 from pipeline.config import BUDGETS
 from pipeline.stages import available_stages
 from pipeline.store.manifest import read_manifest
-from pipeline.store.source_closure import SourceClosure
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 
@@ -160,9 +159,7 @@ def test_the_pipeline_runs_from_its_wheel(installed: Path, tmp_path: Path) -> No
     run = tmp_path / "runs" / "smoke"
     manifest = read_manifest(run / "phantoms")
     assert manifest is not None
-    assert manifest.git["commit"] == "unknown"
-    # Results of the installed code and of this tree are told apart by the code alone.
-    assert manifest.identity.code_hash == SourceClosure().hash("pipeline.stages.phantoms")
+    assert manifest.commits == ["unknown"]
     assert "Type" in (run / "report" / "index.html").read_text()
 
 

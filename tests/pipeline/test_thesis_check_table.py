@@ -16,7 +16,7 @@ from tests.pipeline.test_task import stages_of
 
 
 def finish(run: Path, stage: str, *jobs: str) -> None:
-    folder = RunFolder(run / stage, Identity("c", {}, "s"))
+    folder = RunFolder(run / stage, Identity("c", {}, 1))
     with folder.locked():
         folder.prepare()
         for key in (*jobs, OWN_PROCESS):

@@ -17,7 +17,7 @@ from pipeline.variants import RunRequest, require_input, variant_of
 def leave(run: Path, stage: str, *variant: str, seed: int = 0) -> Path:
     """Leaves the finished results of a stage."""
     place = run / "@".join([stage, *([variant_of(variant)] if variant else [])])
-    folder = RunFolder(place, Identity("config", {}, "code"))
+    folder = RunFolder(place, Identity("config", {}, 1))
     with folder.locked():
         folder.prepare()
         (place / "type_1").mkdir()
@@ -119,7 +119,7 @@ def test_a_file_that_the_stage_did_not_write_is_not_taken_for_its_own(tmp_path: 
 def test_a_manifest_of_an_earlier_version_counts_as_not_run(tmp_path: Path, caplog) -> None:
     place = leave(tmp_path, "enn")
     text = (place / "manifest.json").read_text()
-    (place / "manifest.json").write_text(text.replace('"version": 2', '"version": 1'))
+    (place / "manifest.json").write_text(text.replace('"version": 3', '"version": 2'))
     assert read_manifest(place) is None
     assert "of another version of the project: the stage counts as not run" in caplog.text
     with pytest.raises(StageError, match="holds none: run `python -m pipeline stage=enn"):

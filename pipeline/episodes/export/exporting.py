@@ -47,7 +47,10 @@ def logs_below(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise ExportError(f"{folder} is no folder: give one with episode logs")
-    logs = sorted(path for path in folder.rglob("*.mcap") if path.is_file())
+    logs = sorted(
+        path for path in folder.rglob("*.mcap")
+        if path.is_file() and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    )  # fmt: skip
     if not logs:
         raise ExportError(f"{folder} holds no episode log (*.mcap): give a folder of a run or a recording")
     return logs

@@ -16,9 +16,9 @@ from typing import Any
 from pipeline.report.learning.logs import COMPARED, DEMONSTRATION, Evaluation, UnusableLogError, read_evaluation
 from pipeline.store.file_cache import FileCache
 from pipeline.store.interruption import stop_if_interrupted
-from pipeline.store.source_closure import source_closure
 
 CACHE = Path(".cache", "learning.json")  # below the run: a stage's own folder is emptied when it runs again
+METRICS_VERSION = "1"  # raised by hand where the same log gives other metrics
 PARALLEL_FROM = 200  # logs; fewer are read sooner than processes start
 
 _LOGGER = logging.getLogger(__name__)
@@ -42,7 +42,7 @@ def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: 
 
     Args:
         folders: stage folders, children of the run's folder.
-        cache: file that keeps metrics between calls, as long as the logs and the code behind them stay.
+        cache: file that keeps metrics between calls, as long as the logs and `METRICS_VERSION` stay.
         processes: that read in parallel when there is much to read; by default one a core.
 
     Returns:
@@ -54,8 +54,7 @@ def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: 
     if not folders:
         return found
     run_path = folders[0].parent
-    code = source_closure().hash("pipeline.report.learning.logs", "cathsim.metrics")
-    kept = FileCache(cache, run_path, version=code)
+    kept = FileCache(cache, run_path, version=METRICS_VERSION)
     paths = [path for folder in folders for path in sorted(folder.rglob("*.mcap"))]
     known = {path: kept.recall(path) for path in paths}
     new = [path for path in paths if known[path] is None]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import jinja2
 
@@ -44,7 +43,7 @@ class StageRecord:
 
 def render_page(
     *, run: str, budget: str, seeds: Sequence[int], written: str, records: Sequence[StageRecord],
-    tables: Sequence[ReportTable], figures: Sequence[ShownFigure], git: dict[str, Any], versions: dict[str, str],
+    tables: Sequence[ReportTable], figures: Sequence[ShownFigure], commit: str, versions: dict[str, str],
     machine: dict[str, str], remarks: Mapping[str, str] | None = None, made: Mapping[str, Sequence[str]] | None = None,
 ) -> str:  # fmt: skip
     """Renders the page as HTML.
@@ -55,7 +54,7 @@ def render_page(
         records: every stage, run or not.
         tables: of the thesis, and own ones.
         figures: in the order they are shown.
-        git: commit of the code that renders, and whether it had changes.
+        commit: of the code that renders.
         remarks: table -> what the reader should know of its cells, e.g. which logs were left out.
         made: table -> how its measured rows were made, a note a stage folder.
     """
@@ -71,7 +70,7 @@ def render_page(
     film = choose_film(figures)
     return template.render(
         run=run, budget=budget, seeds=", ".join(map(str, seeds)), written=written, records=records,
-        is_smoke="smoke" in budget.split("+"), not_run=NOT_RUN, git=git, versions=versions, machine=machine,
+        is_smoke="smoke" in budget.split("+"), not_run=NOT_RUN, commit=commit, versions=versions, machine=machine,
         remarks=dict(remarks or {}), made=dict(made or {}), style=_STYLE.read_text(encoding="utf-8"), film=film,
         compared=[one for one in compared if one.here], open_headlines=[one for one in compared if not one.here],
         chapters=arrange(tables, [figure for figure in figures if figure is not film]),

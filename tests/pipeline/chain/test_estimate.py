@@ -41,7 +41,7 @@ def test_the_critical_path_follows_what_stages_read() -> None:
 
 
 def test_a_run_gives_its_jobs_times_and_what_waited_for_what(tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path / "run" / "enn", Identity("c", {}, "s"))
+    folder = RunFolder(tmp_path / "run" / "enn", Identity("c", {}, 1))
     with folder.locked():
         folder.prepare()
         run_jobs(folder, [Job("a", square, 2), Job("b", square, 3, after=("a",))])

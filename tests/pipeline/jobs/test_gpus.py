@@ -29,7 +29,7 @@ def gpu(visible: str, free_gb: float) -> Gpu:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> RunFolder:
-    return RunFolder(tmp_path / "stage", Identity("c", {}, "s"))
+    return RunFolder(tmp_path / "stage", Identity("c", {}, 1))
 
 
 def overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:

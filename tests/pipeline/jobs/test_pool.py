@@ -26,7 +26,7 @@ TEST_ROOT = Path(__file__).resolve().parents[3]
 
 @pytest.fixture
 def folder(tmp_path: Path) -> RunFolder:
-    return RunFolder(tmp_path / "stage", Identity("c", {}, "s"))
+    return RunFolder(tmp_path / "stage", Identity("c", {}, 1))
 
 
 def test_jobs_run_in_processes_of_their_own_and_leave_their_results(folder: RunFolder, caplog) -> None:
@@ -184,7 +184,7 @@ def test_a_killed_stage_takes_its_jobs_along_and_the_next_run_goes_on(tmp_path: 
     left = {name: count(root, name) for name in "ab"}
     time.sleep(0.3)
     assert left == {name: count(root, name) for name in "ab"}, "a job outlived its stage"
-    folder = RunFolder(root, Identity("c", {}, "s"))
+    folder = RunFolder(root, Identity("c", {}, 1))
     with folder.locked():
         folder.prepare()
         results = run_jobs(folder, [Job(name, train, Toy(root / name, 40)) for name in "abc"], workers=2)

@@ -68,7 +68,7 @@ def opencv_threads(name: str, report: Report) -> int:
 
 def run_toys(root: Path, names: list[str], steps: int, seconds_a_step: float, checkpoint_every: int) -> None:
     """A stage of toys, for processes that tests start and stop."""
-    folder = RunFolder(root, Identity("c", {}, "s"))
+    folder = RunFolder(root, Identity("c", {}, 1))
     with folder.locked():
         folder.prepare()
         run_jobs(

@@ -57,7 +57,7 @@ def add_full_run(run: Path) -> None:
     for stage in available_stages():
         if stage == "report":
             continue
-        folder = RunFolder(run / stage, Identity("c", {}, "s"))
+        folder = RunFolder(run / stage, Identity("c", {}, 1))
         with folder.locked():
             folder.prepare()
             write_results(folder.path, tables.get(stage, {}))

@@ -55,7 +55,7 @@ def write_expert(folder: Path, *, episodes: int = 4, task: LearningTask = TASK) 
 
 def context(run: Path, stage: str, reads: Sequence[str] = ("enn",)) -> StageContext:
     """What a stage is given, below a run's folder."""
-    folder = RunFolder(run / stage, Identity("a", {}, "b"))
+    folder = RunFolder(run / stage, Identity("a", {}, 1))
     folder.path.mkdir(parents=True, exist_ok=True)
     return StageContext(folder, run, {name: run / name for name in reads}, "smoke", 0)
 

@@ -167,7 +167,7 @@ def finish_expert(run: Path) -> None:
     from pipeline.recording.record import record_episode
     from pipeline.store.run_folder import Identity, RunFolder
 
-    folder = RunFolder(run / "expert", Identity("c", {}, "s"))
+    folder = RunFolder(run / "expert", Identity("c", {}, 1))
     with folder.locked():
         folder.prepare()
         environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=12)

@@ -59,7 +59,7 @@ class Page(HTMLParser):
 
 def add_expert(run: Path, *, figure_bytes: bytes = PNG) -> None:
     """Leaves in a run what a finished expert stage leaves."""
-    folder = RunFolder(run / "expert", Identity("c", {}, "s"))
+    folder = RunFolder(run / "expert", Identity("c", {}, 1))
     with folder.locked():
         folder.prepare()
         (folder.path / "force.png").write_bytes(figure_bytes)

@@ -68,7 +68,7 @@ def test_stage_without_enough_episodes_says_so(tmp_path: Path) -> None:
 
 
 def test_physics_is_checked_in_a_job_whose_failure_is_one_sentence(tmp_path: Path) -> None:
-    folder = RunFolder(tmp_path / "validate", Identity("c", {}, "s"))
+    folder = RunFolder(tmp_path / "validate", Identity("c", {}, 1))
     with folder.locked():
         folder.prepare()
         with pytest.raises(StageError, match=r"1 of 1 physics checks failed: wire_physics \(KeyError: 'torsion'\)"):

@@ -134,7 +134,7 @@ from pipeline.store.run_folder import Identity, RunFolder
 from pipeline.store.interruption import let_ctrl_c_interrupt
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job comes without it
 let_ctrl_c_interrupt()
-folder = RunFolder(Path({str(tmp_path / "stage")!r}), Identity("c", {{}}, "s"))
+folder = RunFolder(Path({str(tmp_path / "stage")!r}), Identity("c", {{}}, 1))
 with folder.locked():
     folder.prepare()
     try:

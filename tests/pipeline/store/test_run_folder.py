@@ -25,7 +25,7 @@ from pipeline.store.provenance import hash_file
 from pipeline.store.run_folder import RunFolder
 from pipeline.store.written_files import note
 
-IDENTITY = Identity("config", {"phantoms": "inputs"}, "code")
+IDENTITY = Identity("config", {"phantoms": "inputs"}, 1)
 
 
 def finish(folder: RunFolder) -> Manifest:
@@ -62,17 +62,33 @@ def test_finished_folder_is_up_to_date_and_its_manifest_round_trips(folder: RunF
 
 
 @pytest.mark.parametrize("changed", [
-    Identity("other", {"phantoms": "inputs"}, "code"),
-    Identity("config", {"phantoms": "other"}, "code"),
-    Identity("config", {"phantoms": "inputs"}, "other"),
-], ids=["config", "inputs", "code"])  # fmt: skip
-def test_a_change_puts_the_folder_out_of_date_and_clears_it(folder: RunFolder, changed: Identity) -> None:
+    Identity("other", {"phantoms": "inputs"}, 1),
+    Identity("config", {"phantoms": "other"}, 1),
+    Identity("config", {"phantoms": "inputs"}, 2),
+], ids=["config", "inputs", "version"])  # fmt: skip
+def test_a_change_puts_the_folder_out_of_date_and_moves_it_aside(folder: RunFolder, changed: Identity, caplog) -> None:
     build(folder)
-    finish(folder)
+    earlier = finish(folder)
     later = RunFolder(folder.path, changed)
     assert not later.is_up_to_date()
     assert build(later, "x") == ["x"]
     assert set(finish(later).outputs) == {"x.txt"}
+    (aside,) = (folder.path.parent / ".old").iterdir()
+    assert str(aside) in caplog.text
+    assert read_manifest(aside) == earlier
+    assert [(aside / f"{name}.txt").read_text() for name in "abc"] == list("abc")
+
+
+def test_results_of_another_commit_are_kept_and_named(folder: RunFolder, caplog, monkeypatch) -> None:
+    monkeypatch.setattr("pipeline.store.run_folder.present_commit", lambda: "first")
+    with folder.locked(), pytest.raises(KeyboardInterrupt):
+        build_until_interrupted(folder, at="b")
+    monkeypatch.setattr("pipeline.store.run_folder.present_commit", lambda: "second")
+    again = RunFolder(folder.path, IDENTITY)
+    assert build(again) == ["b", "c"]
+    assert "the 1 finished items were made by commit first, the code is at second" in caplog.text
+    assert finish(again).commits == ["first", "second"]
+    assert again.is_up_to_date()
 
 
 def test_a_missing_cut_or_changed_output_puts_the_folder_out_of_date(folder: RunFolder, caplog) -> None:
@@ -137,7 +153,7 @@ def test_kept_items_are_dropped_when_the_configuration_changes_or_force_is_given
         assert RunFolder(folder.path, IDENTITY).prepare() == 3
         assert RunFolder(folder.path, IDENTITY).prepare(force=True) == 0
     build(folder)
-    changed = RunFolder(folder.path, Identity("other", {}, "code"))
+    changed = RunFolder(folder.path, Identity("other", {}, 1))
     assert build(changed) == ["a", "b", "c"]
 
 
@@ -175,7 +191,7 @@ def test_manifest_is_plain_json(folder: RunFolder) -> None:
     finish(folder)
     content = json.loads((folder.path / "manifest.json").read_text())
     assert content["identity"]["input_hashes"] == {"phantoms": "inputs"}
-    assert {"git", "versions", "wall_time_s", "seed", "budget", "finished"} <= set(content)
+    assert {"commits", "versions", "wall_time_s", "seed", "budget", "finished"} <= set(content)
 
 
 # ---- marks and kills
@@ -249,7 +265,7 @@ def test_whatever_is_killed_wherever_the_next_run_ends_as_a_clean_one(
     tmp_path: Path, killed: Callable[[Path, Identity, str, int], bool]
 ) -> None:
     clean = outputs(work(tmp_path / "clean", IDENTITY, "abc").path)
-    other = Identity("other", {}, "code")
+    other = Identity("other", {}, 1)
     kills = 0
     for half_done in (25, 10_000):  # run A: killed at its beginning, in the middle, or done
         at, not_done = 1, True

@@ -46,7 +46,7 @@ def test_a_node_that_dies_has_its_jobs_done_by_the_other(two_nodes: Any, tmp_pat
     with pytest.raises(StageError, match=r"machine \S+ of the Ray cluster does not see /no/such/folder: put the proj"):
         connected.require_shared(Path("/no/such/folder"))
     connected.close()
-    folder = RunFolder(tmp_path / "stage", Identity("c", {}, "s"))
+    folder = RunFolder(tmp_path / "stage", Identity("c", {}, 1))
     toys = {name: Toy(folder.path / name, steps=60, seconds_a_step=0.1) for name in "ab"}
     jobs = [Job(name, train, toy) for name, toy in toys.items()]
     killed: list[str] = []

@@ -26,7 +26,7 @@ Made = Callable[..., ProcessCluster]
 
 @pytest.fixture
 def folder(tmp_path: Path) -> RunFolder:
-    return RunFolder(tmp_path / "stage", Identity("c", {}, "s"))
+    return RunFolder(tmp_path / "stage", Identity("c", {}, 1))
 
 
 @pytest.fixture

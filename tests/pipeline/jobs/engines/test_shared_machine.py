@@ -165,7 +165,7 @@ def hold(given, report):
     return 1
 
 if __name__ == "__main__":
-    folder = RunFolder(PLACE / NAME, Identity("c", {}, "s"))
+    folder = RunFolder(PLACE / NAME, Identity("c", {}, 1))
     jobs = [Job(f"job{k}", hold, k, gpu_gb=6.0 * (k < 2)) for k in range(3)]
     with folder.locked():
         folder.prepare()

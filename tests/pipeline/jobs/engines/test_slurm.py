@@ -19,7 +19,7 @@ from tests.pipeline.jobs.toy_training import Toy, square, train
 
 @pytest.fixture
 def folder(tmp_path: Path) -> RunFolder:
-    return RunFolder(tmp_path / "stage", Identity("c", {}, "s"))
+    return RunFolder(tmp_path / "stage", Identity("c", {}, 1))
 
 
 def test_jobs_by_submitit_leave_their_results_and_fail_with_a_sentence(folder: RunFolder, tmp_path: Path) -> None:

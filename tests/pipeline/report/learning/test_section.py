@@ -19,7 +19,7 @@ from tests.pipeline.report.evaluation_logs import write_evaluation, write_row
 
 def finish(run: Path, stage: str) -> None:
     """Makes a stage's folder a finished one."""
-    folder = RunFolder(run / stage, Identity("c", {}, "s"))
+    folder = RunFolder(run / stage, Identity("c", {}, 1))
     folder.finish(stage=stage, run=run.name, budget="smoke", seed=0, config={}, started=0.0)
 
 
