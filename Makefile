@@ -103,8 +103,8 @@ bench-quick: setup  ## every benchmark that has a quick form and needs nothing e
 	@for benchmark in $(BENCHMARKS); do echo "== $$benchmark"; code=0; $(PY) $$benchmark --quick || code=$$?; \
 		case $$code in 0) ;; 2) echo "left out: it needs arguments" ;; *) exit $$code ;; esac; done
 
-fuzz: setup  ## damaged files, settings and messages for 10 minutes (ARGS='--seconds 60 --seed 1 --output fuzz.json')
-	@$(PY) -m tests.fuzz $(ARGS)
+fuzz: setup  ## damaged files, settings and messages, EXAMPLES=300 of each reader (ARGS='-k models')
+	@EXAMPLES=$(or $(EXAMPLES),300) $(PY) -m pytest -q tests/fuzz --hypothesis-profile=fuzz $(ARGS)
 
 docs: setup  ## the documentation site, in site/
 	@$(PY) -c "import mkdocs, mkdocstrings" 2>/dev/null || $(PY) -m pip install -qq --disable-pip-version-check \

@@ -38,6 +38,8 @@ _ADVICE = {
     errno.ENFILE: "close other programs, or run fewer jobs beside each other",
 }
 
+LONGEST_QUOTE = 400  # characters of what a library says, which may quote a whole value
+
 
 def one_line(error: BaseException, overrides: list[str]) -> str:
     """Words an error for the user.
@@ -60,7 +62,8 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         return _missing_choice(str(error.missing_cfg_file))
     if isinstance(error, OverrideParseException):
-        return f"cannot read {error.override!r}: write key=value, and quote lists for the shell: 'key=[a,b]'"
+        override = _first_line(repr(error.override))
+        return f"cannot read {override}: write key=value, and quote lists for the shell: 'key=[a,b]'"
     if isinstance(error, ConfigCompositionException) and "You must specify 'stage'" in str(error):
         return f"no stage given: add stage=…, one of {', '.join(available_stages())}"
     text = str(error).removeprefix("ConfigurationError raised while resolving interpolation: ")
@@ -170,7 +173,8 @@ def _full_key(error: BaseException | None) -> str | None:
 
 
 def _first_line(text: str) -> str:
-    return next((line.strip() for line in text.splitlines() if line.strip()), "unknown error")
+    line = next((line.strip() for line in text.splitlines() if line.strip()), "unknown error")
+    return line if len(line) <= LONGEST_QUOTE else f"{line[:LONGEST_QUOTE]} …"
 
 
 def _flat(text: str) -> str:
