@@ -121,7 +121,7 @@ def write_variant(path: Path, variant: str, unit: str, folder: Path, seed: int) 
 
     generator = np.random.default_rng(seed)
     named: dict[str, trimesh.Trimesh] = {}
-    for number, part in enumerate(read_parts(path)[0]):
+    for number, part in enumerate(read_parts(path).parts):
         corners = part.mesh.corners
         vertices, index = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
         surface = vertices, index.reshape(-1, 3).astype(np.int64)

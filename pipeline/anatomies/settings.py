@@ -64,7 +64,7 @@ class FileSettings:
         if self.file is not None:
             if not Path(self.file).exists():
                 raise ConfigurationError(
-                    f"phantom.file={self.file} is no file: give the path of a surface (STL, OBJ, PLY, VTP, GLB), of a "
+                    f"phantom.file={self.file} is no file: give the path of a surface (STL, VTP, VTK, GLB, …), of a "
                     "label volume (NIfTI, NRRD, MetaImage), or of a folder with one file a vessel"
                 )
             self.file_name = AnatomyFile(self.file).name

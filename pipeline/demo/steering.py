@@ -279,7 +279,7 @@ def _environment(
 def _file(path: str, unit: str | None, ct: str | None) -> AnatomyFile:
     if not Path(path).exists():
         raise ConfigurationError(
-            f"there is no anatomy {path}: give the path of a surface (STL, OBJ, PLY, VTP, GLB), of a label volume "
+            f"there is no anatomy {path}: give the path of a surface (STL, VTP, VTK, GLB, …), of a label volume "
             "(NIfTI, NRRD, MetaImage), or of a folder with one file a vessel"
         )
     return AnatomyFile.of(path, unit, ct=ct)

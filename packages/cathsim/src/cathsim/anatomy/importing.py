@@ -8,7 +8,7 @@ from typing import Any
 
 from cathsim.anatomy.mesh.importer import import_mesh, mesh_digest
 from cathsim.anatomy.mesh.reading import FORMATS as SURFACES
-from cathsim.anatomy.mesh.reading import is_mesh_path
+from cathsim.anatomy.mesh.reading import converter, is_mesh_path
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.mesh.request import names_of
 from cathsim.anatomy.mesh.surface_import import Names
@@ -29,7 +29,7 @@ def of_no_kind(path: str | Path) -> str:
     kind = "holds no file" if Path(path).is_dir() else "is no file"
     return (
         f"{Path(path).name or path} {kind} of a kind that is read: surfaces are {SURFACES} files, label volumes "
-        f"{VOLUMES}; convert it to one of them."
+        f"{VOLUMES}; convert it {converter(Path(path))}."
     )
 
 

@@ -76,10 +76,10 @@ def test_a_scene_names_its_parts(vessels: dict[str, trimesh.Trimesh], tmp_path: 
     scene.add_geometry(trimesh.creation.icosphere(2, 20.0), node_name="VHM_left_renal_vein", geom_name="vein")
     path = tmp_path / "scene.glb"
     scene.export(path)
-    parts, faces, notes = read_parts(path)
-    assert sorted(part.name for part in parts) == ["aorta", "bca", "lcca", "lsa"]
-    assert faces == sum(len(mesh.faces) for mesh in scene.geometry.values())
-    assert notes[0].startswith("1 of 5 parts left out")
+    surface = read_parts(path)
+    assert sorted(part.name for part in surface.parts) == ["aorta", "bca", "lcca", "lsa"]
+    assert surface.faces == sum(len(mesh.faces) for mesh in scene.geometry.values())
+    assert surface.notes[0].startswith("1 of 5 parts left out")
 
 
 def test_pieces_are_parts_and_walls_are_not(vessels: dict[str, trimesh.Trimesh]):

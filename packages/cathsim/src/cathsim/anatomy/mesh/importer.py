@@ -13,9 +13,8 @@ from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.lattice import lattice_spacing
 from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.parts.union import unite
-from cathsim.anatomy.mesh.parts.vessel_parts import Part, folder_files, read_parts
+from cathsim.anatomy.mesh.parts.vessel_parts import Part, read_parts, surface_files
 from cathsim.anatomy.mesh.reading import (
-    FORMATS,
     UNITS,
     Size,
     check_unit,
@@ -31,7 +30,7 @@ from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import vessels_named, with_picture_of_doubts
 from cathsim.anatomy.vessel_names import ACCESS, AORTA
 
-IMPORT_VERSION = 12  # raise it whenever the same file gives another phantom
+IMPORT_VERSION = 13  # raise it whenever the same file gives another phantom
 _MEASURED = 4  # parts whose width is measured for the unit
 
 
@@ -46,7 +45,7 @@ def import_mesh(
     """Makes a phantom of the surface of a lumen, or of a thick-walled model of one; cached by content.
 
     Args:
-        path: an STL, OBJ, PLY, VTP or GLB file, or a folder with one such file for each vessel, named after it.
+        path: an STL, OBJ, PLY, OFF, VTP, VTK or GLB file, or a folder with one such file a vessel, named after it.
         unit: "m", "cm", "mm" or "inch"; detected from the vessels' width where it is left out.
         names: names of your own: a mapping from automatic names, or a list for the aorta's branches from the heart on.
         resolution: m between lattice points of the distance grid; half of it for a child's vessels.
@@ -70,11 +69,13 @@ def import_mesh(
 
 
 def mesh_digest(path: Path, unit: str | None, names: tuple | None, resolution: float) -> str:
-    """The hash of the phantom that an import gives: of the file's content and the settings."""
-    if not path.exists():
-        raise MeshRefusedError(f"there is no file {path}; give the path of an {FORMATS} file.")
+    """The hash of the phantom that an import gives: of the content of its files and the settings.
+
+    Raises:
+        MeshRefusedError: a file is missing, too large, no regular file or not of the folder.
+    """
     settings = {"importer": IMPORT_VERSION, "unit": unit, "names": names, "resolution": resolution}
-    return content_digest(settings, folder_files(path) if path.is_dir() else [path], in_folder=path.is_dir())
+    return content_digest(settings, surface_files(path), in_folder=path.is_dir())
 
 
 @lru_cache(maxsize=16)
@@ -94,7 +95,8 @@ def _load(
 
 
 def _build(path: Path, digest: str, unit: str | None, names: tuple | None, resolution: float, picture: Path) -> Phantom:
-    parts, faces, notes = read_parts(path)
+    surface = read_parts(path)
+    parts, notes = surface.parts, surface.notes
     chosen, reason = unit, "given"
     try:
         size = _measured(parts)
@@ -112,10 +114,11 @@ def _build(path: Path, digest: str, unit: str | None, names: tuple | None, resol
             notes += united
         phantom = phantom_of_surface(
             mesh,
-            SurfaceFacts(path.name, chosen, reason, faces, scale, notes, size.width * scale),
+            SurfaceFacts(path.name, chosen, reason, surface.faces, scale, notes, size.width * scale),
             name=path.stem,
             digest=digest,
             resolution=resolution,
+            frame=surface.frame,
             label_of=label_of,
             names=names_of(names),
             picture=picture,
@@ -124,8 +127,8 @@ def _build(path: Path, digest: str, unit: str | None, names: tuple | None, resol
     except MeshRefusedError as error:
         shown = error.picture
         if shown is None:
-            surface = np.concatenate([part.mesh.corners.mean(axis=1) for part in parts])
-            shown = draw_refusal(surface, np.zeros((0, 3)), f"{path.name}: {error.reason}", picture)
+            centres = np.concatenate([part.mesh.corners.mean(axis=1) for part in parts])
+            shown = draw_refusal(centres, np.zeros((0, 3)), f"{path.name}: {error.reason}", picture)
         reason = error.reason if unit is None else _with_unit_hint(error.reason, parts, unit)
         raise MeshRefusedError(reason, shown) from None
 

@@ -1,4 +1,4 @@
-"""A surface file as clean triangles (read, welded, thinned out where it is too fine), and its unit of length."""
+"""Triangles of a surface: read, checked, welded, thinned out where they are too fine, and their unit of length."""
 
 from __future__ import annotations
 
@@ -12,14 +12,26 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.cavity import find_cavity
-from cathsim.anatomy.mesh.parts.vtp import read_vtp
+from cathsim.anatomy.mesh.files.scenes import read_mesh, read_scene
+from cathsim.anatomy.mesh.files.stl import read_stl
+from cathsim.anatomy.mesh.files.surface import MOST_BYTES, MOST_TRIANGLES
+from cathsim.anatomy.mesh.files.vtk_legacy import read_legacy_vtk
+from cathsim.anatomy.mesh.files.vtp import read_vtp
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.mesh.samples import sample_surface
+from cathsim.guarded_reading import UnreadableFileError, check_regular, open_regular
 
 SCENES = (".glb", ".gltf")
-SUFFIXES = (".stl", ".obj", ".ply", ".vtp", *SCENES)
-FORMATS = "STL, OBJ, PLY, VTP or GLB"
-MOST_BYTES = 2_000_000_000  # about forty million faces of a binary STL
+BY_TRIMESH = (".obj", ".ply", ".off", *SCENES)
+SUFFIXES = (".stl", ".vtp", ".vtk", *BY_TRIMESH)
+FORMATS = "STL, OBJ, PLY, OFF, VTP, VTK or GLB"
+_PARAVIEW = "ParaView (Extract Surface, then save as VTP)"
+_CONVERTERS = {
+    **dict.fromkeys((".vtu", ".vtm", ".vtmb", ".pvtp", ".pvtu", ".case", ".msh"), _PARAVIEW),
+    **dict.fromkeys((".step", ".stp", ".iges", ".igs", ".brep"), "FreeCAD (mesh it, then export STL)"),
+    **dict.fromkeys((".3mf", ".dae", ".fbx", ".blend", ".usd", ".usdz"), "Blender (export GLB)"),
+}
+_OWN = {".stl": read_stl, ".vtp": read_vtp, ".vtk": read_legacy_vtk}
 MOST_FACES = 400_000  # above this a mesh is thinned out
 _STRAY, _MOST_STRAY = 0.5, 10.0  # % of vertices at either side, and how many times further than the others they may lie
 _WELD = 1e-5  # of the largest extent: vertices nearer than this are one
@@ -56,7 +68,7 @@ class Triangles:
     @property
     def bounds(self) -> Array:
         """Lowest and highest corner (2, 3) of the vertices that faces use."""
-        used = self.vertices[np.unique(self.faces)]
+        used = self.vertices[self._used]
         return np.stack([used.min(axis=0), used.max(axis=0)])
 
     @property
@@ -70,8 +82,14 @@ class Triangles:
 
     def compact(self) -> Triangles:
         """The same triangles without vertices that none uses."""
-        used, faces = np.unique(self.faces, return_inverse=True)
-        return Triangles(self.vertices[used], faces.reshape(-1, 3))
+        used = self._used
+        return Triangles(self.vertices[used], (np.cumsum(used) - 1)[self.faces])
+
+    @property
+    def _used(self) -> NDArray[np.bool_]:
+        used = np.zeros(len(self.vertices), dtype=bool)
+        used[self.faces] = True
+        return used
 
     def welded(self) -> Triangles:
         """The same triangles with one vertex for all that lie within a hundred-thousandth of the extent."""
@@ -87,46 +105,78 @@ def is_mesh_path(name: str | Path) -> bool:
 
 
 def check_file(path: Path) -> None:
-    """Raises `MeshRefusedError` for a file that is missing, empty, too large or of another kind."""
-    if not path.is_file():
+    """Raises `MeshRefusedError` for a file that is missing, empty, too large, no regular file or of another kind."""
+    if not path.exists():
         raise MeshRefusedError(f"there is no file {path}; give the path of an {FORMATS} file.")
     if path.suffix.lower() not in SUFFIXES:
-        raise MeshRefusedError(f"{path.name} is none of {', '.join(SUFFIXES)}; convert it to one of them.")
-    size = path.stat().st_size
+        raise MeshRefusedError(f"{path.name} is none of {', '.join(SUFFIXES)}; convert it {converter(path)}.")
+    try:
+        size = check_regular(path, MOST_BYTES)
+    except UnreadableFileError as error:
+        raise MeshRefusedError(str(error)) from None
     if size == 0:
         raise MeshRefusedError(f"{path.name} is empty; export the mesh again.")
-    if size > MOST_BYTES:
-        raise MeshRefusedError(
-            f"{path.name} has {size / 1e9:.1f} GB, at most {MOST_BYTES / 1e9:.0f} GB are read; simplify it first."
-        )
 
 
-def read_triangles(path: Path) -> Triangles:
-    """Reads the triangles of a file as they are, in the file's unit.
+def converter(path: Path) -> str:
+    """Words on what turns a file of another kind into one that is read."""
+    program = _CONVERTERS.get(path.suffix.lower())
+    return f"to one of them with {program}" if program else "to one of them"
+
+
+@dataclass(frozen=True, eq=False)
+class NamedSurface:
+    """A checked surface of a file, or of a node of a scene.
+
+    Attributes:
+        name: of the node; empty for a file that is one surface.
+        mesh: its triangles, in the file's unit and frame.
+        space: "LPS" or "RAS", the patient's frame that the coordinates are in; empty where the file does not say.
+        notes: what of the file was not as it should be.
+    """
+
+    name: str
+    mesh: Triangles
+    space: str = ""
+    notes: tuple[str, ...] = ()
+
+
+def read_surfaces(path: Path) -> list[NamedSurface]:
+    """Reads the surfaces of a file as they are, without any guard against what its reader may do.
 
     Raises:
         MeshRefusedError: for a file that is missing, empty, too large or no such mesh.
     """
     check_file(path)
-    if path.suffix.lower() == ".vtp":
-        try:
-            vertices, faces = read_vtp(path)
-        except Exception as error:  # XML, base64 and zlib raise what they like on damaged files
-            reason = str(error) if isinstance(error, ValueError) else "it is damaged"
-            raise MeshRefusedError(
-                f"{path.name} cannot be read as a mesh: {reason}; export it again as XML PolyData."
-            ) from error
-        return checked_triangles(vertices, faces, path)
-    import trimesh
-
+    suffix = path.suffix.lower()
     try:
-        loaded = trimesh.load(path, force="mesh", process=False)
-    except Exception as error:
-        # The readers of several formats raise what they like on damaged files.
-        raise MeshRefusedError(f"{path.name} cannot be read as a mesh: {_expected(path)}.") from error
-    vertices = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
-    faces = np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64)
-    return checked_triangles(vertices, faces, path)
+        if suffix in SCENES:
+            found = read_scene(path)
+        elif suffix in _OWN:
+            with open_regular(path, MOST_BYTES) as file:
+                found = [("", _OWN[suffix](file.read()))]
+        else:
+            found = [("", read_mesh(path))]
+    except (MemoryError, MeshRefusedError):
+        raise
+    except UnreadableFileError as error:
+        raise MeshRefusedError(str(error)) from None
+    except Exception as error:  # the readers of several formats raise what they like on damaged files
+        own = suffix in _OWN and type(error) is ValueError
+        raise MeshRefusedError(
+            f"{path.name} cannot be read as a mesh: {f'{error}; export it again' if own else _expected(path)}."
+        ) from error
+    if not found:
+        raise MeshRefusedError(f"{path.name} holds no surface: {_expected(path)}.")
+    return [
+        NamedSurface(name, checked_triangles(one.vertices, one.faces, path), one.space, one.notes)
+        for name, one in found
+    ]
+
+
+def read_triangles(path: Path) -> Triangles:
+    """The triangles of a file that is one surface, as `read_surfaces` reads them."""
+    return read_surfaces(path)[0].mesh
 
 
 def _expected(path: Path) -> str:
@@ -140,6 +190,10 @@ def checked_triangles(vertices: Array, faces: Indices, path: Path) -> Triangles:
         MeshRefusedError: there is no surface, or vertices lie far off.
     """
     expected = _expected(path)
+    if len(faces) > MOST_TRIANGLES:
+        raise MeshRefusedError(
+            f"{path.name} has {len(faces)} triangles, at most {MOST_TRIANGLES} are read; simplify it."
+        )
     if faces.ndim != 2 or faces.shape[-1] != 3 or len(faces) < 4 or vertices.ndim != 2:
         raise MeshRefusedError(f"{path.name} holds no surface ({len(faces)} triangles): {expected}.")
     if faces.min() < 0 or faces.max() >= len(vertices):

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from cathsim.anatomy.mesh.surface_import import Names
+from cathsim.guarded_reading import open_regular
 
 FINEST, COARSEST = 5e-4, 2.5e-3  # m, resolutions
 ONE_AT_A_TIME = threading.Lock()  # an import takes much memory
@@ -48,7 +49,7 @@ def content_digest(settings: Mapping[str, Any], files: Iterable[Path], *, in_fol
     digest.update(json.dumps(settings).encode())
     for one in files:
         digest.update(one.name.encode() if in_folder else b"")
-        with one.open("rb") as file:
+        with open_regular(one) as file:
             while block := file.read(1 << 22):
                 digest.update(block)
     return digest.hexdigest()

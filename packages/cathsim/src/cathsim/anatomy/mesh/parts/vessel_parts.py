@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.mesh.reading import SCENES, SUFFIXES, Triangles, check_file, checked_triangles, read_triangles
+from cathsim.anatomy.mesh.files.scenes import referenced_data
+from cathsim.anatomy.mesh.reading import (
+    BY_TRIMESH,
+    MOST_FACES,
+    SCENES,
+    SUFFIXES,
+    NamedSurface,
+    Triangles,
+    check_file,
+    read_surfaces,
+)
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import ACCESS, AORTA, SUPRA_AORTIC, vessel_name
+from cathsim.guarded_reading import UnreadableFileError, call_in_child
+
+Result = TypeVar("Result")
 
 _TAKEN = (AORTA, *SUPRA_AORTIC, *ACCESS, "carotid_trunk", "subclavian_trunk", "vertebral_left", "vertebral_right")
 _LEAST_PIECE = 0.04  # of the whole's longest side: a smaller piece is dust
@@ -19,6 +33,9 @@ _LEAST_FACES = 12  # of a piece
 _OPEN = 0.1  # share of a run's edges that may have one face only
 _MOST_PIECES = 60  # more is no anatomy in parts, but a torn surface
 _SHOWN = 4  # names in a note
+_SECONDS = 120.0  # for reading, as for the rest of an import: three times what ten million triangles take
+# rows are the patient's left, posterior and superior axis in a frame that a file names
+_FRAMES = {"LPS": np.eye(3), "RAS": np.diag((-1.0, -1.0, 1.0))}
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,44 +59,98 @@ def folder_files(path: Path, suffixes: Sequence[str] = SUFFIXES) -> list[Path]:
     return sorted(file for file in path.iterdir() if file.name.lower().endswith(tuple(suffixes)))
 
 
-def read_parts(path: Path) -> tuple[list[Part], int, tuple[str, ...]]:
-    """Reads all parts that belong to the aorta and the vessels of head, arms and access.
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What is read of an anatomy's files.
+
+    Attributes:
+        parts: that belong to the aorta and the vessels of head, arms and access, in the file's unit and frame.
+        faces: number of triangles read.
+        notes: what was left out, or not as it should be.
+        frame: (3, 3) rows are the patient's left, posterior and superior axis in the file's frame; None where the
+            files do not say.
+    """
+
+    parts: list[Part]
+    faces: int
+    notes: tuple[str, ...]
+    frame: NDArray[np.float64] | None
+
+
+def surface_files(path: Path) -> list[Path]:
+    """The checked files that the surfaces of a path stand in: itself or those of a folder, and data that they refer to.
+
+    Raises:
+        MeshRefusedError: one of them is missing, too large, no regular file or not of the folder.
+    """
+    files = folder_files(path) if path.is_dir() else [path]
+    if not files:
+        raise MeshRefusedError(f"{path.name} holds no surface ({', '.join(SUFFIXES)}); give a folder that does.")
+    for file in files:
+        check_file(file)
+    scenes = [file for file in files if file.suffix.lower() in SCENES]
+    return files + [data for scene in scenes for data in _in_child(referenced_data, scene)]
+
+
+def read_parts(path: Path) -> Surface:
+    """Reads all parts that belong to the aorta and the vessels of head, arms and access, in a child process.
 
     Args:
         path: a file of a surface, or a folder with one a vessel.
 
-    Returns:
-        The parts, in the file's unit; the number of triangles read; notes on what was left out.
-
     Raises:
-        MeshRefusedError: there is no surface, or no part of an aorta among named ones.
+        MeshRefusedError: there is no surface, or no part of an aorta among named ones; or its reader crashed or took
+            too much time or memory.
     """
+    import scipy.sparse.csgraph  # noqa: F401  what children need is imported once, here
+
+    if any(file.suffix.lower() in BY_TRIMESH for file in surface_files(path)):
+        import trimesh  # noqa: F401
+    return _in_child(_read_parts, path)
+
+
+def _in_child(function: Callable[[Path], Result], path: Path) -> Result:
+    try:
+        return call_in_child(function, path, subject=path.name, seconds=_SECONDS)
+    except UnreadableFileError as error:
+        raise MeshRefusedError(str(error)) from None
+
+
+def _read_parts(path: Path) -> Surface:
     if path.is_dir():
-        files = folder_files(path)
-        if not files:
-            raise MeshRefusedError(f"{path.name} holds no surface ({', '.join(SUFFIXES)}); give a folder that does.")
-        named = [(_stem(file), read_triangles(file)) for file in files]
-    elif path.suffix.lower() in SCENES:
-        named = _scene(path)
+        named = [
+            replace(one, name=_stem(file), notes=tuple(f"{file.name}: {note}" for note in one.notes))
+            for file in folder_files(path)
+            for one in read_surfaces(file)
+        ]
     else:
-        named = [("", read_triangles(path))]
-    faces = sum(len(mesh.faces) for _, mesh in named)
-    known = [(vessel_name(name), name, mesh) for name, mesh in named]
-    notes: tuple[str, ...] = ()
-    if any(vessel for vessel, _, _ in known):
-        if not any(vessel == AORTA for vessel, _, _ in known):
+        named = read_surfaces(path)
+    notes = tuple(note for one in named for note in one.notes)
+    known = [(vessel_name(one.name), one) for one in named]
+    if any(vessel for vessel, _ in known):
+        if not any(vessel == AORTA for vessel, _ in known):
             raise MeshRefusedError(
                 f"{path.name} has {len(named)} parts with names, none of them an aorta's "
-                f"({_some(n for n, _ in named)}); add it, or name it aorta."
+                f"({_some(one.name for one in named)}); add it, or name it aorta."
             )
-        dropped = [name for vessel, name, _ in known if vessel not in _TAKEN]
+        dropped = [one.name for vessel, one in known if vessel not in _TAKEN]
         if dropped:
-            notes = (
+            notes += (
                 f"{len(dropped)} of {len(named)} parts left out, which are no way to head or arms: {_some(dropped)}",
             )
         known = [one for one in known if one[0] in _TAKEN]
-    parts = [Part(vessel, piece) for vessel, _, mesh in known for piece in pieces(mesh)]
-    return parts, faces, notes
+    parts = [Part(vessel, piece) for vessel, one in known for piece in pieces(one.mesh)]
+    # of a very fine surface the vertices of each triangle are joined here, where memory is limited
+    parts = [Part(one.name, one.mesh.welded()) if len(one.mesh.faces) > MOST_FACES else one for one in parts]
+    return Surface(parts, sum(len(one.mesh.faces) for one in named), notes, _frame(named, path))
+
+
+def _frame(surfaces: Sequence[NamedSurface], path: Path) -> NDArray[np.float64] | None:
+    """The patient's axes in the frame of all surfaces, where they name it."""
+    spaces = {one.space for one in surfaces}
+    if {"LPS", "RAS"} <= spaces:
+        raise MeshRefusedError(f"some files of {path.name} have coordinates in LPS, others in RAS; export all in one.")
+    return _FRAMES[spaces.pop()] if len(spaces) == 1 and spaces <= set(_FRAMES) else None
 
 
 def pieces(mesh: Triangles) -> list[Triangles]:
@@ -135,43 +206,21 @@ def _closed_runs(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """
     edges = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     of_edge = np.repeat(np.arange(len(faces)), 3)
-    order = np.lexsort((of_edge, edges[:, 1], edges[:, 0]))
-    ordered, at = edges[order], of_edge[order]
-    first = np.r_[True, (np.diff(ordered, axis=0) != 0).any(axis=1)]
+    edge = edges[:, 0] * (int(faces.max()) + 1) + edges[:, 1]
+    order = np.argsort(edge, kind="stable")  # faces of an edge stay in order
+    ordered, at = edge[order], of_edge[order]
+    first = np.r_[True, np.diff(ordered) != 0]
     nth = np.arange(len(at)) - np.maximum.accumulate(np.where(first, np.arange(len(at)), 0))
     single = (nth % 2 == 0) & np.r_[first[1:], True]
     opened = np.bincount(at, np.where(single, 0, np.where(nth % 2 == 0, 1, -1)), minlength=len(faces))
     closed = np.cumsum(opened) == 0
     runs = np.r_[0, np.cumsum(closed)[:-1]].astype(np.int64)
-    of_run = np.unique(np.column_stack([runs[at], ordered]), axis=0, return_counts=True)
-    odd = np.bincount(of_run[0][:, 0], of_run[1] % 2)
+    of_run = np.flatnonzero(first | np.r_[True, np.diff(runs[at]) != 0])  # edges of one run after the other
+    odd = np.bincount(runs[at[of_run]], np.diff(np.r_[of_run, len(at)]) % 2)
     size = np.bincount(runs)
     if (odd > _OPEN * 1.5 * size)[size >= _LEAST_FACES].any():
         return np.zeros(len(faces), dtype=np.int64)
     return runs
-
-
-def _scene(path: Path) -> list[tuple[str, Triangles]]:
-    """Nodes of a glTF scene by name, in the scene's frame."""
-    import trimesh
-
-    check_file(path)
-    try:
-        scene = trimesh.load_scene(path)
-        named = []
-        for node in scene.graph.nodes_geometry:
-            transform, geometry = scene.graph[node]
-            mesh = scene.geometry[geometry]
-            if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces):
-                vertices = trimesh.transform_points(mesh.vertices, transform)
-                named.append((str(node), Triangles(vertices, np.asarray(mesh.faces, dtype=np.int64))))
-    except Exception as error:
-        raise MeshRefusedError(
-            f"{path.name} cannot be read as a glTF scene: expected triangle meshes in GLB format; export it again."
-        ) from error
-    if not named:
-        raise MeshRefusedError(f"{path.name} holds no surface: expected triangle meshes in GLB format.")
-    return [(name, checked_triangles(mesh.vertices, mesh.faces, path)) for name, mesh in named]
 
 
 def _stem(path: Path) -> str:

@@ -1,0 +1,53 @@
+"""Reader of STL, binary and text; what its length says is weighed against the number of triangles that it promises."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from cathsim.anatomy.mesh.files.surface import MOST_TRIANGLES, SurfaceFile, numbers, space_of_comment
+
+_HEAD = 84  # bytes: a comment of 80, and the number of triangles
+_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attribute", "<u2")])
+_VERTEX = re.compile(rb"\bvertex\b([^\n\r]*)", re.IGNORECASE)
+
+
+def read_stl(content: bytes) -> SurfaceFile:
+    """Reads an STL file.
+
+    A file with a whole number of triangles that is not the promised one is read with a note, and so is one with other
+    bytes behind the promised triangles.
+
+    Raises:
+        ValueError: it is no such file, or it is cut off.
+    """
+    size, promised = len(content) - _HEAD, int.from_bytes(content[80:_HEAD], "little")
+    exact = size == promised * _TRIANGLE.itemsize
+    if not exact and content[:_HEAD].lstrip().lower().startswith(b"solid") and b"\0" not in content[:_HEAD]:
+        return _read_text(content)
+    if size < 0:
+        raise ValueError("it is shorter than the header of a binary STL file")
+    there, rest = divmod(size, _TRIANGLE.itemsize)
+    notes: tuple[str, ...] = ()
+    count = there if rest == 0 else promised
+    if count > there:
+        raise ValueError(f"it is cut off: it promises {promised} triangles and holds {there}")
+    if count > MOST_TRIANGLES:
+        raise ValueError(f"it has {count} triangles, at most {MOST_TRIANGLES} are read")
+    if rest:
+        notes = (f"{size - promised * _TRIANGLE.itemsize} bytes behind its {promised} triangles are left out",)
+    elif count != promised:
+        notes = (f"its header promises {promised} triangles, it holds {count}: all of them are read",)
+    triangles = np.frombuffer(content, _TRIANGLE, count, _HEAD)
+    vertices = triangles["corners"].astype(np.float64).reshape(-1, 3)
+    return SurfaceFile(vertices, np.arange(3 * count).reshape(-1, 3), space_of_comment(content[:80]), notes)
+
+
+def _read_text(content: bytes) -> SurfaceFile:
+    begun, ended = (len(re.findall(word, content, re.IGNORECASE)) for word in (rb"\bfacet\b", rb"\bendfacet\b"))
+    vertices = numbers(b" ".join(_VERTEX.findall(content)), "f8")
+    if begun != ended or len(vertices) != 9 * begun or b"endsolid" not in content[-1_000:].lower():
+        raise ValueError(f"it is cut off or damaged: {begun} of its triangles begin, {len(vertices) // 9} are whole")
+    faces = np.arange(3 * begun).reshape(-1, 3)
+    return SurfaceFile(vertices.reshape(-1, 3), faces, space_of_comment(content.splitlines()[0]))

@@ -1,0 +1,176 @@
+"""STL of wrong counts, references of scenes and materials, scenes too large, and what is no regular file."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from cathsim.anatomy import import_anatomy, import_mesh
+from cathsim.anatomy.mesh.importer import mesh_digest
+from cathsim.anatomy.mesh.parts import vessel_parts
+from cathsim.anatomy.mesh.parts.vessel_parts import read_parts, surface_files
+from cathsim.anatomy.mesh.reading import SUFFIXES
+from cathsim.anatomy.mesh.report import MeshRefusedError
+
+SPHERE = trimesh.creation.icosphere(2, 10.0)
+CORNERS = SPHERE.triangles
+COUNT = len(CORNERS)
+
+
+def _stl(count: int, behind: bytes = b"", *, of: int = COUNT, comment: bytes = b"Exported from Blender") -> bytes:
+    triangles = b"".join(struct.pack("<12fH", 0, 0, 0, *corners.ravel(), 0) for corners in CORNERS[:of])
+    return comment.ljust(80, b"\0") + struct.pack("<I", count) + triangles + behind
+
+
+@pytest.mark.parametrize(
+    ("content", "note"),
+    [
+        (_stl(COUNT), ""),
+        (_stl(COUNT, comment=b"solid of a program that begins binary files so"), ""),
+        (_stl(COUNT, bytes(4)), f"4 bytes behind its {COUNT} triangles are left out"),
+        (_stl(COUNT, bytes(170)), f"170 bytes behind its {COUNT} triangles are left out"),
+        (_stl(COUNT - 1), f"its header promises {COUNT - 1} triangles, it holds {COUNT}: all of them are read"),
+        (_stl(2**32 - 1), f"its header promises 4294967295 triangles, it holds {COUNT}: all of them are read"),
+        (_stl(0), f"its header promises 0 triangles, it holds {COUNT}: all of them are read"),
+    ],
+)
+def test_an_stl_with_a_wrong_length_or_count_is_read_with_a_note(content: bytes, note: str, tmp_path: Path):
+    (tmp_path / "a.stl").write_bytes(content)
+    surface = read_parts(tmp_path / "a.stl")
+    assert surface.faces == COUNT
+    assert surface.notes == ((note,) if note else ())
+
+
+def test_an_stl_that_is_cut_off_is_refused(tmp_path: Path):
+    path = tmp_path / "a.stl"
+    path.write_bytes(_stl(COUNT)[:-7])
+    with pytest.raises(MeshRefusedError, match=f"cut off: it promises {COUNT} triangles and holds {COUNT - 1}; export"):
+        read_parts(path)
+    text = SPHERE.export(file_type="stl_ascii")
+    path.write_text(text)
+    assert read_parts(path).faces == COUNT
+    for damaged in (text[: len(text) // 2], text.replace("vertex ", "vertex 1,5 ", 1), text.replace("vertex", "x", 1)):
+        path.write_text(damaged)
+        with pytest.raises(MeshRefusedError, match=r"cut off or damaged|something else than numbers"):
+            read_parts(path)
+
+
+def test_the_note_of_a_file_reaches_the_import(tmp_path: Path):
+    from tests.cathsim.anatomy.generator.drawn_arch import arch_mesh
+
+    path = tmp_path / "arch.stl"
+    arch_mesh(0.03).export(path)
+    path.write_bytes(b"3D Slicer output. SPACE=RAS".ljust(80) + path.read_bytes()[80:] + b"\n\n\n")
+    report = import_mesh(path, unit="m", resolution=2.5e-3, cache_dir=tmp_path).imported
+    assert report is not None
+    assert any("3 bytes behind" in note for note in report.notes)
+    np.testing.assert_array_equal(report.rotation, np.diag([-1.0, -1.0, 1.0]))
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".ply", ".off", ".glb"])
+def test_a_pipe_is_refused_at_once(suffix: str, tmp_path: Path):
+    path = tmp_path / f"pipe{suffix}"
+    os.mkfifo(path)
+    for read in (read_parts, import_anatomy):
+        with pytest.raises(MeshRefusedError, match=f"pipe{suffix} is no regular file"):
+            read(path)
+    (tmp_path / "aorta.stl").write_bytes(_stl(COUNT))
+    with pytest.raises(MeshRefusedError, match=f"pipe{suffix} is no regular file"):
+        import_anatomy(tmp_path)
+
+
+def test_every_kind_is_refused_in_words_where_it_is_damaged(tmp_path: Path):
+    for suffix in SUFFIXES:
+        path = tmp_path / f"a{suffix}"
+        for content in (b"\0" * 300, b"a b c\n" * 30, b"solid\n", b"OFF\n9 9 9\n", b"glTF" + bytes(30), b"[" * 100_000):
+            path.write_bytes(content)
+            with pytest.raises(MeshRefusedError, match=f"a{suffix}"):
+                read_parts(path)
+
+
+@pytest.mark.parametrize("reference", ["pipe.mtl", "../secret.mtl", "missing.mtl", "C:\\me\\a.mtl"])
+def test_materials_are_no_part_of_a_surface_and_not_opened(reference: str, tmp_path: Path):
+    os.mkfifo(tmp_path / "pipe.mtl")
+    path = tmp_path / "a.obj"
+    path.write_text(f"mtllib {reference}\nusemtl a\n" + SPHERE.export(file_type="obj", include_normals=False))
+    assert read_parts(path).faces == COUNT
+    assert surface_files(path) == [path]
+
+
+def _gltf(folder: Path) -> tuple[Path, Path]:
+    folder.mkdir(exist_ok=True)
+    for name, content in trimesh.Scene(SPHERE).export(file_type="gltf", merge_buffers=True).items():
+        (folder / name).write_bytes(content)
+    (data,) = folder.glob("*.bin")
+    return folder / "model.gltf", data
+
+
+def test_the_data_of_a_scene_is_part_of_its_hash(tmp_path: Path):
+    path, data = _gltf(tmp_path)
+    assert read_parts(path).faces == COUNT
+    assert surface_files(path) == [path, data]
+    before = mesh_digest(path, "mm", None, 1e-3)
+    data.write_bytes(data.read_bytes()[:-4] + b"\0\0\0\0")
+    assert mesh_digest(path, "mm", None, 1e-3) != before
+
+
+def test_the_data_of_a_scene_stays_in_its_folder(tmp_path: Path):
+    path, data = _gltf(tmp_path / "scene")
+    text, outside = path.read_text(), tmp_path / "outside.bin"
+    data.rename(outside)
+    for name in ("../outside.bin", str(outside), "%2e%2e/outside.bin", data.name):
+        (data.parent / data.name).unlink(missing_ok=True)
+        (data.parent / data.name).symlink_to(outside)
+        path.write_text(text.replace(data.name, name))
+        with pytest.raises(MeshRefusedError, match=r"model\.gltf refers to .* no file of its own folder; put the file"):
+            import_mesh(path)
+    data.unlink()
+    os.mkfifo(data)
+    with pytest.raises(MeshRefusedError, match=r"\.bin is no regular file"):
+        import_mesh(path)
+
+
+def test_a_scene_of_too_many_nodes_or_triangles_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path, _ = _gltf(tmp_path)
+    tree = json.loads(path.read_text())
+    mesh = next(node for node in tree["nodes"] if "mesh" in node)
+    tree["nodes"] = [mesh] * 20_000
+    tree["scenes"] = [{"nodes": list(range(20_000))}]
+    path.write_text(json.dumps(tree))
+    with pytest.raises(MeshRefusedError, match="has 20000 nodes, at most 5000 are read"):
+        read_parts(path)
+    tree["nodes"], tree["scenes"] = [mesh] * 100, [{"nodes": list(range(100))}]
+    path.write_text(json.dumps(tree))
+    monkeypatch.setattr("cathsim.anatomy.mesh.files.scenes.MOST_TRIANGLES", 100 * COUNT - 1)
+    with pytest.raises(MeshRefusedError, match=f"has {100 * COUNT} triangles in 100 nodes, at most"):
+        read_parts(path)
+    tree["extensionsRequired"] = ["KHR_draco_mesh_compression"]
+    path.write_text(json.dumps(tree))
+    with pytest.raises(MeshRefusedError, match=r"is compressed \(KHR_draco_mesh_compression\); export it without"):
+        read_parts(path)
+
+
+def test_files_in_different_frames_are_not_mixed(tmp_path: Path):
+    for name, space in (("aorta.stl", b"SPACE=LPS"), ("lcca.stl", b"SPACE=RAS")):
+        (tmp_path / name).write_bytes(_stl(COUNT, comment=space))
+    with pytest.raises(MeshRefusedError, match="have coordinates in LPS, others in RAS; export all in one"):
+        read_parts(tmp_path)
+
+
+def _crashing(path: Path) -> None:
+    os.abort()
+
+
+def test_a_reader_that_crashes_is_a_refusal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "a.stl").write_bytes(_stl(COUNT))
+    monkeypatch.setattr(vessel_parts, "_read_parts", _crashing)
+    with pytest.raises(
+        MeshRefusedError, match=r"a\.stl cannot be read: its reader crashed \(SIGABRT\); export it again"
+    ):
+        read_parts(tmp_path / "a.stl")
