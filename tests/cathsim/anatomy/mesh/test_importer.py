@@ -260,7 +260,7 @@ def test_a_vessel_torn_in_two_is_refused(phantom: Phantom, tmp_path: Path):
     ("name", "content", "message"),
     [
         ("empty.stl", b"", "empty.stl is empty"),
-        ("text.stl", b"no mesh at all\n" * 20, "text.stl holds no surface"),
+        ("text.stl", b"no mesh at all\n" * 20, "text.stl cannot be read as a mesh: it begins as no STL file"),
         ("text.ply", b"no mesh", "text.ply cannot be read as a mesh: expected a triangle mesh in PLY format"),
         ("text.obj", b"no mesh\n", "text.obj holds no surface"),
         ("notes.txt", b"no mesh", r"notes.txt is none of .stl, .obj, .ply"),

@@ -40,13 +40,13 @@ def test_what_each_variant_keeps(sphere: Surface) -> None:
 
 def test_files_are_in_the_unit_and_keep_the_names_of_parts(sphere: Surface, tmp_path: Path) -> None:
     trimesh.Trimesh(*sphere).export(tmp_path / "one.stl")
-    (part,) = read_parts(write_variant(tmp_path / "one.stl", "cm", "mm", tmp_path, 0))[0]
+    (part,) = read_parts(write_variant(tmp_path / "one.stl", "cm", "mm", tmp_path, 0)).parts
     assert part.mesh.extent == pytest.approx(2.0, rel=0.01)
     scene = trimesh.Scene()
     for name, aside in (("aorta", 0.0), ("left common carotid artery", 15.0)):
         scene.add_geometry(trimesh.Trimesh(sphere[0] + aside, sphere[1]), node_name=name, geom_name=name)
     scene.export(tmp_path / "two.glb")
-    parts = read_parts(write_variant(tmp_path / "two.glb", "torn", "mm", tmp_path, 0))[0]
+    parts = read_parts(write_variant(tmp_path / "two.glb", "torn", "mm", tmp_path, 0)).parts
     assert {part.name for part in parts} == {"aorta", "lcca"}
     assert set(CHANGES) < set(VARIANTS)
 

@@ -23,7 +23,7 @@ from cathsim.guarded_reading import UnreadableFileError, check_regular, open_reg
 
 SCENES = (".glb", ".gltf")
 BY_TRIMESH = (".obj", ".ply", ".off", *SCENES)
-SUFFIXES = (".stl", ".vtp", ".vtk", *BY_TRIMESH)
+SUFFIXES = (".stl", *BY_TRIMESH, ".vtp", ".vtk")
 FORMATS = "STL, OBJ, PLY, OFF, VTP, VTK or GLB"
 _PARAVIEW = "ParaView (Extract Surface, then save as VTP)"
 _CONVERTERS = {

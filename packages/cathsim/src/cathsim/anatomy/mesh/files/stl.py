@@ -31,6 +31,8 @@ def read_stl(content: bytes) -> SurfaceFile:
     there, rest = divmod(size, _TRIANGLE.itemsize)
     notes: tuple[str, ...] = ()
     count = there if rest == 0 else promised
+    if count > there and b"\0" not in content[:_HEAD]:  # a count below 16 million has one
+        raise ValueError("it begins as no STL file, binary or text")
     if count > there:
         raise ValueError(f"it is cut off: it promises {promised} triangles and holds {there}")
     if count > MOST_TRIANGLES:
