@@ -116,6 +116,14 @@ def test_text_layout_is_that_of_the_laboratory(tmp_path):
             assert one == other
 
 
+def test_text_that_a_spreadsheet_saved_is_read(tmp_path):
+    camera = guide3d_pair(CENTRE)[0]
+    path = write_calibration({"a": camera}, tmp_path)[1]
+    text = path.read_text()
+    path.write_text(text.replace(",", ";").replace(".", ",").replace("rotation", "rotation;;"), encoding="utf-8-sig")
+    np.testing.assert_allclose(read_projection(path).P, camera.projector.P * [1, 1, 1, 100])
+
+
 def test_bad_files_and_cameras_are_refused(tmp_path):
     path = tmp_path / "projection.txt"
     path.write_text("image size\n8,8\n\ncamera matrix\n1,0\n")

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from guide3d.calibration.cube_calibration import calibrate_folder
-from guide3d.calibration.cube_files import read_beads, read_references
+from guide3d.calibration.cube_files import find_files, read_beads, read_references
 from guide3d.calibration.report import figures, main
 from guide3d.geometry.camera import read_camera, read_opencv_yaml
 from guide3d.geometry.distortion import Distortion
@@ -128,6 +128,49 @@ def test_bead_and_reference_files(tmp_path):
     (tmp_path / "marks.ref").write_text("65 circle\n")
     with pytest.raises(ValueError, match="line 1: expected a bead from 1 to 64 and its mark, found '65 circle'"):
         read_references(tmp_path / "marks.ref", 64)
+
+
+@pytest.mark.parametrize(
+    "layout",
+    ["{x},{y},{z}", "{x};{y};{z}", "{x}\t{y}\t{z}", "{x}, {y}, {z},,", "{x} {y} {z}", "german", "german tabs"],
+)
+@pytest.mark.parametrize("header", ["x{0}y{0}z", "X (cm){0}Y (cm){0}Z (cm)", None, "z{0}x{0}y"])
+@pytest.mark.parametrize("mark", ["utf-8", "utf-8-sig", "utf-16"])
+def test_all_beads_are_read_in_every_layout(tmp_path, layout, header, mark):
+    beads = np.round(np.random.default_rng(0).uniform(-5, 60, (64, 3)), 3)
+    separator = {"german": ";", "german tabs": "\t"}.get(layout, layout[3:].split("{")[0])
+    written = beads[:, [2, 0, 1]] if header and header.startswith("z") else beads
+    if layout.startswith("german"):
+        lines = [separator.join(f"{value}".replace(".", ",") for value in row) for row in written]
+    else:
+        lines = [layout.format(x=x, y=y, z=z) for x, y, z in written]
+    if header:
+        if " " in header and not separator.strip(" "):
+            pytest.skip("no program writes names with spaces between spaces")
+        lines.insert(0, header.format(separator))
+    (tmp_path / "Framespec_CM.CSV").write_bytes("\r\n".join(lines).encode(mark))
+    assert np.allclose(read_beads(tmp_path / "Framespec_CM.CSV"), 10 * beads)
+
+
+def test_a_header_with_a_number_and_marks_of_a_spreadsheet(tmp_path):
+    (tmp_path / "framespec_mm.csv").write_text("x,0,1\n" + "1,2,3\n" * 9)
+    with pytest.raises(ValueError, match="line 1: expected three numbers x,y,z, found 'x,0,1'"):
+        read_beads(tmp_path / "framespec_mm.csv")
+    (tmp_path / "marks.ref").write_bytes("22;circle\r\n\r\n1\tSingle\r\n".encode("utf-8-sig"))
+    assert read_references(tmp_path / "marks.ref", 64) == {"circle": 21, "single": 0}
+
+
+def test_names_in_capitals_are_found_and_doubled_ones_refused(folder, tmp_path):
+    for path in folder.iterdir():
+        name = path.name.replace("undistort", "Undistort").replace("framespec_cm.csv", "Framespec_CM.CSV")
+        shutil.copy(path, tmp_path / name.replace(".png", ".PNG"))
+    found, expected = find_files(tmp_path), find_files(folder)
+    assert found.sheets.keys() == expected.sheets.keys()
+    assert found.cubes.keys() == expected.cubes.keys()
+    assert np.array_equal(read_beads(found.beads), read_beads(expected.beads))
+    shutil.copy(found.sheets["A"], tmp_path / "undistort_A.jpg")
+    with pytest.raises(ValueError, match=r"several files of one kind \(undistort_A.jpg, Undistort_A.PNG\)"):
+        find_files(tmp_path)
 
 
 @pytest.mark.slow

@@ -25,6 +25,8 @@ def _write(folder: Path, *names: str) -> Path:
     [
         (("cam_16710.yaml", "cam_16709.yaml"), "cam_*.yaml"),
         (("camera_a.yaml", "camera_b.yaml"), "*.yaml"),
+        (("Camera_A.YAML", "Camera_B.YAML"), "*.YAML"),
+        (("Cam_16710.YML", "Cam_16709.YML"), "Cam_*.YML"),
         (("left_16710.yaml", "right_16709.yaml"), "left_16710.yaml, right_16709.yaml"),
     ],
 )

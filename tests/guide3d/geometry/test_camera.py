@@ -111,11 +111,29 @@ def test_a_malformed_file_is_named_with_what_was_expected(camera, tmp_path, old,
         read_camera(tmp_path / "camera.txt")
 
 
+@pytest.mark.parametrize("mark", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+def test_files_that_spreadsheets_saved_are_read(camera, tmp_path, separator, mark):
+    write_camera(camera, tmp_path / "camera.txt")
+    text = (tmp_path / "camera.txt").read_bytes().decode()
+    if separator == ",":
+        text = text.replace("\r\n\r\n", "\r\n,,\r\n").replace("rotation", "rotation,,")
+    else:
+        text = text.replace(",", separator).replace(".", ",")
+    (tmp_path / "saved.txt").write_bytes(text.encode(mark))
+    read = read_camera(tmp_path / "saved.txt")
+    assert np.allclose(read.P, camera.P, rtol=1e-12)
+    assert (read.width, read.height) == (camera.width, camera.height)
+    write_opencv_yaml(camera, tmp_path / "camera.yaml")
+    (tmp_path / "saved.yaml").write_bytes((tmp_path / "camera.yaml").read_text().encode(mark))
+    assert np.allclose(read_opencv_yaml(tmp_path / "saved.yaml").P, camera.P, rtol=1e-12)
+
+
 def test_missing_binary_and_distorted_files_are_refused(camera, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"gone\.txt is missing"):
         read_camera(tmp_path / "gone.txt")
     (tmp_path / "binary.txt").write_bytes(bytes(range(256)))
-    with pytest.raises(ValueError, match="expected a text file with a camera, found binary data"):
+    with pytest.raises(ValueError, match="expected a text file, a camera file, found binary data"):
         read_camera(tmp_path / "binary.txt")
     write_opencv_yaml(camera, tmp_path / "lens.yaml")
     text = (tmp_path / "lens.yaml").read_text()

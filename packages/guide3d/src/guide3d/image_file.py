@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from guide3d.atomic_file import whole_file
 from guide3d.opencv import cv2
 
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _LARGEST_PX = 32_768  # of a side; a few bytes of a PNG can claim more than memory holds
 

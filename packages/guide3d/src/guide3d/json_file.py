@@ -7,18 +7,19 @@ import json
 from pathlib import Path
 from typing import Any
 
+from guide3d.text_file import read_text
+
 
 def read_json(path: Path, what: str) -> Any:
     """Reads a file; `what` it is, for messages: "annotation file".
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: it is no JSON, or nested deeper than any file of a data set.
+        ValueError: it is no regular file, no JSON, or nested deeper than any file of a data set.
     """
+    text = read_text(path, what)
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FileNotFoundError(f"{what} {path} is missing") from None
+        return json.loads(text)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: expected JSON, but it cannot be read ({error})") from None
 

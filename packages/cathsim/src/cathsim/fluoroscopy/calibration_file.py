@@ -73,15 +73,18 @@ def write_calibration(cameras: Mapping[str, XRayCamera], folder: Path, *, unit: 
 
 
 def read_projection(path: Path) -> Projection:
-    """Reads a camera from the text layout, in the file's own unit.
+    """Reads a camera from the text layout, with commas or semicolons, in the file's own unit.
 
     Raises:
         ValueError: the file has another layout; the message says which part is wrong.
     """
     blocks: dict[str, list[list[float]]] = {}
     heading = ""
-    for line in path.read_text(encoding="utf-8").split("\n"):
-        text = line.strip()
+    content = path.read_text(encoding="utf-8-sig")
+    if ";" in content:  # as spreadsheets write it where the decimal point is a comma
+        content = content.replace(",", ".").replace(";", ",")
+    for line in content.split("\n"):
+        text = line.strip().rstrip(",")
         if text in _HEADINGS:
             heading, blocks[text] = text, []
         elif text:

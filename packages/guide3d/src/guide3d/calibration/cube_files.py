@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from guide3d.file_names import files_in
 from guide3d.geometry.camera import UNITS_MM
-from guide3d.image_file import ImageError, read_grey_levels
+from guide3d.image_file import PICTURES, ImageError, read_grey_levels
+from guide3d.text_file import cells_of, numbers_in, read_text
 
-_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _SHEET = "undistort"
+_AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -30,30 +32,34 @@ class CubeFiles:
 
 
 def find_files(folder: str | Path) -> CubeFiles:
-    """Sort the files of a folder by their names.
+    """Sort the files of a folder by their names; capitals in "undistort", "framespec" and endings do not matter.
 
     Args:
         folder: With undistort_<detector>.*, <pose>_<detector>.*, framespec_cm.csv (or _mm) and, if marked, a .ref file.
 
     Raises:
         FileNotFoundError: The folder, the bead file, a sheet or all cubes are missing.
+        ValueError: Two files are the same sheet, the same view of a cube, or both a bead or reference file.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(f"folder {folder} is missing: expected one with sheet and cube images and a bead file")
-    images = sorted(path for path in folder.iterdir() if path.suffix.lower() in _IMAGES and "_" in path.stem)
-    named = {tuple(path.stem.rsplit("_", 1)): path for path in images}
-    sheets = {detector: path for (name, detector), path in named.items() if name == _SHEET}
+    named: dict[tuple[str, str], list[Path]] = {}
+    for path in files_in(folder, *(f"*_*{ending}" for ending in PICTURES)):
+        name, detector = path.stem.rsplit("_", 1)
+        named.setdefault((_SHEET if name.lower() == _SHEET else name, detector), []).append(path)
+    images = {key: _only(paths) for key, paths in named.items()}
+    sheets = {detector: path for (name, detector), path in images.items() if name == _SHEET}
     if not sheets:
         raise FileNotFoundError(
             f"{folder}: expected an image of a perforated sheet, undistort_<detector>.png, found none"
         )
-    beads = sorted(path for path in folder.glob("framespec_*.csv"))
+    beads = files_in(folder, "framespec_*.csv")
     if not beads:
         raise FileNotFoundError(
             f"{folder}: expected a bead file, framespec_cm.csv (x, y, z with a header row), found none"
         )
-    cubes = {(name, detector): path for (name, detector), path in named.items() if name != _SHEET}
+    cubes = {(name, detector): path for (name, detector), path in images.items() if name != _SHEET}
     for (_, detector), path in cubes.items():
         if detector not in sheets:
             raise FileNotFoundError(
@@ -62,8 +68,8 @@ def find_files(folder: str | Path) -> CubeFiles:
             )
     if not cubes:
         raise FileNotFoundError(f"{folder}: expected images of the bead cube, <pose>_<detector>.png, found none")
-    references = sorted(folder.glob("*.ref"))
-    return CubeFiles(sheets, cubes, beads[0], references[0] if references else None)
+    references = files_in(folder, "*.ref")
+    return CubeFiles(sheets, cubes, _only(beads), _only(references) if references else None)
 
 
 def read_grey(path: str | Path) -> np.ndarray:
@@ -89,35 +95,34 @@ def read_beads(path: str | Path) -> np.ndarray:
     """Read bead coordinates (n, 3) mm.
 
     Args:
-        path: Comma-separated x, y, z with a header row; the unit stands at the end of the name (framespec_cm.csv).
+        path: x, y, z in a row, in any layout that `guide3d.text_file` reads, with or without a header row; the unit
+            stands at the end of the name (framespec_cm.csv).
 
     Raises:
         FileNotFoundError: There is no such file.
         ValueError: Malformed rows or a unit that is not known.
     """
     path = Path(path)
-    unit = path.stem.rsplit("_", 1)[-1]
+    unit = path.stem.rsplit("_", 1)[-1].lower()
     if unit not in UNITS_MM:
         raise ValueError(f"{path}: expected a name that ends in its unit, _mm, _cm or _m, found {path.name}")
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except FileNotFoundError:
-        raise FileNotFoundError(f"bead file {path} is missing") from None
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: expected a text file of bead coordinates, found binary data") from None
-    rows = []
-    for number, line in enumerate(lines[1:], 2):  # the first row is the header
-        if not line.strip():
+    rows: list[list[float]] = []
+    order = list(_AXES)
+    for number, line in enumerate(read_text(path, "bead file").splitlines(), 1):
+        cells = cells_of(line)
+        if not cells:
             continue
-        try:
-            row = [float(cell) for cell in line.split(",")]
-        except ValueError:
-            row = []
+        if not rows and not any(map(numbers_in, cells)):
+            order = [cell.lower()[:1] for cell in cells]  # a header: "x", "X (cm)"
+            continue
+        row = numbers_in(line) or []
         if len(row) != 3 or not np.isfinite(row).all():
             raise ValueError(f"{path}, line {number}: expected three numbers x,y,z, found {line.strip()!r}")
         rows.append(row)
     if len(rows) < 8:
-        raise ValueError(f"{path}: expected the coordinates of 8 beads or more below the header, found {len(rows)}")
+        raise ValueError(f"{path}: expected the coordinates of 8 beads or more, found {len(rows)}")
+    if set(order) == set(_AXES):
+        rows = [[row[order.index(axis)] for axis in _AXES] for row in rows]
     return np.array(rows) * UNITS_MM[unit]
 
 
@@ -128,17 +133,25 @@ def read_references(path: str | Path, beads: int) -> dict[str, int]:
         path: Lines "<bead counted from 1> <mark>", as XMALab writes them.
 
     Raises:
+        FileNotFoundError: There is no such file.
         ValueError: A malformed line, or a bead that does not exist.
     """
     path = Path(path)
     marked = {}
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
-        if not line.strip():
+    for number, line in enumerate(read_text(path, "reference file").splitlines(), 1):
+        cells = cells_of(line)
+        if not cells:
             continue
-        found = re.fullmatch(r"\s*(\d+)\s+(\S+)\s*", line)
-        if found is None or not 1 <= int(found[1]) <= beads:
+        if len(cells) != 2 or not re.fullmatch(r"[0-9]{1,9}", cells[0]) or not 1 <= int(cells[0]) <= beads:
             raise ValueError(
                 f"{path}, line {number}: expected a bead from 1 to {beads} and its mark, found {line.strip()!r}"
             )
-        marked[found[2]] = int(found[1]) - 1
+        marked[cells[1].lower()] = int(cells[0]) - 1
     return marked
+
+
+def _only(paths: list[Path]) -> Path:
+    if len(paths) > 1:
+        names = ", ".join(path.name for path in paths)
+        raise ValueError(f"{paths[0].parent} holds several files of one kind ({names}): keep the one that is meant")
+    return paths[0]

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from guide3d.calibration.cube_files import read_grey
 from guide3d.calibration.perforated_sheet import find_holes
 from guide3d.dataset.annotation_files import DETECTOR
+from guide3d.file_names import files_in
 from guide3d.geometry.camera import Camera, read_camera, read_opencv_yaml
 from guide3d.geometry.distortion import Distortion
-from guide3d.image_file import eight_bits, read_grey_levels
+from guide3d.image_file import PICTURES
 
 _CAMERA_ENDINGS = ("txt", "yaml", "yml")
-_SHEET_ENDINGS = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +95,14 @@ def distortions_of_sheets(folder: Path) -> tuple[Distortion, Distortion] | None:
     places = (folder / "calibration", folder)
     sheets: list[Path] = []
     for detector in DETECTOR.values():
-        images = (file for place in places for file in sorted(place.glob(f"*ndistort*{detector}*")))
-        sheets += [file for file in images if file.suffix.lower() in _SHEET_ENDINGS][:1]
+        patterns = [f"*ndistort*{detector}*{ending}" for ending in PICTURES]
+        sheets += [file for place in places for file in files_in(place, *patterns)][:1]
     if len(sheets) < len(DETECTOR):
         return None
     # cameras in text files come from XMALab, whose undistorted frame hangs on the box around the holes
-    texts = [file for place in places for file in place.glob(f"*{DETECTOR['a']}*.txt")]
+    texts = [file for place in places for file in files_in(place, f"*{DETECTOR['a']}*.txt")]
     frame = "bounding box" if texts else "least squares"
-    a, b = (Distortion.from_holes(find_holes(eight_bits(read_grey_levels(file))), frame=frame) for file in sheets)
+    a, b = (Distortion.from_holes(find_holes(read_grey(file)), frame=frame) for file in sheets)
     return a, b
 
 
@@ -118,7 +120,7 @@ def distortions_of(folder: Path) -> tuple[Distortion, Distortion] | None:
 
 def _rig(name: str, files: dict[str, Path]) -> Rig:
     a, b = (
-        read_camera(files[view]) if files[view].suffix == ".txt" else read_opencv_yaml(files[view]) for view in DETECTOR
+        (read_camera if files[view].suffix.lower() == ".txt" else read_opencv_yaml)(files[view]) for view in DETECTOR
     )
     return Rig(name, (a, b))
 
@@ -132,9 +134,8 @@ def _camera_files(folder: Path) -> list[tuple[str, dict[str, Path]]]:
             sets: dict[str, dict[str, Path]] = {}
             for view, detector in DETECTOR.items():
                 part = tag.format(detector=detector, view=view)
-                for ending in _CAMERA_ENDINGS:
-                    for file in sorted(place.glob(f"*{part}*.{ending}")):
-                        sets.setdefault(file.name.replace(part, "*"), {})[view] = file
+                for file in files_in(place, *(f"*{part}*.{ending}" for ending in _CAMERA_ENDINGS)):
+                    sets.setdefault(re.sub(part, "*", file.name, flags=re.IGNORECASE), {})[view] = file
             whole = {name: files for name, files in sorted(sets.items()) if len(files) == len(DETECTOR)}
             if whole:
                 return list(whole.items())
@@ -162,7 +163,7 @@ def _set_of(place: Path, sets: list[dict[str, Path]], tag: str) -> tuple[str, di
 
 
 def _only(folder: Path, name: str, endings: tuple[str, ...]) -> Path | None:
-    files = [file for ending in endings for file in sorted(folder.glob(f"*{name}*.{ending}"))]
+    files = files_in(folder, *(f"*{name}*.{ending}" for ending in endings))
     if len(files) > 1:
         names = ", ".join(file.name for file in files)
         what = f"detector {name}" if name in DETECTOR.values() else name

@@ -15,6 +15,7 @@ import scipy.linalg
 
 from guide3d.atomic_file import whole_file
 from guide3d.setting_kinds import Numbers, Pixels, settings
+from guide3d.text_file import numbers_in, read_text
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
@@ -128,7 +129,7 @@ class Camera:
 
 
 def read_camera(path: str | Path, unit: str = "cm") -> Camera:
-    """Read the text file that XMALab exports: image size, camera matrix, rotation, translation, comma separated.
+    """Read the text file that XMALab exports: image size, camera matrix, rotation, translation, a row a line.
 
     Args:
         path: The file; its stem becomes the camera's name.
@@ -142,7 +143,9 @@ def read_camera(path: str | Path, unit: str = "cm") -> Camera:
         ValueError: A section is missing or malformed; the message names file, expected and found.
     """
     path, scale = Path(path), _scale_mm(unit)
-    lines = [line.strip() for line in _text(path).splitlines()]
+    text = read_text(path, "camera file")
+    lines = [line.strip(' \t;,"') for line in text.splitlines()]
+    separator = next((mark for mark in ";\t" if mark in text), "")  # a comma in a row of one number is then decimal
 
     def section(title: str, rows: int, columns: int) -> np.ndarray:
         if title not in lines:
@@ -150,10 +153,7 @@ def read_camera(path: str | Path, unit: str = "cm") -> Camera:
             raise ValueError(f"{path}: expected a section {title!r}, found sections: {found}")
         start = lines.index(title) + 1
         body = lines[start : start + rows]
-        try:
-            values = [[float(cell) for cell in line.split(",")] for line in body]
-        except ValueError:
-            values = []
+        values = [row for line in body if (row := numbers_in(line + separator)) is not None]
         if len(values) != rows or any(len(row) != columns for row in values):
             found = " | ".join(body)[:200] or "nothing"
             raise ValueError(f"{path}: expected {rows} x {columns} numbers under {title!r}, found {found!r}")
@@ -211,7 +211,7 @@ def read_opencv_yaml(path: str | Path, unit: str | None = None) -> Camera:
         ValueError: An entry is missing or malformed, or the file holds lens distortion (this camera has none).
     """
     path = Path(path)
-    text = _text(path)
+    text = read_text(path, "camera file")
 
     def matrix(kind: str, shape: tuple[int, int] | None) -> np.ndarray | None:
         for name in _YAML_NAMES[kind]:
@@ -297,15 +297,6 @@ def _scale_mm(unit: str) -> float:
     if unit not in UNITS_MM:
         raise ValueError(f"expected a unit among {', '.join(UNITS_MM)}, found {unit!r}")
     return UNITS_MM[unit]
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise FileNotFoundError(f"camera file {path} is missing") from None
-    except UnicodeDecodeError:
-        raise ValueError(f"{path}: expected a text file with a camera, found binary data") from None
 
 
 def _built(
