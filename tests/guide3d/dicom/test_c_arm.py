@@ -126,7 +126,10 @@ def test_what_is_missing_is_named(field: str, name: str, run: XrayRun) -> None:
         ("source_detector_mm", [0.0], "isocentre between source and detector"),
         ("primary_deg", [181.0], "primary angle from -180 to 180"),
         ("secondary_deg", [-91.0], "secondary one from -90 to 90"),
-        ("pixel_mm", [[0.2, 0.0]], "positive pixel spacing"),
+        ("source_detector_mm", [1e300], "at most 10000 mm apart"),
+        ("pixel_mm", [[0.2, 0.0]], "pixel spacing from 0.001 to 100 mm"),
+        ("pixel_mm", [[1e-300, 1e-300]], "pixel spacing from 0.001 to 100 mm"),
+        ("pixel_mm", [[0.2, 1e300]], "pixel spacing from 0.001 to 100 mm"),
     ],
 )
 def test_impossible_geometry_is_refused(field: str, value: list, said: str, run: XrayRun) -> None:

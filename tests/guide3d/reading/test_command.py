@@ -118,6 +118,25 @@ def test_a_film_is_a_sequence(data: Path, tmp_path: Path) -> None:
     assert (tmp_path / "out" / "frames.csv").read_text().count("\n") == 3
 
 
+def test_images_that_are_not_read_are_said(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    images = [cv2.imread(str(data / f"{letter}.png"), cv2.IMREAD_GRAYSCALE) for letter in "ab"]
+    for letter, image, count in zip("ab", images, (3, 2), strict=True):
+        cv2.imwritemulti(str(tmp_path / f"{letter}.tif"), [image] * count)
+    words = [str(tmp_path / "a.tif"), str(tmp_path / "b.tif"), "--cameras", str(data / "cameras")]
+    assert command.main([*words, "--video", "--output", str(tmp_path / "out")]) == 0
+    assert "A has 3 frames and B 2: those without a partner were not read" in capsys.readouterr().err
+    with (tmp_path / "out" / "frames.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["found"] for row in rows] == ["1", "1", "0"]
+    assert rows[2]["messages"] == "there is no image of camera B at this moment"
+    assert command.main([*words, "--output", str(tmp_path / "pair")]) == 0
+    said = capsys.readouterr().err
+    assert "a.tif holds 3 images, of which the first" in said
+    assert "b.tif holds 2 images, of which the first" in said
+    assert command.main([str(tmp_path / "a.tif"), "--output", str(tmp_path / "one")]) == 0
+    assert "a.tif holds 3 images, of which the first was read: add --video to read all" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

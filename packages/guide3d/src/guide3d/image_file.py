@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import zlib
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from guide3d.atomic_file import whole_file
+from guide3d.guarded_reading import UnreadableFileError, call_in_child, open_regular
 from guide3d.opencv import cv2
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
-_PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
-_LARGEST_PX = 32_768  # of a side; a few bytes of a PNG can claim more than memory holds
+_PNG, _JPEG, _BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_LARGEST_PX = 16_384  # of a side; a few bytes of a file can claim more than memory holds
+_LARGEST_FILE = 2 << 30  # bytes; TIFFs of many pages
 
-GreyLevels = NDArray[np.uint8] | NDArray[np.uint16]
+GreyLevels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
 
 
 class ImageError(ValueError):
@@ -24,37 +29,64 @@ class ImageError(ValueError):
 
 
 def read_grey_levels(path: str | Path) -> GreyLevels:
-    """Reads a PNG, JPEG, TIFF or BMP as grey levels (h, w), uint8, or uint16 where it has more than 8 bits.
+    """Reads a PNG, JPEG, TIFF or BMP as grey levels (h, w), 0 black.
 
-    Colours become grey by ITU-R 601, transparency is left out, and a turn that the file asks for is not made.
+    Colours become grey by ITU-R 601, transparency is left out, and a turn that the file asks for is not made. A TIFF
+    whose white is zero is inverted.
+
+    Returns:
+        uint8; uint16 where it has more than 8 bits; float32 where it has real or signed numbers, or more than 16 bits.
 
     Raises:
-        ImageError: the file is missing, damaged, cut off, or no image.
+        ImageError: the file is missing, damaged, cut off, no image, or a TIFF of several pages.
     """
-    path = Path(path)
-    try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise ImageError(f"image {path} is missing") from None
-    except OSError as error:
-        raise ImageError(f"image {path} cannot be read: {error.strerror}") from None
-    fault = _fault(data)
-    if fault is None:
-        grey = None
-        try:
-            way = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-            grey = cv2.imdecode(np.frombuffer(data, np.uint8), way)
-        except cv2.error:
-            pass
-        if grey is not None and grey.dtype in (np.uint8, np.uint16):
-            return grey  # type: ignore[return-value]
-        fault = "it is damaged, or no image"
-    raise ImageError(f"image {path} cannot be read: {fault}")
+    return _read(Path(path), colours=False)
+
+
+def read_picture(path: Path) -> GreyLevels:
+    """As `read_grey_levels`; (h, w, 3) uint8 red, green and blue where an image of 8 bits has colours."""
+    return _read(path, colours=True)
+
+
+def is_tiff(path: Path) -> bool:
+    """Whether it is a TIFF, by its ending."""
+    return path.suffix.lower() in (".tif", ".tiff")
+
+
+def tiff_pages(path: Path, most: int | None = None) -> Generator[GreyLevels, None, tuple[int, list[str]]]:
+    """Reads a TIFF page by page, as `read_picture`; at most some pages. To be called in a child process.
+
+    Returns:
+        How many pages it has, and what is to be said about them.
+
+    Raises:
+        ImageError: as there.
+    """
+    data = _content(path)
+    if not data.startswith(_TIFF):
+        raise ImageError(f"image {path} cannot be read: it is damaged, or no TIFF")
+    pages, others = _pages(path, data)
+    for page in pages[:most]:
+        yield _page(path, data, page, colours=True)
+    notes = [f"{path.name}: {others} pages of another size were left out"] if others else []
+    return len(pages), notes
 
 
 def eight_bits(levels: GreyLevels) -> NDArray[np.uint8]:
-    """Grey levels as uint8: deeper ones by their upper eight bits."""
-    return levels.astype(np.uint8) if levels.dtype == np.uint8 else (levels >> 8).astype(np.uint8)
+    """Grey levels as uint8: integers by their upper eight bits, real numbers as parts of 1, 255 or 65535.
+
+    Raises:
+        ImageError: real numbers beyond that.
+    """
+    if levels.dtype == np.uint8:
+        return levels.astype(np.uint8)
+    if levels.dtype == np.uint16:
+        return (levels // 256).astype(np.uint8)
+    low, high = float(levels.min()), float(levels.max())
+    top = next((top for top in (1.0, 255.0, 65535.0) if high <= top), 0.0)
+    if low < 0 or not top:
+        raise ImageError(f"expected grey values from 0 to 1, 255 or 65535, found {low:g} to {high:g}")
+    return np.rint(levels * (255.0 / top)).astype(np.uint8)
 
 
 def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
@@ -84,18 +116,122 @@ def write_png(image: NDArray[np.uint8] | NDArray[np.uint16], path: str | Path) -
         file.write(encode_png(image))
 
 
-def _fault(data: bytes) -> str | None:
-    """What is wrong with a file at first sight; decoders would print it in words of their own, or read on."""
-    if not data:
-        return "it is empty"
+def _read(path: Path, colours: bool) -> GreyLevels:
+    data = _content(path)
+    if data.startswith(_TIFF):
+        import tifffile  # noqa: F401 - before the child is forked, once for all
+
+        try:
+            return call_in_child(_only_page, path, data, colours, subject=f"image {path}")
+        except UnreadableFileError as error:
+            raise ImageError(str(error)) from None
+    return _decoded(path, data, colours)
+
+
+def _content(path: Path) -> bytes:
+    """A file's bytes, if nothing is wrong with it at first sight; decoders would say so in words of their own."""
+    if not path.exists():
+        raise ImageError(f"image {path} is missing")
+    try:
+        with open_regular(path, _LARGEST_FILE) as file:
+            data = file.read()
+    except UnreadableFileError as error:
+        raise ImageError(f"image {path} cannot be read: {error}") from None
+    fault = "it is empty"
     if data.startswith(_PNG):
-        return _fault_of_png(data)
-    if data.startswith(_JPEG) and b"\xff\xd9" not in data[-64:]:
-        return "it is cut off"
-    return None
+        fault = _fault_of_png(data)
+    elif data.startswith(_JPEG):
+        fault = _fault_of_jpeg(data)
+    elif data.startswith(_BMP):
+        fault = _fault_of_sides(*(abs(int.from_bytes(data[at : at + 4], "little", signed=True)) for at in (18, 22)))
+    elif data:
+        fault = "" if data.startswith(_TIFF) else "it is damaged, or no image of the kinds PNG, JPEG, TIFF and BMP"
+    if fault:
+        raise ImageError(f"image {path} cannot be read: {fault}")
+    return data
 
 
-def _fault_of_png(data: bytes) -> str | None:
+def _decoded(path: Path, data: bytes, colours: bool, page: int = 0) -> GreyLevels:
+    levels = _by_opencv(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH, page)
+    if levels is None or levels.dtype.kind not in "uif":
+        raise ImageError(f"image {path} cannot be read: it is damaged, or no image")
+    if levels.dtype == np.uint8 and colours:
+        picture = _by_opencv(data, cv2.IMREAD_COLOR_RGB, page)
+        if picture is not None and np.ptp(picture[::4, ::4].astype(np.int16), axis=2).any():
+            return picture
+    if levels.dtype in (np.uint8, np.uint16):
+        return levels
+    if not np.isfinite(levels).all():
+        raise ImageError(f"image {path} cannot be read: it holds values that are no finite numbers")
+    return levels.astype(np.float32)
+
+
+def _by_opencv(data: bytes, way: int, page: int) -> Any:
+    try:
+        found = cv2.imdecodemulti(
+            np.frombuffer(data, np.uint8), way | cv2.IMREAD_IGNORE_ORIENTATION, range=(page, page + 1)
+        )[1]
+    except cv2.error:
+        return None
+    return found[0] if found else None
+
+
+def _only_page(path: Path, data: bytes, colours: bool) -> GreyLevels:
+    pages, _ = _pages(path, data)
+    if len(pages) > 1:
+        raise ImageError(f"image {path} holds {len(pages)} pages: save the one that is meant as a file of its own")
+    return _page(path, data, pages[0], colours)
+
+
+def _pages(path: Path, data: bytes) -> tuple[list[tuple[int, bool]], int]:
+    """Number of each page that has the first one's size, and whether its white is zero; how many have another size."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as file:
+            whole = [page.aspage() for page in file.pages]
+            found = [(page.imagewidth, page.imagelength, page.photometric == 0, page.is_reduced) for page in whole]
+    except Exception:  # a damaged file raises a dozen kinds
+        found = []
+    if not found:
+        raise ImageError(f"image {path} cannot be read: it is damaged, or no image")
+    fault = _fault_of_sides(*found[0][:2])
+    if fault:
+        raise ImageError(f"image {path} cannot be read: {fault}")
+    pages = [(number, bool(white)) for number, (*size, white, _) in enumerate(found) if size == list(found[0][:2])]
+    return pages, sum(not reduced for *_, reduced in found) - len(pages)
+
+
+def _page(path: Path, data: bytes, page: tuple[int, bool], colours: bool) -> GreyLevels:
+    number, white_is_zero = page
+    levels = _decoded(path, data, colours, number)
+    if not white_is_zero or levels.dtype == np.uint8:  # of 8 bits, OpenCV has inverted it already
+        return levels
+    top = levels.max()  # of 12 bits in 16, 4095 is black
+    if levels.dtype == np.uint16:
+        return np.asarray(2 ** int(top).bit_length() - 1 - levels, np.uint16)
+    return np.asarray(top - levels, np.float32)
+
+
+def _fault_of_sides(width: int, height: int) -> str:
+    return "" if 0 < width <= _LARGEST_PX and 0 < height <= _LARGEST_PX else f"it claims {width} x {height} px"
+
+
+def _fault_of_jpeg(data: bytes) -> str:
+    at = 2
+    while data[at : at + 1] == b"\xff" and at + 9 <= len(data):
+        kind = data[at + 1]
+        if kind == 0xFF:  # filling
+            at += 1
+        elif 0xC0 <= kind <= 0xCF and kind not in (0xC4, 0xC8, 0xCC):
+            fault = _fault_of_sides(*(int.from_bytes(data[at + k : at + k + 2], "big") for k in (7, 5)))
+            return fault or ("" if b"\xff\xd9" in data[-64:] else "it is cut off")
+        else:
+            at += 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+    return "it is cut off" if b"\xff\xd9" not in data[-64:] else "it is damaged, or no image"
+
+
+def _fault_of_png(data: bytes) -> str:
     at, kind = len(_PNG), b""
     while kind != b"IEND":
         if at + 12 > len(data):
@@ -107,8 +243,8 @@ def _fault_of_png(data: bytes) -> str | None:
         if zlib.crc32(data[at + 4 : end]) != int.from_bytes(data[end : end + 4], "big"):
             return "it is damaged"
         if kind == b"IHDR":
-            sides = int.from_bytes(data[at + 8 : at + 12], "big"), int.from_bytes(data[at + 12 : at + 16], "big")
-            if not all(0 < side <= _LARGEST_PX for side in sides):
-                return f"it claims {sides[0]} x {sides[1]} px"
+            fault = _fault_of_sides(*(int.from_bytes(data[at + k : at + k + 4], "big") for k in (8, 12)))
+            if fault:
+                return fault
         at = end + 4
-    return None
+    return ""

@@ -20,6 +20,8 @@ from guide3d.geometry.camera import Camera
 from guide3d.geometry.polyline import Array
 
 _SIDES = {"L": (1, 0, 0), "R": (-1, 0, 0), "P": (0, 1, 0), "A": (0, -1, 0), "H": (0, 0, 1), "F": (0, 0, -1)}
+_FARTHEST_MM = 10_000.0
+_PIXEL_MM = (0.001, 100.0)  # any detector's; what lies beyond is a damaged number
 _AGAINST = -0.3  # cosine between where a row runs and where the file says it does
 
 
@@ -59,18 +61,22 @@ def camera_of(run: XrayRun, frame: int = 0) -> Camera:
     if missing:
         raise ValueError(f"{run.path}: a camera needs {', '.join(missing)}, which the file does not have")
     primary, secondary, detector, isocentre, _ = (float(value) for value in needed.values())
-    if not 0 < isocentre < detector:
+    if not 0 < isocentre < detector <= _FARTHEST_MM:
         raise ValueError(
-            f"{run.path}: expected the isocentre between source and detector, found it {isocentre:g} mm from the "
-            f"source and the detector {detector:g} mm"
+            f"{run.path}: expected the isocentre between source and detector, at most {_FARTHEST_MM:g} mm apart, found "
+            f"it {isocentre:g} mm from the source and the detector {detector:g} mm"
         )
     if abs(primary) > 180 or abs(secondary) > 90:
         raise ValueError(
             f"{run.path}: expected a primary angle from -180 to 180 and a secondary one from -90 to 90 degrees, found "
             f"{primary:g} and {secondary:g}"
         )
-    if (run.pixel_mm[frame] <= 0).any():
-        raise ValueError(f"{run.path}: expected a positive pixel spacing, found {run.pixel_mm[frame].tolist()} mm")
+    smallest, largest = _PIXEL_MM
+    if not ((smallest <= run.pixel_mm[frame]) & (run.pixel_mm[frame] <= largest)).all():
+        raise ValueError(
+            f"{run.path}: expected a pixel spacing from {smallest:g} to {largest:g} mm, found "
+            f"{run.pixel_mm[frame].tolist()} mm"
+        )
     height, width = run.frames.shape[1:]
     fx, fy = detector / run.pixel_mm[frame]
     K = np.array([[fx, 0.0, (width - 1) / 2], [0.0, fy, (height - 1) / 2], [0.0, 0.0, 1.0]])

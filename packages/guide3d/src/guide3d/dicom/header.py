@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from guide3d.geometry.polyline import Array
+from guide3d.guarded_reading import open_regular
 
 _KINDS = {
     "1.2.840.10008.5.1.4.1.1.12.1": "XA",
@@ -37,8 +38,19 @@ GEOMETRY_ATTRIBUTES = (
     "FieldOfViewDimensions", "TableHeight", "TableVerticalIncrement", "TableLongitudinalIncrement",
     "TableLateralIncrement", "PatientOrientation",
 )  # fmt: skip
-_WANTED = ("SOPClassUID", "BurnedInAnnotation", _SHARED, _PER_FRAME, *PIXEL_ATTRIBUTES, *GREY_ATTRIBUTES,
-           *TIME_ATTRIBUTES, *GEOMETRY_ATTRIBUTES)  # fmt: skip
+ORDER_ATTRIBUTES = (
+    "SeriesInstanceUID", "SeriesNumber", "InstanceNumber", "AcquisitionDateTime", "AcquisitionDate", "AcquisitionTime",
+    "ContentDate", "ContentTime",
+)  # fmt: skip
+_WANTED = ("SOPClassUID", "BurnedInAnnotation", "MaskSubtractionSequence", "RecommendedViewingMode", _SHARED,
+           _PER_FRAME, *PIXEL_ATTRIBUTES, *GREY_ATTRIBUTES, *TIME_ATTRIBUTES, *GEOMETRY_ATTRIBUTES,
+           *ORDER_ATTRIBUTES)  # fmt: skip
+_LARGEST = 4 << 30  # bytes of a file
+_FIRST_GROUPS = (b"\x02\0", b"\x08\0")  # of a file without a preamble
+
+
+class OtherKindError(ValueError):
+    """A file is no DICOM, or no X-ray."""
 
 
 class Header:
@@ -53,24 +65,31 @@ class Header:
         Raises:
             FileNotFoundError: there is no such file.
             ImportError: pydicom is not installed.
-            ValueError: the file is no DICOM, damaged, or of another kind than XA or RF.
+            ValueError: the file is no DICOM, damaged, or of another kind than XA or RF (`OtherKindError`).
         """
         self.path = Path(path)
-        dcmread, invalid = _pydicom()
-        if not self.path.is_file():
+        dcmread = pydicom_reader()
+        if not self.path.exists():
             raise FileNotFoundError(f"DICOM file {self.path} is missing")
+        with open_regular(self.path, _LARGEST) as file:
+            start = file.read(132)
+        marked = start[128:] == b"DICM"
+        if not marked and start[:2] not in _FIRST_GROUPS:
+            raise OtherKindError(f"{self.path}: expected a DICOM file, found something else")
         with silent():
             try:
-                self.dataset: Any = dcmread(self.path, specific_tags=list(_WANTED))
-                kind = str(self.dataset.get("SOPClassUID") or self.dataset.file_meta.get("MediaStorageSOPClassUID", ""))
-            except invalid:
-                raise ValueError(f"{self.path}: expected a DICOM file, found something else") from None
-            except OSError:
+                self.dataset: Any = dcmread(self.path, specific_tags=list(_WANTED), force=not marked)
+                meta = self.dataset.file_meta
+                if "TransferSyntaxUID" not in meta:  # a file without a preamble need not have it
+                    implicit, _ = self.dataset.original_encoding
+                    meta.TransferSyntaxUID = f"1.2.840.10008.1.2{'' if implicit else '.1'}"
+                kind = str(self.dataset.get("SOPClassUID") or meta.get("MediaStorageSOPClassUID", ""))
+            except (OSError, MemoryError):
                 raise
             except Exception:  # a damaged file raises a dozen kinds, and quotes what it holds
                 raise self.damaged() from None
         if kind not in _KINDS:
-            raise ValueError(f"{self.path}: expected an X-ray run (XA or RF), found {_name_of(kind)}")
+            raise OtherKindError(f"{self.path}: expected an X-ray run (XA or RF), found {_name_of(kind)}")
         self.kind = _KINDS[kind]
 
     def damaged(self) -> ValueError:
@@ -141,13 +160,13 @@ def silent() -> Iterator[None]:
         logger.handlers, logger.propagate = kept
 
 
-def _pydicom() -> tuple[Any, type[Exception]]:
+def pydicom_reader() -> Any:
+    """Pydicom's function that reads a file; ImportError, which says what to install, without it."""
     try:
-        from pydicom import dcmread
-        from pydicom.errors import InvalidDicomError
+        import pydicom.pixels  # the decoders
     except ImportError:
         raise ImportError("DICOM files are read with pydicom: pip install 'endonav-guide3d[dicom]'") from None
-    return dcmread, InvalidDicomError
+    return pydicom.dcmread
 
 
 def _name_of(kind: str) -> str:

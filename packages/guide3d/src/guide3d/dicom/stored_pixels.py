@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from guide3d.dicom.header import Header, silent
 
 _LARGEST_PX = 8192  # of a side, as cameras have it
+_JPEG = "1.2.840.10008.1.2.4."  # and two digits; with three it is a film
+_STARTS = (b"\xff\xd8\xff", b"\xff\x4f\xff")  # of a JPEG and a JPEG 2000
 _JPEG_LOSSLESS = ("1.2.840.10008.1.2.4.57", "1.2.840.10008.1.2.4.70")
 
 
@@ -29,8 +31,14 @@ def stored_frames(header: Header) -> NDArray[np.uint8] | NDArray[np.uint16]:
             raise header.damaged() from None
         if compressed:
             _check_decoder(header, syntax)
+            if str(syntax).startswith(_JPEG) and len(syntax) == len(_JPEG) + 2:
+                _check_jpeg(header)
+        else:
+            _check_length(header)
         try:
             pixels = np.asarray(header.dataset.pixel_array)
+        except MemoryError:
+            raise
         except Exception:  # pydicom's message may quote the file
             if compressed:
                 raise ValueError(f"{header.path}: the compressed pictures are damaged or cut off") from None
@@ -78,6 +86,12 @@ def grey_tables(header: Header, frames: int) -> NDArray[np.uint8]:
     return np.stack(tables)
 
 
+def has_empty_window(header: Header, frame: int) -> bool:
+    """Whether a frame's window is less than a grey level wide, so that it would show nothing."""
+    width = header.number("WindowWidth", frame)
+    return bool(width < 1 and (width <= 0 or header.word("VOILUTFunction") in ("", "LINEAR")))
+
+
 def _shown(header: Header, frame: int, levels: np.ndarray) -> np.ndarray:
     """Brightness (levels,) of stored values, 0 to 1, beyond where the window cuts."""
     items = header.find("VOILUTSequence", frame)
@@ -93,11 +107,9 @@ def _shown(header: Header, frame: int, levels: np.ndarray) -> np.ndarray:
             except Exception:
                 raise ValueError(f"{header.path}: the VOI LUT cannot be understood") from None
     centre, width = header.number("WindowCenter", frame), header.number("WindowWidth", frame)
-    if np.isnan(centre) or np.isnan(width):
+    if np.isnan(centre) or np.isnan(width) or has_empty_window(header, frame):
         return levels / levels[-1]
     function = header.word("VOILUTFunction") or "LINEAR"
-    if width < 1 and (function == "LINEAR" or width <= 0):
-        raise ValueError(f"{header.path}: expected a window of at least one grey level, found a width of {width:g}")
     if function == "SIGMOID":
         return 1 / (1 + np.exp(-4 * (levels - centre) / width))
     if function == "LINEAR_EXACT":
@@ -141,6 +153,40 @@ def _check_decoder(header: Header, syntax: object) -> None:
     kind = "JPEG lossless" if lossless else getattr(syntax, "name", "") if _known(str(syntax)) else "an unknown way"
     remedy = "pip install 'endonav-guide3d[lossless]'" if lossless else "save the run as JPEG lossless or uncompressed"
     raise ValueError(f"{header.path}: its pictures are compressed ({kind}) and no decoder is installed: {remedy}")
+
+
+def _check_length(header: Header) -> None:
+    """Counts the frames of plain pixels where the file does not say how many; more than it says are damage."""
+    size = int(header.number("Rows") * header.number("Columns") * header.number("BitsAllocated")) // 8
+    there = len(header.dataset.PixelData) // size
+    if np.isnan(header.number("NumberOfFrames")):
+        header.dataset.NumberOfFrames = max(there, 1)
+    elif there > frame_count(header):
+        raise ValueError(f"{header.path}: expected {frame_count(header)} frames, found pixels of {there}")
+
+
+def _check_jpeg(header: Header) -> None:
+    """Counts the compressed images where the file does not say how many; each has to have its end."""
+    from pydicom.encaps import generate_fragments, generate_frames
+
+    data = header.dataset.PixelData
+    try:
+        if np.isnan(header.number("NumberOfFrames")):
+            starts = sum(fragment.startswith(_STARTS) for fragment in generate_fragments(data[_table_bytes(data) :]))
+            header.dataset.NumberOfFrames = max(starts, 1)
+        frames = list(generate_frames(data, number_of_frames=frame_count(header)))
+    except Exception:
+        frames = []
+    whole = [frame for frame in frames if b"\xff\xd9" in frame[-4:]]  # an odd length is filled up
+    if not len(whole) == len(frames) == frame_count(header):
+        raise ValueError(
+            f"{header.path}: expected {frame_count(header)} compressed frames, found {len(whole)}: the file is cut off"
+        )
+
+
+def _table_bytes(data: bytes) -> int:
+    """Length of the item at the start that says where frames begin."""
+    return 8 + int.from_bytes(data[4:8], "little")
 
 
 def _known(syntax: str) -> bool:

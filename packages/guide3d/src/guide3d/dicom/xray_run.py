@@ -1,4 +1,4 @@
-"""One X-ray run of a C-arm, as a DICOM file holds it: frames, their times, and where the C-arm stood."""
+"""One X-ray run of a C-arm, as DICOM holds it: frames, their times, and where the C-arm stood."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from guide3d.dicom.header import Header
-from guide3d.dicom.stored_pixels import grey_tables, stored_frames
+from guide3d.dicom.header import Header, pydicom_reader, silent
+from guide3d.dicom.stored_pixels import grey_tables, has_empty_window, stored_frames
 from guide3d.geometry.polyline import Array
+from guide3d.guarded_reading import call_in_child
 
 _CONSTANT_DEG = 0.05  # angles that differ by less are the same: systems write them to a tenth
 
 
 @dataclass(frozen=True, eq=False)
 class XrayRun:
-    """Frames and geometry of one file; nothing in it says whose they are. What the file leaves open is NaN or None.
+    """Frames and geometry of one run; nothing in it says whose they are. What the file leaves open is NaN or None.
 
     frames: (n, h, w) as stored, uint8 or uint16
     grey: (1 or n, levels) uint8, from stored to grey values, 0 black, by the file's window and inversion
@@ -68,7 +69,10 @@ class XrayRun:
 
 
 def read_xray(path: str | Path) -> XrayRun:
-    """Reads an X-ray run: XA or RF, enhanced or not, one frame or many.
+    """Reads an X-ray run in a child process: XA or RF, enhanced or not, one frame or many.
+
+    Args:
+        path: a file, or a folder of single frames (`guide3d.dicom.run_folder`).
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -76,7 +80,24 @@ def read_xray(path: str | Path) -> XrayRun:
         ValueError: the file is no X-ray run, or damaged, or its pictures cannot be decoded. No message quotes what the
             file says about the patient: that is never read.
     """
-    header = Header(path)
+    from guide3d.dicom.run_folder import read_folder
+
+    pydicom_reader()  # what the child needs is imported before it is forked
+    path = Path(path)
+    return call_in_child(read_folder if path.is_dir() else read_file, path, subject=str(path))
+
+
+def read_file(path: Path) -> XrayRun:
+    """As `read_xray` of a file, in this process."""
+    return run_of(Header(path))
+
+
+def run_of(header: Header) -> XrayRun:
+    """Decodes the run of a file.
+
+    Raises:
+        ValueError: as `read_xray`.
+    """
     frames = stored_frames(header)
     n = len(frames)
     detector = _each(header, ("DistanceSourceToDetector",), n)
@@ -94,13 +115,17 @@ def read_xray(path: str | Path) -> XrayRun:
         warnings.append("the pixel spacing follows from the field of view, taken to fill the picture")
     if header.word("BurnedInAnnotation") == "YES":
         warnings.append("the file says that text is drawn into its pictures, which may name the patient")
+    if any(has_empty_window(header, frame) for frame in range(n)):
+        warnings.append("its window has no width and would show nothing: the whole range of grey values is shown")
+    warnings += _subtraction(header)
+    times = _times(header, n, warnings)
     tilt = header.numbers("DetectorPrimaryAngle"), header.numbers("DetectorSecondaryAngle")
     words = header.find("PatientOrientation")
     return XrayRun(
         path=header.path,
         frames=frames,
         grey=grey_tables(header, n),
-        times_ms=_times(header, n),
+        times_ms=times,
         primary_deg=_angles(header, "Primary", n),
         secondary_deg=_angles(header, "Secondary", n),
         source_detector_mm=detector,
@@ -169,18 +194,38 @@ def _table(header: Header, n: int) -> Array:
     return table
 
 
-def _times(header: Header, n: int) -> Array | None:
+def _subtraction(header: Header) -> list[str]:
+    """A sentence where the file wants a mask subtracted: wires are read in the image as it was recorded."""
+    items = header.find("MaskSubtractionSequence") or []
+    with silent():
+        try:
+            masks = [item.get("MaskFrameNumbers") for item in items if item.get("MaskOperation") not in (None, "NONE")]
+            frames = sorted({int(frame) for mask in masks if mask for frame in np.atleast_1d(mask)})
+        except Exception:  # a value that its kind does not allow
+            raise ValueError(f"{header.path}: MaskSubtractionSequence cannot be understood") from None
+    if not masks and header.word("RecommendedViewingMode") != "SUB":
+        return []
+    mask = f" (frames {', '.join(map(str, frames[:8]))})" if frames else ""
+    return [f"the file asks to subtract a mask{mask}: its frames are given as recorded, not subtracted"]
+
+
+def _times(header: Header, n: int, warnings: list[str]) -> Array | None:
     """(n,) ms from the first frame, by the first that the file has: each frame's, steps, one step, or a rate."""
     moments = [header.find("FrameAcquisitionDateTime", frame) or header.find("FrameReferenceDateTime", frame)
                for frame in range(n)]  # fmt: skip
-    parsed = [_moment(str(moment)) for moment in moments if moment is not None]
+    parsed = [moment_of(str(moment)) for moment in moments if moment is not None]
     whole = [moment for moment in parsed if moment is not None]
     if len(whole) == n:
         return np.array([(moment - whole[0]).total_seconds() * 1e3 for moment in whole])
     steps = header.numbers("FrameTimeVector")
-    if len(steps) == n:
-        return np.asarray(np.cumsum(steps) - steps[0], dtype=np.float64)
     step = header.number("FrameTime")
+    if step < 0 or (steps[1:] < 0).any():
+        raise ValueError(f"{header.path}: expected frames in the order of their times, found steps below 0 ms")
+    if len(steps) == n > 1 and (steps[1:] > 0).any():
+        return np.asarray(np.cumsum(steps) - steps[0], dtype=np.float64)
+    if step == 0 and n > 1:
+        warnings.append("its FrameTime is 0 ms, which is taken as not known")
+        step = np.nan
     for keyword in ("CineRate", "RecommendedDisplayFrameRate"):
         rate = header.number(keyword)
         if np.isnan(step) and rate > 0:
@@ -190,7 +235,7 @@ def _times(header: Header, n: int) -> Array | None:
     return step * np.arange(n, dtype=np.float64)
 
 
-def _moment(text: str) -> datetime | None:
+def moment_of(text: str) -> datetime | None:
     """A DICOM date and time, without its offset from universal time, which is the same for all frames."""
     digits = text.split("+")[0].split("-")[0].strip()
     for form in ("%Y%m%d%H%M%S.%f", "%Y%m%d%H%M%S"):

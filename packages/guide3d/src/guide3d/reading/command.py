@@ -4,7 +4,8 @@
     python -m guide3d.read A B --cameras FOLDER         two images of one moment
     python -m guide3d.read A [B ...] --video            sequences: each frame is helped by the one before
 
-A and B are pictures (PNG, JPEG, TIFF, BMP; 8 or 16 bits) or DICOM runs, with --video also films or folders of pictures.
+A and B are pictures (PNG, JPEG, TIFF, BMP) or DICOM runs, with --video also films (.mp4, .avi, .mov, .mkv), TIFFs of
+several pages, folders of pictures in the order of the numbers in their names, or folders of single DICOM frames.
 FOLDER of the cameras: *16710*.txt and *16709*.txt as XMALab writes them (world cm), or .yaml as OpenCV does; or
 camera_a.yaml and camera_b.yaml; two DICOM runs need none. If it holds distortion maps (.npz) or X-rays of perforated
 sheets (*ndistort*16710*, *ndistort*16709*), images are taken as recorded and the curves are undistorted.
@@ -99,6 +100,7 @@ def _run(given: argparse.Namespace) -> None:
             _write_sequence(given, _told(read_sequence(source_a.images(), _reader(given))), source_a, None)
         else:
             _one(given, source_a)
+        _say_of_sources(given, source_a)
         return
     source_b = Source(given.b)
     first = (source_a.first(), source_b.first())  # before the cameras: their distortions take seconds
@@ -112,11 +114,29 @@ def _run(given: argparse.Namespace) -> None:
             source_a.images(), source_b.images(), rig.cameras, geometry.distortions, given.frame, network
         )
         _write_sequence(given, _told(frames), source_a, source_b)
+        _say_of_sources(given, source_a, source_b)
         return
     _, reading = _fitting(given, first, geometry, network)
     if not reading.accepted:
         raise ValueError(reading.refusal)
     _write_pair(given, first, reading)
+    _say_of_sources(given, source_a, source_b)
+
+
+def _say_of_sources(given: argparse.Namespace, *sources: Source) -> None:
+    """Says what is to be said about the files, and which of their images were not read."""
+    _say([note for source in sources for note in source.notes])
+    counts = [source.count for source in sources]
+    if given.video and len(set(counts)) > 1:
+        _say([f"A has {counts[0]} frames and B {counts[1]}: those without a partner were not read"])
+    if not given.video:
+        _say(
+            [
+                f"{source.path.name} holds {source.count} images, of which the first was read: add --video to read all"
+                for source in sources
+                if source.count > 1
+            ]
+        )
 
 
 def _told(frames: Iterable[FrameReading]) -> list[FrameReading]:
@@ -205,6 +225,8 @@ def _geometry(given: argparse.Namespace, a: Source, b: Source) -> _Geometry:
         rigs = rigs_in(given.cameras)
         return _Geometry(rigs, None if given.frame == "undistorted" else distortions_of(given.cameras))
     if a.is_dicom() and b.is_dicom():
+        if given.video and (a.run.moves or b.run.moves):
+            raise ValueError("a C-arm turns during its run, so that one camera is not enough for --video: leave it out")
         return _Geometry([Rig("of the DICOM runs", dicom_cameras(a, b))], None)
     raise ValueError("two images need the cameras that took them: add --cameras FOLDER (two DICOM runs need none)")
 

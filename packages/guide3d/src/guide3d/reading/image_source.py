@@ -3,40 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from guide3d.file_names import files_in
 from guide3d.geometry.camera import Camera
-from guide3d.image_file import ImageError, read_grey_levels
-from guide3d.opencv import cv2
+from guide3d.image_file import PICTURES, ImageError, is_tiff, read_picture, tiff_pages
+from guide3d.reading.decoded_frames import decoded_frames, film_frames
 
-PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+if TYPE_CHECKING:
+    from guide3d.dicom.xray_run import XrayRun
+
 FILMS = (".mp4", ".avi", ".mov", ".mkv")
 DICOM = (".dcm", ".dicom", ".ima")
 
 Image = NDArray[np.generic]
 
 
-@dataclass(frozen=True, eq=False)
 class Source:
     """Where images come from.
 
-    path: a picture, a DICOM run, a film, or a folder of pictures, which are taken by name
+    Attributes:
+        path: a picture, a TIFF of several pages, a DICOM run, a film, or a folder: of pictures, in the order of the
+            numbers in their names, or of single DICOM files of one run.
+        count: how many images it has, known once an image was read.
+        notes: what is to be said about them, as sentences; complete once all were read.
     """
 
-    path: Path
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.count = 0
+        self.notes: list[str] = []
 
     def is_dicom(self) -> bool:
-        """Whether it is a DICOM file, by its name or its mark."""
+        """Whether it is a DICOM file or a folder of them, by names or by the mark."""
+        if self.path.is_dir():
+            return not self._pictures and bool(files_in(self.path, "*"))
         if self.path.suffix.lower() in DICOM:
             return True
-        if not self.path.is_file():
+        if not self.path.is_file() or self.path.suffix.lower() in (*PICTURES, *FILMS):
             return False
         with self.path.open("rb") as file:
-            return file.read(132)[128:] == b"DICM"
+            start = file.read(132)
+        return start[128:] == b"DICM" or start[:2] in (b"\x02\0", b"\x08\0")  # without a preamble: the first group
 
     def first(self) -> Image:
         """Its only or first image.
@@ -44,44 +57,57 @@ class Source:
         Raises:
             ValueError: it cannot be read; the message is one sentence.
         """
-        return next(self.images())
+        (image,) = self.images(1)  # to its end, where the count is known
+        return image
 
-    def images(self) -> Iterator[Image]:
-        """Its images in order, (h, w) or (h, w, 3), one at a time.
+    def images(self, most: int | None = None) -> Iterator[Image]:
+        """Its images in order, (h, w) or (h, w, 3), one at a time; at most some of them.
 
         Raises:
             ValueError: it cannot be read, or holds no image.
         """
-        suffix = self.path.suffix.lower()
-        if self.path.is_dir():
-            names = sorted(file for file in self.path.iterdir() if file.suffix.lower() in PICTURES)
-            if not names:
-                raise ImageError(f"folder {self.path} holds no pictures ({', '.join(PICTURES)})")
-            for file in names:
+        if self.is_dicom():
+            self.count = len(self.run)
+            for frame in range(self.count)[:most]:
+                yield self.run.image(frame)
+        elif self.path.is_dir():
+            if not self._pictures:
+                raise ImageError(f"folder {self.path} holds no pictures ({', '.join(PICTURES)}) and no DICOM files")
+            self.count = len(self._pictures)
+            runs = files_in(self.path, *(f"*{ending}" for ending in DICOM))
+            if runs:
+                self._note(f"{self.path.name}: its pictures were read, its {len(runs)} DICOM files were not")
+            for file in self._pictures[:most]:
                 yield read_picture(file)
-        elif suffix in FILMS:
-            yield from _film(self.path)
-        elif self.is_dicom():
-            from guide3d.dicom import read_xray
-
-            yield from read_xray(self.path).images()
+        elif self.path.suffix.lower() in FILMS or is_tiff(self.path):
+            if not self.path.exists():
+                raise ImageError(f"{'image' if is_tiff(self.path) else 'film'} {self.path} is missing")
+            decoded = yield from decoded_frames(self.path, tiff_pages if is_tiff(self.path) else film_frames, most)
+            self.count = decoded.count
+            self._note(*decoded.notes)
         else:
+            self.count = 1
             yield read_picture(self.path)
 
+    @cached_property
+    def run(self) -> XrayRun:
+        """The DICOM run.
 
-def read_picture(path: Path) -> Image:
-    """Reads a picture: (h, w) grey levels of 8 or 16 bits, or (h, w, 3) RGB where it has colours.
+        Raises:
+            ValueError: it cannot be read.
+        """
+        from guide3d.dicom import read_xray
 
-    Raises:
-        ImageError: it is missing, damaged or no picture.
-    """
-    grey = read_grey_levels(path)
-    if grey.dtype == np.uint8:
-        data = np.frombuffer(path.read_bytes(), np.uint8)
-        colour = cv2.imdecode(data, cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
-        if colour is not None and np.ptp(colour[::4, ::4].astype(np.int16), axis=2).any():
-            return np.asarray(colour)
-    return grey
+        run = read_xray(self.path)
+        self._note(*(f"{self.path.name}: {warning}" for warning in run.warnings))
+        return run
+
+    @cached_property
+    def _pictures(self) -> list[Path]:
+        return files_in(self.path, *(f"*{ending}" for ending in PICTURES))
+
+    def _note(self, *sentences: str) -> None:
+        self.notes += [sentence for sentence in sentences if sentence not in self.notes]
 
 
 def dicom_cameras(a: Source, b: Source) -> tuple[Camera, Camera]:
@@ -90,25 +116,8 @@ def dicom_cameras(a: Source, b: Source) -> tuple[Camera, Camera]:
     Raises:
         ValueError: what a camera needs is missing in a file.
     """
-    from guide3d.dicom import images_and_cameras
+    from guide3d.dicom.pair import paired
 
-    pair = images_and_cameras(a.path, b.path)
+    pair = paired(a.run, b.run)
+    a.notes += [warning for warning in pair.warnings if warning not in a.notes + b.notes]
     return pair.cameras_a[0], pair.cameras_b[0]
-
-
-def _film(path: Path) -> Iterator[Image]:
-    film = cv2.VideoCapture(str(path)) if path.is_file() else None
-    if film is None or not film.isOpened():
-        raise ImageError(f"film {path} is missing" if film is None else f"film {path} cannot be read")
-    count = 0
-    try:
-        while True:
-            there, frame = film.read()
-            if not there:
-                break
-            count += 1
-            yield np.asarray(frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY))
-    finally:
-        film.release()
-    if not count:
-        raise ImageError(f"film {path} holds no frame")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +49,12 @@ def read_pairs(
     reader: MapReader | None = None,
     settings: PairReadingSettings | None = None,
 ) -> Iterator[FrameReading]:
-    """Reads pairs of images, in order, up to the end of the shorter sequence; as `read_pair`."""
+    """Reads pairs of images, in order, as `read_pair`; a frame without its partner is given, but not read."""
     priors: list[Prior | None] = [None, None]
-    for a, b in zip(images_a, images_b, strict=False):
+    for a, b in zip_longest(images_a, images_b):
+        if a is None or b is None:
+            yield FrameReading(None, f"there is no image of camera {'A' if a is None else 'B'} at this moment")
+            continue
         try:
             reading = read_pair(a, b, cameras, distortions, frame, reader, priors, settings)
         except ValueError as error:
