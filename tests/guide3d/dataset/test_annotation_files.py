@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +50,32 @@ def test_kind_of_wire_comes_from_the_name_where_the_entry_is_silent(tmp_path: Pa
     damaged: list[str] = []
     assert read_raw(path, damaged) == []
     assert 'expected "fluid" and "guidewire_type"' in damaged[0]
+
+
+@pytest.mark.parametrize("folder", ["../secret", "/etc", "C:\\\\data", "a/../../b", "..\\\\b"])
+def test_images_outside_the_folder_are_left_out(tmp_path: Path, folder: str) -> None:
+    names = [f"{folder}/1-bca-angle-5-{camera}/000.png" for camera in (2, 1)]
+    views = [{"image": name.replace("\\\\", "\\"), "points": [[1, 2], [3, 4]]} for name in names]
+    videos = [{"fluid": True, "guidewire_type": "angled", "frames": [{"camera1": views[0], "camera2": views[1]}]}]
+    (tmp_path / "raw.json").write_text(json.dumps(videos), encoding="utf-8-sig")
+    damaged: list[str] = []
+    assert read_raw(tmp_path / "raw.json", damaged) == []
+    assert "expected an image below the folder of images" in damaged[0]
+    images = [f'<image name="{name}"><polyline label="guidewire" points="1,2;3,4"/></image>' for name in names]
+    (tmp_path / "a.xml").write_text(f"<annotations>{''.join(images)}</annotations>")
+    assert read_cvat(tmp_path / "a.xml", damaged) == []
+    assert len(damaged) == 3
+
+
+def test_pipes_and_growing_xml_are_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for read in (read_raw, read_cvat, read_curves):
+        with pytest.raises(ValueError, match="pipe is no regular file"):
+            read(tmp_path / "pipe", [])
+    entities = "".join(f'<!ENTITY e{k} "{f"&e{k - 1};" * 10}">' for k in range(1, 12))
+    (tmp_path / "laughs.xml").write_text(f'<!DOCTYPE a [<!ENTITY e0 "ha">{entities}]><a>&e11;</a>')
+    with pytest.raises(ValueError, match="expected CVAT's XML"):
+        read_cvat(tmp_path / "laughs.xml", [])
 
 
 def test_curves_round_trip_and_damage(tmp_path: Path) -> None:

@@ -172,3 +172,11 @@ def test_a_known_distortion_is_sampled_as_by_a_sheet_without_error():
     sampled = Distortion.of_function(detector.distort, 512)
     ideal = np.random.default_rng(5).uniform(60, 450, size=(200, 2))
     assert np.abs(sampled.distort_points(ideal) - detector.distort(ideal)).max() < 0.05
+
+
+def test_a_map_that_claims_more_than_memory_is_refused(tmp_path):
+    many = np.zeros((5_000_000, 2))
+    np.savez_compressed(tmp_path / "bomb.npz", size=[8, 8], fit=[1, 1], method="x", ideal_px=many, raw_px=many)
+    assert (tmp_path / "bomb.npz").stat().st_size < 1e6
+    with pytest.raises(ValueError, match=r"bomb\.npz: expected a map .* more points than any sheet"):
+        Distortion.load(tmp_path / "bomb.npz")

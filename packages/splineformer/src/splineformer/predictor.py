@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from guide3d.geometry.bspline import BSplineCurve
 from guide3d.geometry.polyline import Array
-from guide3d.learning.model_file import UNFIT, read_model, write_model
+from guide3d.learning.model_file import UNFIT, filled, read_model, write_model
 from guide3d.reading.image_reading import MapReader, shipped_reader
 from guide3d.shipped import shipped_file
 from splineformer.build import described, rebuilt
@@ -122,8 +122,7 @@ class Predictor:
         """
         content = read_model(path, KIND)
         try:
-            network = rebuilt(content["network"])
-            network.load_state_dict(content["weights"])
+            network = filled(rebuilt, content["network"], content["weights"])
             source_px = int(content["preprocessing"]["source_px"])
             input = str(content["preprocessing"].get("input", "levels"))
             if input not in INPUTS:

@@ -12,7 +12,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import Any
 
 from guide3d.atomic_file import whole_file
@@ -268,6 +268,8 @@ def _by_camera(frame: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
         if key is None:
             raise ValueError(f'expected "{keys[0]}" or "{keys[1]}", found {", ".join(map(repr, frame)) or "nothing"}')
         view = frame[key]
+        if not stays_below(str(view.get("image", ""))):
+            raise ValueError(f"expected an image below the folder of images, found {str(view['image'])[:80]!r}")
         camera = camera_of(str(view.get("image", ""))) or ours
         if camera in views:
             raise ValueError(f"both images are of camera {camera.upper()}: {view.get('image')}")
@@ -275,6 +277,12 @@ def _by_camera(frame: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
             raise ValueError(f'"{key}" should hold "image" with "points" or "tck", it holds {", ".join(view)}')
         views[camera] = view
     return views
+
+
+def stays_below(image: str) -> bool:
+    """Whether a name stays in the folder that it is looked up in."""
+    path = PureWindowsPath(image)  # takes both separators
+    return not path.anchor and ".." not in path.parts
 
 
 def _number(frame: Mapping[str, Any], image: str) -> int:

@@ -7,10 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from guide3d.atomic_file import whole_file
-from guide3d.dataset.annotation_files import Annotation, acquisition_of, camera_of, described
+from guide3d.dataset.annotation_files import Annotation, acquisition_of, camera_of, described, stays_below
 from guide3d.geometry.polyline import Array, checked
+from guide3d.guarded_reading import open_regular
 
 LABEL = "guidewire"
+_LARGEST = 256 << 20  # bytes
 
 
 def read_cvat(path: Path, damaged: list[str]) -> list[Annotation]:
@@ -26,10 +28,11 @@ def read_cvat(path: Path, damaged: list[str]) -> list[Annotation]:
         FileNotFoundError: There is no such file.
         ValueError: The file is no XML.
     """
+    if not path.exists():
+        raise FileNotFoundError(f"annotation file {path} is missing")
     try:
-        root = ElementTree.parse(path).getroot()
-    except FileNotFoundError:
-        raise FileNotFoundError(f"annotation file {path} is missing") from None
+        with open_regular(path, _LARGEST) as file:
+            root = ElementTree.parse(file).getroot()
     except ElementTree.ParseError as error:
         raise ValueError(f"{path}: expected CVAT's XML, but it cannot be read ({error})") from None
     views: dict[str, dict[tuple[str, str], tuple[str, Array]]] = {"a": {}, "b": {}}
@@ -37,6 +40,8 @@ def read_cvat(path: Path, damaged: list[str]) -> list[Annotation]:
         name = image.get("name", "")
         try:
             camera = camera_of(name)
+            if not stays_below(name):
+                raise ValueError("expected an image below the folder of images")
             if camera is None:
                 raise ValueError("expected a folder ending in -1 or -2, the camera")
             line = image.find("polyline")

@@ -6,6 +6,7 @@ lattice is scaled, turned and shifted to fit all holes by least squares, so that
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
@@ -20,11 +21,13 @@ from guide3d.atomic_file import whole_file
 from guide3d.calibration.hexagonal_lattice import lattice_points, local_lattice
 from guide3d.calibration.perforated_sheet import SheetHoles
 from guide3d.geometry.displacement_field import LocalWeightedMean, SplineField
+from guide3d.guarded_reading import open_regular
 from guide3d.opencv import cv2
 from guide3d.setting_kinds import Numbers, Pixels, settings
 
 METHODS = ("local weighted mean", "spline")
 FRAMES = ("least squares", "bounding box")
+_LARGEST = 64 << 20  # bytes of a map, unpacked too; a sheet has some thousands of holes
 _FOLDS = 13  # of q + 3 r: left-out holes are never neighbours
 _SHEET_PITCH = 0.0142  # of the image's side, of the holes that stand for a known distortion
 _GRID_PX = 8  # images are mapped through a grid this fine; between, the map is smooth
@@ -221,15 +224,25 @@ class Distortion:
             ValueError: The file holds something else.
         """
         path = Path(path)
-        if not path.is_file():
+        if not path.exists():
             raise FileNotFoundError(f"distortion file {path} is missing")
         try:
-            with np.load(path, allow_pickle=False) as data:
-                width, height = (int(side) for side in data["size"])
-                neighbours, spans = (int(number) for number in data["fit"])
-                return cls(data["raw_px"], data["ideal_px"], width, height, str(data["method"]), neighbours, spans)
+            parts = _parts(path)
+            width, height = (int(side) for side in parts["size"])
+            neighbours, spans = (int(number) for number in parts["fit"])
+            return cls(parts["raw_px"], parts["ideal_px"], width, height, str(parts["method"]), neighbours, spans)
         except Exception as error:  # a damaged archive raises a dozen kinds
             raise ValueError(f"{path}: expected a map as Distortion.save writes it, found {error}") from None
+
+
+def _parts(path: Path) -> dict[str, np.ndarray]:
+    with open_regular(path, _LARGEST) as file:
+        with zipfile.ZipFile(file) as archive:
+            if sum(part.file_size for part in archive.infolist()) > _LARGEST:
+                raise ValueError("more points than any sheet has holes")
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as data:
+            return {name: data[name] for name in ("size", "fit", "raw_px", "ideal_px", "method")}
 
 
 def leave_out_errors(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array
 from guide3d.learning.build import ShapeSize, build_segmenter, described, rebuilt
-from guide3d.learning.model_file import UNFIT, another_architecture, read_model, write_model
+from guide3d.learning.model_file import UNFIT, another_architecture, filled, read_model, write_model
 from guide3d.learning.preprocessing import Preprocessing
 from guide3d.modeling.fgrn import FGRN
 from guide3d.modeling.shape_network import ShapeNetwork
@@ -62,8 +62,7 @@ class _Predictor:
         """
         content = read_model(path, cls.kind)
         try:
-            network = cls.build(content["network"])
-            network.load_state_dict(content["weights"])
+            network = filled(cls.build, content["network"], content["weights"])
             preprocessing = Preprocessing(**content["preprocessing"])
         except UNFIT as error:
             raise another_architecture(path, error) from error

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from guide3d.learning.model_file import UNFIT, another_architecture, read_model, write_model
+from guide3d.learning.model_file import UNFIT, another_architecture, filled, read_model, write_model
 from guide3d.learning.precision import has_bfloat16
 from guide3d.modeling.reader_network import ReaderNetwork, reader_input, without_normalisation
 
@@ -74,8 +74,7 @@ class Reader:
         if version != VERSION:
             raise ValueError(f"{path} is a reader of version {version}, expected {VERSION}: train it again")
         try:
-            network = ReaderNetwork(block_px=content["network"]["block_px"], widths=tuple(content["network"]["widths"]))
-            network.load_state_dict({name: value.float() for name, value in content["weights"].items()})
+            network = filled(_built, content["network"], content["weights"])
         except UNFIT as error:
             raise another_architecture(path, error) from error
         return cls(network, content["metadata"], fast)
@@ -110,3 +109,7 @@ class Reader:
             logits = self._network(seen.contiguous(memory_format=torch.channels_last))
             chance = logits.float().sigmoid()[0, :, :height, :width].contiguous().numpy()
         return ReaderMaps(chance[0], chance[1], chance[2])
+
+
+def _built(description: dict[str, Any]) -> ReaderNetwork:
+    return ReaderNetwork(block_px=description["block_px"], widths=tuple(description["widths"]))
