@@ -97,10 +97,12 @@ def _run(given: argparse.Namespace) -> None:
     source_a = Source(given.a)
     if given.b is None:
         if given.video:
-            _write_sequence(given, _told(read_sequence(source_a.images(), _reader(given))), source_a, None)
+            told = _told(read_sequence(source_a.images(), _reader(given)))
+            _say_of_sources(given, source_a)
+            _write_sequence(given, told, source_a, None)
         else:
             _one(given, source_a)
-        _say_of_sources(given, source_a)
+            _say_of_sources(given, source_a)
         return
     source_b = Source(given.b)
     first = (source_a.first(), source_b.first())  # before the cameras: their distortions take seconds
@@ -113,8 +115,9 @@ def _run(given: argparse.Namespace) -> None:
         frames = read_pairs(
             source_a.images(), source_b.images(), rig.cameras, geometry.distortions, given.frame, network
         )
-        _write_sequence(given, _told(frames), source_a, source_b)
+        told = _told(frames)
         _say_of_sources(given, source_a, source_b)
+        _write_sequence(given, told, source_a, source_b)
         return
     _, reading = _fitting(given, first, geometry, network)
     if not reading.accepted:
