@@ -14,7 +14,7 @@ BESIDE ?= 2
 ARGS ?=
 DEMO ?=
 TEST_JOBS ?= 2
-GPU ?=
+TORCH_INDEX ?=
 BENCHMARKS ?= $(shell grep -l -e '"--quick"' benchmarks/*/*.py)
 
 # One thread a process: more made learning slower beside other work, and sweeps bring their own processes.
@@ -33,7 +33,7 @@ RUN = $(GL) $(PY) -m pipeline
 .PHONY: help setup ray lerobot all smoke demo thesis-check test lint format bench-quick fuzz docs wheels clean clean-all console $(STAGES)
 
 help:  ## list the verbs
-	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11] [GPU=1]"
+	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11]"
 	@{ sed -nE 's/^([a-z][a-z0-9_ -]*):.*##[ ]*(.*)/\1@\2/p' $(firstword $(MAKEFILE_LIST)); \
 		for stage in $(STAGES); do sed -n "1s/^# */$$stage@stage: /p" conf/stage/$$stage.yaml; done; } \
 		| awk -F@ '{ printf "  %-14s %s\n", $$1, $$2 }'
@@ -44,14 +44,16 @@ $(INSTALLED): $(INSTALL_INPUTS)
 	@test -n "$(PYTHON)" || { echo "no Python found: install Python 3.11 or newer, or run make PYTHON=/path/to/python" >&2; exit 1; }
 	@$(PYTHON) pipeline/installation.py before
 	@test -x $(PY) || $(PYTHON) -m venv $(VENV)
-	@echo "installing into $(VENV) (a minute or two)"
+	@echo "installing into $(VENV): some minutes; 3 GB, or 7 with torch for CUDA (make setup TORCH_INDEX=ADDRESS chooses: docs/installation.md)"
 	@# Build tools first, pinned like everything else: builds then need no environments of their own.
 	@$(PY) -m pip install -qq --disable-pip-version-check -c constraints.txt setuptools hatchling editables mujoco
+	@# One build of torch, where it is wanted, from the index that has it; what it needs comes with the rest.
+	@$(if $(TORCH_INDEX),$(PY) -m pip install -qq --disable-pip-version-check --no-deps --index-url "$(TORCH_INDEX)" -c constraints.txt torch)
 	@# pip would compile on one core.
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-compile --no-build-isolation -c constraints.txt -r requirements.txt
 	@# Ours, too, where an environment forbids Python to: every start of a stage would compile them again.
 	@$(PY) -m compileall -qq -j 0 $(VENV)/lib packages/*/src pipeline >/dev/null || true  # some files of libraries are for other versions
-	@$(PY) pipeline/installation.py after $(if $(GPU),--gpu)
+	@$(PY) pipeline/installation.py after
 	@touch $@
 
 ray: setup  ## Ray, for a cluster: engine=ray, and sweeps by hydra/launcher=ray; 240 MB more
@@ -61,6 +63,8 @@ ray: setup  ## Ray, for a cluster: engine=ray, and sweeps by hydra/launcher=ray;
 
 lerobot:  ## LeRobot in an environment of its own, which reads exported data sets in a test, 8 GB
 	@test -x $(LEROBOT)/bin/python || $(PYTHON) -m venv $(LEROBOT)
+	@$(if $(TORCH_INDEX),$(LEROBOT)/bin/python -m pip install -q --disable-pip-version-check --no-deps --index-url "$(TORCH_INDEX)" \
+		"torch<2.11" "torchvision<0.26")
 	@# and what cathsim needs, which a test of EnvHub's entry imports from this tree
 	@$(LEROBOT)/bin/python -m pip install -q --disable-pip-version-check lerobot==0.4.4 mujoco==4.0.0 \
 		annotated-types pydantic pyyaml scikit-image scipy trimesh

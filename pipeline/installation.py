@@ -1,4 +1,4 @@
-"""What an installation needs: checked before pip runs (Python, compiler, GL library) and after (no CUDA got in).
+"""What an installation needs, checked before pip runs (Python, compiler, GL library), and how large it became.
 
 Runs with the standard library alone, before anything is installed: ``python pipeline/installation.py before|after``.
 """
@@ -14,14 +14,14 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 
 OLDEST_PYTHON = (3, 11)
 # Renderers of MuJoCo without a screen, in the order of preference: MUJOCO_GL's value and the shared library behind it.
 GL_LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 DEBIAN_GL_PACKAGES = ("libegl1", "libgl1-mesa-dri", "libosmesa6")
-# torchvision breaks transformers and torchmetrics when its version does not fit torch exactly.
-UNWANTED_ALWAYS = ("torchvision",)
-UNWANTED_WITHOUT_GPU = ("nvidia-", "triton")
+# What torch brings where its build has CUDA, and what it is called with other versions of CUDA.
+CUDA_DISTRIBUTIONS = ("nvidia-", "cuda-", "triton")
 
 
 def missing_for_build() -> list[str]:
@@ -74,49 +74,56 @@ def install_gl() -> None:
         subprocess.run(command, check=False, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def unwanted_distributions(names: list[str], *, gpu: bool) -> list[str]:
-    """Picks out distributions that must not be installed.
+def size_note(sizes: Mapping[str, int]) -> str:
+    """Says how large an environment is, and how to get a smaller one where torch came with CUDA.
 
     Args:
-        gpu: whether CUDA is wanted.
+        sizes: bytes of each installed distribution.
     """
-    prefixes = UNWANTED_ALWAYS if gpu else UNWANTED_ALWAYS + UNWANTED_WITHOUT_GPU
-    return sorted({name.lower() for name in names if name.lower().startswith(prefixes)})
+    cuda = [name for name in sizes if name.lower().startswith(CUDA_DISTRIBUTIONS)]
+    note = f"installed: {sum(sizes.values()) / 1e9:.1f} GB"
+    if not cuda:
+        return note
+    share = sum(sizes[name] for name in [*cuda, "torch"] if name in sizes) / 1e9
+    return (
+        f"{note}, {share:.1f} of them torch with CUDA; without a GPU a smaller build does: remove the environment and "
+        "run `make setup TORCH_INDEX=ADDRESS` with the address for CPU on PyTorch's install page"
+    )
+
+
+def installed_sizes() -> dict[str, int]:
+    """The bytes of every distribution of this environment, by its name."""
+    return {
+        str(distribution.metadata["Name"]): sum(file.size or 0 for file in distribution.files or [])
+        for distribution in importlib.metadata.distributions()
+    }
 
 
 def main(arguments: list[str]) -> int:
     """Runs the command line.
 
     Args:
-        arguments: ``before`` or ``after``; ``--gpu`` accepts CUDA.
+        arguments: ``before`` or ``after`` an installation, or ``gl``.
     """
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "when", choices=["before", "after", "gl"], help="the installation; gl prints the renderer to use"
     )
-    parser.add_argument("--gpu", action="store_true", help="accept CUDA distributions")
     options = parser.parse_args(arguments)
     if options.when == "gl":
         print(gl_backend() or "disabled")
         return 0
-    if options.when == "before":
-        problems = missing_for_build()
-        if gl_backend() is None:
-            install_gl()
-        if gl_backend() is None:
-            # Only rendering for people needs it: fluoroscopy, learning and tests of physics run without.
-            print("note: no GL library for rendering (libEGL or libOSMesa): on Debian "
-                  f"`apt-get install {' '.join(DEBIAN_GL_PACKAGES)}`; the 3-D films are left out until then",
-                  file=sys.stderr)  # fmt: skip
-    else:
-        names = [str(distribution.metadata["Name"]) for distribution in importlib.metadata.distributions()]
-        unwanted = unwanted_distributions(names, gpu=options.gpu)
-        problems = []
-        if unwanted:
-            problems.append(
-                f"{', '.join(unwanted)} got installed: let pip find the CPU build of torch (PIP_EXTRA_INDEX_URL) "
-                "and run `make clean-all setup`, or accept CUDA with `make setup GPU=1`; torchvision is never wanted"
-            )
+    if options.when == "after":
+        print(size_note(installed_sizes()))
+        return 0
+    problems = missing_for_build()
+    if gl_backend() is None:
+        install_gl()
+    if gl_backend() is None:
+        # Only rendering for people needs it: fluoroscopy, learning and tests of physics run without.
+        print("note: no GL library for rendering (libEGL or libOSMesa): on Debian "
+              f"`apt-get install {' '.join(DEBIAN_GL_PACKAGES)}`; the 3-D films are left out until then",
+              file=sys.stderr)  # fmt: skip
     for problem in problems:
         print(problem, file=sys.stderr)
     return 1 if problems else 0

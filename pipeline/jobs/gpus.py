@@ -71,8 +71,8 @@ def check_device(device: str) -> None:
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if count == 0:
         raise ConfigurationError(
-            f"stage.device={device}, but torch finds no GPU: install a CUDA build of torch (README, With a GPU), or "
-            "take cpu or auto"
+            f"stage.device={device}, but torch finds no GPU: install a build of torch for its CUDA "
+            "(docs/getting_started.md, With a GPU), or take cpu or auto"
         )
     if _index(device) >= count:
         raise ConfigurationError(

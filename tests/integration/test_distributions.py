@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -13,6 +16,7 @@ import numpy
 import pytest
 
 from pipeline.config import BUDGETS
+from pipeline.installation import CUDA_DISTRIBUTIONS
 from pipeline.stages import available_stages
 from pipeline.store.manifest import read_manifest
 
@@ -104,6 +108,66 @@ def test_cathsim_installs_alone_with_its_native_code(tmp_path: Path) -> None:
 
 
 DISTRIBUTIONS = ("cathsim", "enn", "guide3d", "splineformer")
+
+
+def installing(package: str) -> list[str]:
+    """The folders that the command of a package's readme installs."""
+    text = (PROJECT_ROOT / "packages" / package / "README.md").read_text()
+    command = next(line for line in text.splitlines() if line.startswith("pip install"))
+    return command.split("#")[0].split()[2:]
+
+
+def siblings(package: str) -> set[str]:
+    """The project's distributions that a package requires."""
+    declared = tomllib.loads((PROJECT_ROOT / "packages" / package / "pyproject.toml").read_text())["project"]
+    names = re.findall(r"endonav-(\w+)", " ".join(declared["dependencies"]))
+    return {name for found in names for name in (found, *siblings(found))}
+
+
+@pytest.mark.parametrize("package", DISTRIBUTIONS)
+def test_the_command_of_a_readme_installs_what_no_index_has(package: str) -> None:
+    folders = installing(package)
+    assert set(folders) == {f"./packages/{name}" for name in (package, *siblings(package))}
+    assert f"`{' '.join(folders)}`" in (PROJECT_ROOT / "docs" / "installation.md").read_text().replace(
+        "pip install ", ""
+    )
+    if len(folders) > 1:
+        assert f"`pip install {' '.join(folders)}`" in (PROJECT_ROOT / "README.md").read_text()
+
+
+def plainly_configured() -> dict[str, str]:
+    """The variables of a machine on which nobody has configured pip."""
+    kept = ("PIP_CERT", "PIP_PROXY")
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PIP_") or k in kept}
+    return environment | {"PIP_CONFIG_FILE": os.devnull, "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+
+
+@pytest.mark.slow
+def test_a_plainly_configured_pip_resolves_torch_and_what_the_project_pins(tmp_path: Path) -> None:
+    pip = [sys.executable, "-m", "pip", "--python", str(make_environment(tmp_path / "environment"))]
+    reached = subprocess.run(
+        [*pip, "--retries", "0", "--timeout", "15", "download", "-q", "--no-deps", "-d", tmp_path, "annotated-types"],
+        env=plainly_configured(), capture_output=True, timeout=120, check=False,
+    )  # fmt: skip
+    if reached.returncode:
+        pytest.skip("no index is reachable with pip as it comes")
+    report = tmp_path / "report.json"
+    command = [*pip, "install", "-q", "--dry-run", "--report", report, "-c", PROJECT_ROOT / "constraints.txt"]
+    done = subprocess.run(
+        [*command, *installing("splineformer")], cwd=PROJECT_ROOT, env=plainly_configured(), capture_output=True,
+        text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    found = {one["metadata"]["name"]: one["metadata"]["version"] for one in json.loads(report.read_text())["install"]}
+    assert {"endonav-guide3d", "endonav-splineformer", "torch"} <= found.keys()
+    pins = (PROJECT_ROOT / "constraints.txt").read_text().lower().replace("_", "-")
+    loose = [
+        name
+        for name, version in found.items()
+        if not name.startswith(("endonav-", *CUDA_DISTRIBUTIONS))
+        and f"\n{name}=={version}\n".lower().replace("_", "-") not in pins
+    ]
+    assert not loose
 
 
 @pytest.fixture(scope="module")

@@ -11,16 +11,49 @@ from pipeline import installation
 from pipeline.stages import available_stages
 from pipeline.store.provenance import PROJECT_ROOT
 
+# What pip brings beside torch 2.13 and its pins where nothing but the public index is configured.
+PLAIN_CUDA = (
+    "cuda-bindings", "cuda-pathfinder", "cuda-toolkit", "nvidia-cublas", "nvidia-cuda-cupti", "nvidia-cuda-nvrtc",
+    "nvidia-cuda-runtime", "nvidia-cudnn-cu13", "nvidia-cufft", "nvidia-cufile", "nvidia-curand", "nvidia-cusolver",
+    "nvidia-cusparse", "nvidia-cusparselt-cu13", "nvidia-nccl-cu13", "nvidia-nvjitlink", "nvidia-nvshmem-cu13",
+    "nvidia-nvtx", "triton",
+)  # fmt: skip
 
-def test_cuda_and_torchvision_are_found() -> None:
-    names = ["torch", "numpy", "nvidia-cublas-cu12", "triton", "TorchVision"]
-    assert installation.unwanted_distributions(names, gpu=False) == ["nvidia-cublas-cu12", "torchvision", "triton"]
-    assert installation.unwanted_distributions(names, gpu=True) == ["torchvision"]
-    assert installation.unwanted_distributions(["torch", "numpy"], gpu=False) == []
 
-
-def test_this_environment_is_clean() -> None:
+def test_setup_takes_torch_with_cuda_and_says_how_large_it_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sizes = dict.fromkeys(PLAIN_CUDA, 100000000) | {"torch": 1_000_000_000, "numpy": 600_000_000}
+    monkeypatch.setattr(installation, "installed_sizes", lambda: sizes)
     assert installation.main(["after"]) == 0
+    said = capsys.readouterr()
+    assert said.out.startswith("installed: 3.5 GB, 2.9 of them torch with CUDA")
+    assert "make setup TORCH_INDEX=" in said.out
+    assert not said.err
+
+
+def test_a_build_for_the_cpu_is_no_occasion_for_advice() -> None:
+    assert installation.size_note({"torch": 700_000_000, "numpy": 50_000_000}) == "installed: 0.8 GB"
+
+
+def test_sizes_are_those_of_the_files() -> None:
+    sizes = installation.installed_sizes()
+    assert sizes["torch"] > 500_000_000
+    assert 10_000_000 < sizes["numpy"] < 500_000_000
+
+
+@pytest.mark.parametrize("index", ["", "https://example.invalid/cpu"])
+def test_an_index_for_torch_is_asked_for_torch_alone(index: str) -> None:
+    command = ["make", "-n", "-W", "constraints.txt", "setup", *([f"TORCH_INDEX={index}"] if index else [])]
+    shown = subprocess.run(command, cwd=PROJECT_ROOT, capture_output=True, text=True, check=True).stdout
+    lines = [line for line in shown.splitlines() if "pip install" in line]
+    of_torch = [line for line in lines if "--index-url" in line]
+    assert len(of_torch) == bool(index)
+    for line in of_torch:
+        assert line.endswith("torch")
+        assert "--no-deps" in line
+        assert f'--index-url "{index}"' in line
+        assert lines.index(line) < next(n for n, other in enumerate(lines) if "requirements.txt" in other)
 
 
 def test_a_missing_compiler_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,5 +109,5 @@ def test_constraints_pin_every_requirement_exactly() -> None:
     assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9.]+", line) for line in lines)
     pins = dict(line.lower().split("==") for line in lines)
     assert "torchvision" not in pins
-    assert not [name for name in pins if name.startswith("nvidia")]
+    assert not [name for name in pins if name.startswith(installation.CUDA_DISTRIBUTIONS)]
     assert {"torch", "mujoco", "numpy", "hydra-core", "pytest", "ruff", "setuptools"} <= set(pins)

@@ -118,7 +118,7 @@ def test_one_gpu_of_several() -> None:
 @pytest.mark.parametrize(
     ("count", "device", "message"),
     [
-        (0, "cuda", r"stage\.device=cuda, but torch finds no GPU: install a CUDA build of torch"),
+        (0, "cuda", r"stage\.device=cuda, but torch finds no GPU: install a build of torch for its CUDA"),
         (0, "cuda:0", r"stage\.device=cuda:0, but torch finds no GPU"),
         (2, "cuda:2", r"stage\.device=cuda:2, but torch finds 2 GPUs: the last is cuda:1"),
     ],
