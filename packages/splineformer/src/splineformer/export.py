@@ -71,7 +71,7 @@ def export_onnx(network: CurveNetwork, path: Path | str, batch: int = 1) -> list
     """Writes a network as ONNX, for a fixed number of images; returns the files that were written, whole.
 
     Raises:
-        ModuleNotFoundError: the extra `splineformer[onnx]` is not installed.
+        ModuleNotFoundError: the extra `endonav-splineformer[onnx]` is not installed.
     """
     _require("onnx", "onnxscript")
     module, levels = graph_of(network, batch)

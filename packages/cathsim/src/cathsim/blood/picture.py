@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.blood.womersley import womersley_number
+from cathsim.figure import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,11 +26,7 @@ Array = NDArray[np.float64]
 
 def draw_flow(field: BloodField, time: float) -> Figure:
     """Draws a flow; the field is that of a time, s."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(11.0, 6.6), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(11.0, 6.6), dpi=110, layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15))
     view, flows, profiles = (figure.add_subplot(at) for at in (grid[:, 0], grid[0, 1], grid[1, 1]))
     _draw_field(figure, view, field, time)

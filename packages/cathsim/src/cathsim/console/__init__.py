@@ -1,6 +1,6 @@
 """A human at the controls: live fluoroscopy and 3-D view in the browser, keys that steer the wire, recorded episodes.
 
-`python -m cathsim.console` starts it; it needs the extra `cathsim[console]`.
+`python -m cathsim.console` starts it; it needs the extra `endonav-cathsim[console]`.
 """
 
 from __future__ import annotations

@@ -100,7 +100,7 @@ def _save(devices: dict[str, Guidewire | Catheter], output: Path) -> None:
 
         figure = draw_devices(devices)
     except ModuleNotFoundError as error:
-        raise ValueError(f"a picture needs {error.name}: install cathsim with the extra pictures") from None
+        raise ValueError(str(error)) from None
     output.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(output, bbox_inches="tight")
 

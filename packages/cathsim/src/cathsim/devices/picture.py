@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.devices.catheter import Catheter, unloaded_centreline
+from cathsim.figure import new_figure
 from cathsim.guidewire import Guidewire
 
 if TYPE_CHECKING:
@@ -34,15 +35,11 @@ def draw_devices(devices: Mapping[str, Device]) -> Figure:
     Raises:
         ValueError: there is none.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     if not devices:
         raise ValueError("a picture of devices needs at least one device")
     columns, rows = min(len(devices), _COLUMNS), -(-len(devices) // _COLUMNS)
     width, height = max(_COLUMNS * _WIDTH / _SCALE, 6.0), rows * _HEIGHT / _SCALE
-    figure = Figure(figsize=(width, height + 3.4), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(width, height + 3.4), dpi=100, layout="constrained")
     grid = figure.add_gridspec(2, 2, height_ratios=(height, 3.2))
     shapes, bending, torsion = (figure.add_subplot(at) for at in (grid[0, :], grid[1, 0], grid[1, 1]))
     for index, (name, device) in enumerate(devices.items()):

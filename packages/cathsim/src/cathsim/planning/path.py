@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.figure import new_figure
 from cathsim.lattice.native_lattice import NodeSetStruct
 from cathsim.lattice.node_blocks import STRIDES
 from cathsim.lattice.node_set import NodeSet
@@ -257,13 +258,9 @@ def picture(
     Args:
         file: where the PNG goes; its folder must exist.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     low, high = grid.bounds * 1e3
     points = path.points * 1e3
-    figure = Figure(figsize=(8.0, 6.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(8.0, 6.4), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
     views = (("from the front", 1, 0, "x, left (mm)"), ("from the left", 0, 1, "y, posterior (mm)"))
     for plot, (name, through, across, label) in zip(axes, views, strict=True):

@@ -144,7 +144,7 @@ def write_gif(path: Path, frames: Sequence[np.ndarray], colours: Sequence[int], 
         frames: (h, w, 3) uint8 each.
         colours: of the palette, red, green and blue of each in turn, at most 256.
     """
-    from PIL import Image
+    Image = _pillow()
 
     palette = Image.new("P", (1, 1))
     palette.putpalette(list(colours))
@@ -162,7 +162,7 @@ def film_palette(frames: Sequence[np.ndarray], greys: int, colours: int) -> list
         frames: (h, w, 3) uint8 each.
         greys, colours: how many of each, at most 256 together.
     """
-    from PIL import Image
+    Image = _pillow()
 
     scale = np.repeat(np.linspace(0, 255, greys).round().astype(np.uint8)[:, None], 3, axis=1)
     pixels = np.concatenate([frame.reshape(-1, 3) for frame in frames])
@@ -173,3 +173,18 @@ def film_palette(frames: Sequence[np.ndarray], greys: int, colours: int) -> list
     quantized = Image.fromarray(coloured[None]).quantize(colours, method=Image.Quantize.MAXCOVERAGE)
     seen = np.array(quantized.getpalette(), np.uint8).reshape(-1, 3)[:colours]
     return np.concatenate((scale, seen)).ravel().tolist()
+
+
+def _pillow() -> Any:
+    """Pillow's module of images.
+
+    Raises:
+        ModuleNotFoundError: it is not installed; the message has the command that installs it.
+    """
+    try:
+        from PIL import Image
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError(
+            "GIF films are written with Pillow: pip install 'endonav-cathsim[pictures]'", name=error.name
+        ) from None
+    return Image

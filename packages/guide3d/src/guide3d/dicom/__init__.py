@@ -1,4 +1,4 @@
-"""DICOM: X-ray runs of angiography systems to images and cameras (`guide3d[dicom]`).
+"""DICOM: X-ray runs of angiography systems to images and cameras (`endonav-guide3d[dicom]`).
 
 Names are imported at first use.
 """

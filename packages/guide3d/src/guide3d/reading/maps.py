@@ -9,8 +9,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
+
+try:
+    import torch
+except ModuleNotFoundError:
+    from guide3d.extras import require
+
+    require("torch", "learning")  # says what to install
+    raise
 
 from guide3d.learning.model_file import UNFIT, another_architecture, filled, read_model, write_model
 from guide3d.learning.precision import has_bfloat16

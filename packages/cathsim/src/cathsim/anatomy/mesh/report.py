@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.figure import new_figure
+
 logger = logging.getLogger(__name__)
 _MOST_POINTS = 60_000
 
@@ -86,13 +88,10 @@ def draw_refusal(surface: Array, found: Array, reason: str, path: Path) -> Path 
         The PNG file, or None where it cannot be drawn (no matplotlib, no room).
     """
     try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ModuleNotFoundError:
-        logger.warning("no picture of the refused mesh: install matplotlib, or cathsim[pictures].")
+        figure = new_figure(figsize=(12.0, 5.2), dpi=100, facecolor="white", layout="constrained")
+    except ModuleNotFoundError as error:
+        logger.warning("no picture of the refused mesh: %s", error)
         return None
-    figure = Figure(figsize=(12.0, 5.2), dpi=100, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
     rng = np.random.default_rng(0)
     shown = surface[rng.permutation(len(surface))[:_MOST_POINTS]]
     inner = found[rng.permutation(len(found))[:_MOST_POINTS]]

@@ -14,6 +14,7 @@ import numpy as np
 
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.pictures.phantom_picture import VIEWS, camera, picture_point, render_lumen
+from cathsim.figure import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,9 +54,6 @@ def draw_import(phantom: Phantom, path: Path | None = None) -> Figure:
     Args:
         path: PNG file to write, or None for the figure only.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     assert phantom.imported is not None, "a phantom of an import"
     report, unsure = phantom.imported, doubts(phantom.imported.notes)
     names = phantom.tree.names
@@ -66,8 +64,7 @@ def draw_import(phantom: Phantom, path: Path | None = None) -> Figure:
     words = _listed(unsure)
     below = 0.17 * (words.count("\n") + 1) + 0.3
     height = min(3.9 * half_height / half_width, 9.0) + 0.9
-    figure = Figure(figsize=(13.0, height + below), dpi=110, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(13.0, height + below), dpi=110, facecolor="white")
     panels = figure.subplots(1, len(VIEWS), sharey=True)
     figure.subplots_adjust(0.05, (below + 0.45) / (height + below), 0.99, 1 - 0.75 / (height + below), 0.03)
     for panel, (label, turn) in zip(panels, VIEWS.items(), strict=True):
@@ -147,8 +144,8 @@ def with_picture_of_doubts(phantom: Phantom, path: Path) -> Phantom:
         return phantom
     try:
         draw_import(phantom, path)
-    except ModuleNotFoundError:
-        logger.warning("no picture of the import: install matplotlib, or cathsim[pictures].")
+    except ModuleNotFoundError as error:
+        logger.warning("no picture of the import: %s", error)
         return phantom
     except OSError as error:
         logger.warning("no picture of the import: %s cannot be written (%s).", path, error)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.phantom import Phantom
+from cathsim.figure import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,17 +31,13 @@ def draw_phantom(phantom: Phantom, path: Path | None = None, *, pixel: float = 5
         path: PNG file to write, or None for the figure only.
         pixel: m per picture element.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     low, high = phantom.bounds
     centre = (low + high) / 2
     half_height = (high[2] - low[2]) / 2 + 6e-3
     half_width = float(np.linalg.norm((high - low)[:2])) / 2 + 3e-3
-    figure = Figure(
+    figure = new_figure(
         figsize=(12.6, 3.75 * half_height / half_width + 1.1), dpi=110, facecolor="white", layout="constrained"
     )
-    FigureCanvasAgg(figure)
     panels = figure.subplots(1, len(VIEWS), sharey=True)
     for panel, (label, turn) in zip(panels, VIEWS.items(), strict=True):
         right, toward = camera(turn)

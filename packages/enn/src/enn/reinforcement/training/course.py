@@ -35,8 +35,17 @@ class Course:
         self.writer: Any = None
 
     def show_in_tensorboard(self, folder: Path, decisions: int) -> None:
-        """Writes every further row there, too; rows after so many decisions, of an interrupted run, are hidden."""
-        from torch.utils.tensorboard import SummaryWriter
+        """Writes every further row there, too; rows after so many decisions, of an interrupted run, are hidden.
+
+        Raises:
+            ModuleNotFoundError: TensorBoard is not installed.
+        """
+        try:
+            from torch.utils.tensorboard import SummaryWriter
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError(
+                "TensorBoard's files are written with tensorboard: pip install tensorboard", name=error.name
+            ) from None
 
         self.writer = SummaryWriter(str(folder), purge_step=decisions or None)
 

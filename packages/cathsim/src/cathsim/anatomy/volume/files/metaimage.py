@@ -29,9 +29,7 @@ def open_metaimage(path: Path) -> VolumeSource:
     try:
         import SimpleITK
     except ModuleNotFoundError:
-        raise MeshRefusedError(
-            f"{path.name} needs SimpleITK to be read: install cathsim[metaimage], or SimpleITK."
-        ) from None
+        raise MeshRefusedError(f"{path.name} needs SimpleITK: pip install 'endonav-cathsim[metaimage]'.") from None
     keys = _keys(path)  # before ITK, which prints lines of its own about files of another kind
     if not {"ndims", "dimsize", "elementdatafile"} <= keys:
         raise MeshRefusedError(f"{path.name} is no MetaImage file; give a .mha file, or a .mhd file beside its data.")

@@ -33,7 +33,7 @@ def open_nifti(path: Path) -> VolumeSource:
     try:
         import nibabel
     except ModuleNotFoundError:
-        raise MeshRefusedError(f"{path.name} needs nibabel to be read: install cathsim[volumes], or nibabel.") from None
+        raise MeshRefusedError(f"{path.name} needs nibabel: pip install 'endonav-cathsim[volumes]'.") from None
     try:
         image: Any = nibabel.load(path)
         header = image.header

@@ -43,7 +43,7 @@ def open_nrrd(path: Path) -> VolumeSource:
     try:
         import nrrd
     except ModuleNotFoundError:
-        raise MeshRefusedError(f"{path.name} needs pynrrd to be read: install cathsim[volumes], or pynrrd.") from None
+        raise MeshRefusedError(f"{path.name} needs pynrrd: pip install 'endonav-cathsim[volumes]'.") from None
     try:
         with path.open("rb") as file:
             header = nrrd.read_header(file)

@@ -1,0 +1,23 @@
+"""Lists the package's command lines: `python -m cathsim`."""
+
+import ast
+import sys
+from pathlib import Path
+
+
+def commands() -> dict[str, str]:
+    """The modules that are programs: name to the first line of the docstring; parts of a program are left out."""
+    found: dict[str, str] = {}
+    root = Path(__file__).parent
+    for file in sorted(root.rglob("*.py"), key=lambda file: (len(file.parts), file)):
+        module = ".".join(("cathsim", *file.relative_to(root).with_suffix("").parts)).removesuffix(".__main__")
+        text = file.read_text(encoding="utf-8")
+        inside = any(module.startswith(f"{program}.") for program in found)
+        if module != "cathsim" and not inside and '\nif __name__ == "__main__":' in text:
+            found[module] = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
+    return found
+
+
+if __name__ == "__main__":
+    print("\n".join(f"python -m {name}: {what}" for name, what in commands().items()))
+    sys.exit(0 if set(sys.argv[1:]) <= {"-h", "--help"} else 2)

@@ -1,0 +1,32 @@
+"""Command lines of a package: its modules that run with `python -m`, found in its sources."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def commands(package: str) -> dict[str, str]:
+    """The modules of an installed package that are programs: name to the first line of the module's docstring.
+
+    Modules within a package that is a program itself are its parts and left out. Nothing is imported.
+    """
+    found: dict[str, str] = {}
+    spec = importlib.util.find_spec(package)
+    assert spec, package
+    root = Path(str(spec.origin)).parent
+    for file in sorted(root.rglob("*.py"), key=lambda file: (len(file.parts), file)):
+        module = ".".join((package, *file.relative_to(root).with_suffix("").parts)).removesuffix(".__main__")
+        text = file.read_text(encoding="utf-8")
+        inside = any(module.startswith(f"{program}.") for program in found)
+        if module != package and not inside and '\nif __name__ == "__main__":' in text:
+            found[module] = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
+    return found
+
+
+def listing(package: str, words: Sequence[str]) -> tuple[str, int]:
+    """What `python -m PACKAGE` prints, a line a command, and its exit code: 2 for words other than --help."""
+    lines = [f"python -m {name}: {what}" for name, what in commands(package).items()]
+    return "\n".join(lines), 0 if set(words) <= {"-h", "--help"} else 2

@@ -1,0 +1,10 @@
+"""Lists the package's command lines: `python -m splineformer`."""
+
+import sys
+
+from guide3d.commands import listing
+
+if __name__ == "__main__":
+    text, code = listing("splineformer", sys.argv[1:])
+    print(text)
+    sys.exit(code)

@@ -1,0 +1,114 @@
+"""An optional dependency that is missing is named with the command that installs it."""
+
+from __future__ import annotations
+
+import ast
+import importlib.metadata
+import json
+import re
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.integration.documents.pages import PACKAGES, PROJECT_ROOT
+
+PHANTOM = "import cathsim; phantom = cathsim.load_phantom('type_1', resolution=2e-3); "
+# distribution[extra], module that is missing, what needs it
+USES = [
+    ("cathsim[composer]", "dm_control", "import cathsim.composer"),
+    ("cathsim[hulls]", "coacd", f"{PHANTOM}from cathsim.contact.hulls import decompose; decompose(phantom, None)"),
+    ("cathsim[human]", "pygame", "from cathsim.viewing.display import Window; Window()"),
+    ("cathsim[metaimage]", "SimpleITK", "import cathsim; cathsim.import_anatomy('labels.mha')"),
+    ("cathsim[pictures]", "matplotlib", "from cathsim.figure import new_figure; new_figure()"),
+    ("cathsim[pictures]", "PIL", "from cathsim.viewing.film import film_palette; film_palette([], 2, 2)"),
+    ("cathsim[volumes]", "nibabel", "import cathsim; cathsim.import_anatomy('labels.nii.gz')"),
+    ("cathsim[volumes]", "nrrd", "import cathsim; cathsim.import_anatomy('labels.nrrd')"),
+    ("guide3d[dicom]", "pydicom", "from guide3d.dicom import read_xray; read_xray('run.dcm')"),
+    ("guide3d[learning]", "torch", "import guide3d, numpy; guide3d.read(numpy.eye(256))"),
+    ("guide3d[learning]", "torch", "import guide3d; guide3d.load('reader')"),
+    ("guide3d[learning]", "torch", "import guide3d.train"),
+    ("guide3d[learning]", "torch", "import guide3d.train_reader"),
+    ("guide3d[learning]", "torch", "import guide3d.modeling.unet"),
+    ("guide3d[learning]", "torch", "import guide3d.reading.maps"),
+    ("splineformer[onnx]", "onnx", "from splineformer.export import _require; _require('onnx')"),
+]
+FILES = ("labels.mha", "labels.nii.gz", "labels.nrrd", "run.dcm")
+# console: a line of its own command (tests/cathsim/console); lossless: found by pydicom (tests/guide3d/dicom);
+# video: Gymnasium's own wrapper names moviepy
+ELSEWHERE = {"cathsim[console]", "cathsim[video]", "guide3d[lossless]"}
+
+
+@pytest.mark.parametrize(("extra", "module", "use"), USES, ids=lambda text: str(text)[:40])
+def test_a_missing_dependency_is_named_with_its_extra(
+    extra: str, module: str, use: str, run_python: Callable[[str], str]
+) -> None:
+    said = json.loads(
+        run_python(
+            f"import json, os, pathlib, sys, tempfile\nos.chdir(tempfile.mkdtemp())\nsys.modules[{module!r}] = None\n"
+            f"for name in {FILES!r}:\n    pathlib.Path(name).touch()\ntry:\n    exec({use!r})\n"
+            "except Exception as error:\n    print(json.dumps([type(error).__name__, str(error)]))"
+        )
+    )
+    assert f"pip install 'endonav-{extra}'" in said[1].replace('"', "'"), said
+    assert "\n" not in said[1]
+
+
+def test_every_extra_of_the_packages_is_tried() -> None:
+    declared = {
+        f"{package}[{extra}]"
+        for package in PACKAGES
+        for extra in tomllib.loads((PROJECT_ROOT / "packages" / package / "pyproject.toml").read_text())["project"].get(
+            "optional-dependencies", ()
+        )
+    }
+    assert declared == {extra for extra, _, _ in USES} | ELSEWHERE
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_message_advises_a_distribution_of_a_foreign_name(package: str) -> None:
+    foreign = re.compile(rf"(?<![\w/-]){package}\[\w+\]")
+    sources = (PROJECT_ROOT / "packages" / package / "src").rglob("*.py")
+    assert not [str(file) for file in sources if foreign.search(file.read_text(encoding="utf-8"))]
+
+
+# comes with another one that is declared
+BROUGHT = {"dm_env": "dm_control"}
+
+
+def imports(file: Path) -> set[str]:
+    """Top-level modules that a file imports anywhere, but for type checkers."""
+    found: set[str] = set()
+    pending: list[ast.AST] = [ast.parse(file.read_text(encoding="utf-8"))]
+    while pending:
+        node = pending.pop()
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            pending.extend(node.orelse)
+            continue
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module.split(".")[0])
+        pending.extend(ast.iter_child_nodes(node))
+    return found
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_what_a_package_imports_is_declared(package: str) -> None:
+    project = tomllib.loads((PROJECT_ROOT / "packages" / package / "pyproject.toml").read_text())["project"]
+    lines = [
+        *project["dependencies"],
+        *(line for some in project.get("optional-dependencies", {}).values() for line in some),
+    ]
+    declared = {re.split(r"[\[<>=~; ]", line)[0].lower().replace("_", "-") for line in lines}
+    sources = list((PROJECT_ROOT / "packages" / package / "src").rglob("*.py"))
+    foreign = set().union(*map(imports, sources)) - {package, *sys.stdlib_module_names}
+    brings = importlib.metadata.packages_distributions()
+    missing = {
+        name
+        for name in foreign
+        if not {one.lower().replace("_", "-") for one in brings.get(BROUGHT.get(name, name), [name])} & declared
+    }
+    assert not missing

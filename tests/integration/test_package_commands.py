@@ -1,0 +1,43 @@
+"""`python -m PACKAGE` lists the command lines that the package has, a line each."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.integration.documents.pages import PACKAGES, PROJECT_ROOT
+
+PROGRAM = re.compile("^if __name__ == ", re.MULTILINE)
+INSIDE = {"cathsim.console.expert"}  # which the console starts
+
+
+def programs(package: str) -> set[str]:
+    """The package's modules that do something when they are run."""
+    root = PROJECT_ROOT / "packages" / package / "src"
+    files = [file for file in root.rglob("*.py") if PROGRAM.search(file.read_text(encoding="utf-8"))]
+    names = {".".join(file.relative_to(root).with_suffix("").parts).removesuffix(".__main__") for file in files}
+    return names - INSIDE - {package}
+
+
+def run(package: str, cwd: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", package, *words]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_lists_its_commands(package: str, tmp_path: Path) -> None:
+    done = run(package, tmp_path)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    listed = [line.removeprefix("python -m ").split(":")[0] for line in lines if line.startswith("python -m ")]
+    assert len(listed) == len(set(listed))
+    assert set(listed) == programs(package)
+    assert all(len(line.split(": ", 1)[1]) > 20 for line in lines if line.startswith("python -m "))
+
+
+def test_a_word_too_many_is_wrong_usage(tmp_path: Path) -> None:
+    assert run("guide3d", tmp_path, "moon").returncode == 2
