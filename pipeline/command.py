@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import os
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from pipeline.installation import gl_backend
-from pipeline.printing import say
+from pipeline.printing import CALLED, installing, say
 
 _FINE, _USAGE, _INTERRUPTED = 0, 2, 130
 _PACKAGES = ("enn", "guide3d", "splineformer")  # that ship models
@@ -22,6 +23,8 @@ endonav COMMAND [ARGUMENTS]
   models [NAME]            list the trained models that are shipped, or print the card of one
   demo                     a shipped policy steers through an unseen arch or yours: film, log and page in runs/demo
   console                  steer the wire yourself, in the browser (needs endonav-cathsim[console])
+  info                     what a report of a problem needs: versions, processor, rendering, GPUs, caches
+  --version
 
 Every command has --help. Results go to runs/ in the folder in which it is called.
 """
@@ -30,9 +33,14 @@ Every command has --help. Results go to runs/ in the folder in which it is calle
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line; gives the exit code of what it called, 2 for wrong usage."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments is None:  # this process is the command's own
+        os.environ[CALLED] = "1"
     if not words or words[0] in ("-h", "--help"):
         say(_HELP)
         return _FINE if words else _USAGE
+    if words == ["--version"]:
+        say(f"endonav {importlib.metadata.version('endonav')}")
+        return _FINE
     if words[0] not in _COMMANDS:
         say(f"endonav has no command {words[0]!r}: choose from {', '.join(_COMMANDS)}", error=True)
         return _USAGE
@@ -43,7 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _INTERRUPTED
     except ModuleNotFoundError as error:
-        say(f"endonav {words[0]} needs the module {error.name}: install what brings it, then try again", error=True)
+        known = "pip install" in str(error)  # else Python's own words, which say no more than the name
+        say(f"endonav {words[0]}: {error}" if known else f"endonav {words[0]} needs the module {error.name}: "
+            f"{installing('make setup')}", error=True)  # fmt: skip
         return _USAGE
 
 
@@ -92,6 +102,16 @@ def _demo(arguments: list[str]) -> int:
     return demo(arguments)
 
 
+def _info(arguments: list[str]) -> int:
+    from pipeline.system_info import report
+
+    if arguments:
+        say("endonav info: prints what a report of a problem needs; it takes no arguments")
+        return _FINE if arguments[0] in ("-h", "--help") else _USAGE
+    say(report())
+    return _FINE
+
+
 def _console(arguments: list[str]) -> int:
     from pipeline.console import main as console
 
@@ -105,6 +125,7 @@ _COMMANDS: dict[str, Callable[[list[str]], int]] = {
     "models": _models,
     "demo": _demo,
     "console": _console,
+    "info": _info,
 }
 
 

@@ -8,13 +8,14 @@ from pathlib import Path
 
 from cathsim.console.launch import parser, start
 from pipeline.config import RunConfig
+from pipeline.printing import written
 from pipeline.recording.human import McapRecorder, recordings
 from pipeline.store.errors import ConfigurationError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the console until Ctrl-C."""
-    wanted = parser("python -m pipeline.console", folder=None)
+    wanted = parser(written("console"), folder=None)
     wanted.add_argument("--name", default="desk", metavar="RUN", help="run that the episodes belong to (default desk)")
     wanted.add_argument("--runs-dir", type=Path, default=Path("runs"), help="folder of the runs (default runs)")
     options = wanted.parse_args(arguments)

@@ -13,6 +13,7 @@ from pydantic import ValidationError
 
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, RunConfig
 from pipeline.jobs.engines.settings import ENGINES, LOCAL, SETTINGS
+from pipeline.printing import installing
 from pipeline.settings.checks import sentence
 from pipeline.stages import available_stages, settings_of
 from pipeline.store.atomic_files import is_no_room
@@ -120,7 +121,8 @@ def _missing_choice(config: str) -> str:
     name = group.rsplit("/", 1)[-1] or "configuration"
     if group == "hydra/launcher":
         if choice == "ray":
-            return "Ray's launcher is not installed: run `make ray`, or choose basic, joblib or submitit_local"
+            how = installing("make ray")
+            return f"Ray's launcher is not installed: run `{how}`, or choose basic, joblib or submitit_local"
         valid = ["basic", "joblib", "ray", "submitit_local", "submitit_slurm"]
     listing = f": choose one of {', '.join(valid)}" if valid else ""
     return f"unknown {name} {choice!r}{listing}"

@@ -23,7 +23,7 @@ from pydantic import ValidationError
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, register_schemas, run_config
 from pipeline.execution import execute
 from pipeline.explain import is_number_as_choice, one_line, system_error
-from pipeline.printing import say
+from pipeline.printing import say, written
 from pipeline.stages import available_stages
 from pipeline.store.errors import PipelineError
 from pipeline.store.interruption import interrupted, let_ctrl_c_interrupt
@@ -39,7 +39,7 @@ _INTERRUPTED = "interrupted: finished items are kept; the same command goes on f
 _LOGGER = logging.getLogger(__name__)
 
 _USAGE = """\
-python -m pipeline stage=STAGE [budget=BUDGET] [name=RUN] [seed=N] [force=true] [stage.KEY=VALUE ...]
+{command} stage=STAGE [budget=BUDGET] [name=RUN] [seed=N] [force=true] [stage.KEY=VALUE ...]
 
 Runs one stage; its results go to runs/RUN/STAGE/. A stage whose results are up to date ends at once.
 
@@ -139,7 +139,12 @@ def usage() -> str:
     """Words the help, with the stages, budgets and experiments that exist."""
     stages = "\n".join(f"  {name:<12} {_summary(name)}" for name in available_stages())
     experiments = sorted(p.stem for p in (CONFIG_DIRECTORY / "experiment").glob("*.yaml"))
-    return _USAGE.format(stages=stages, budgets=", ".join(BUDGETS), experiments=", ".join(experiments) or "none")
+    return _USAGE.format(
+        command=written("stages"),
+        stages=stages,
+        budgets=", ".join(BUDGETS),
+        experiments=", ".join(experiments) or "none",
+    )
 
 
 def _summary(stage: str) -> str:

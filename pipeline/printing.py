@@ -1,9 +1,19 @@
-"""What commands print, also where the reader has gone, as `head` does after a few lines."""
+"""What commands print, also where the reader has gone, as `head` does after a few lines; how texts write a command."""
 
 from __future__ import annotations
 
 import os
 import sys
+
+CALLED = "ENDONAV_CALLED"  # in the environment, so that processes that a command starts write it the same way
+_IN_A_CLONE = {
+    "stages": "python -m pipeline",
+    "chain": "python -m pipeline.chain",
+    "episodes": "python -m pipeline.episodes",
+    "demo": "python -m pipeline.demo",
+    "console": "python -m pipeline.console",
+}
+_EXTRAS = {"make setup": "pip install 'endonav[learning]'", "make ray": "pip install 'endonav[ray]' hydra-ray-launcher"}
 
 
 def say(text: str, *, error: bool = False) -> None:
@@ -16,3 +26,13 @@ def say(text: str, *, error: bool = False) -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())  # else Python complains again at its end
         os.close(nowhere)
+
+
+def written(command: str) -> str:
+    """A command of `endonav`, such as ``episodes``, as the user would type it."""
+    return f"endonav {command}" if CALLED in os.environ else _IN_A_CLONE[command]
+
+
+def installing(verb: str) -> str:
+    """A verb of the Makefile that installs something, or what does the same without a clone."""
+    return _EXTRAS[verb] if CALLED in os.environ else verb

@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipeline.printing import written
 from pipeline.store.errors import StageError
 from pipeline.store.file_cache import digests_of
 from pipeline.store.manifest import Manifest, read_manifest
@@ -157,7 +158,7 @@ def command(stage: str, run_path: Path, overrides: Sequence[str], *, in_sweep: b
     words = [f"stage={stage}", f"name={run_path.name}", *overrides]
     if run_path.parent != Path("runs"):
         words.append(f"runs_dir={run_path.parent}")
-    return f"`python -m pipeline {'-m ' if in_sweep else ''}{shlex.join(words)}`"
+    return f"`{written('stages')} {'-m ' if in_sweep else ''}{shlex.join(words)}`"
 
 
 def _shared(overrides: Sequence[str]) -> Mapping[str, str]:

@@ -9,11 +9,11 @@ from pipeline.chain.durations import minutes_here
 from pipeline.chain.running import run
 from pipeline.chain.steps import after_inputs, chosen_value, concerns, steps_of
 from pipeline.config import BUDGETS
-from pipeline.printing import say
+from pipeline.printing import say, written
 from pipeline.stages import available_stages
 
 _USAGE = """\
-python -m pipeline.chain [--estimate] [--seeds N] [--beside N] all|[--inputs] STAGE ... -- [OVERRIDE ...]
+{command} [--estimate] [--seeds N] [--beside N] all|[--inputs] STAGE ... -- [OVERRIDE ...]
 
 Runs all stages, or some, one after the other, and says how long the rest will take.
 
@@ -37,7 +37,7 @@ _WORTH_SAYING = 0.1  # difference of this machine's pace from that of the known 
 def main(arguments: list[str]) -> int:
     """Runs the command line; gives 0, or the exit code of the stage that failed."""
     if "--help" in arguments or "-h" in arguments:
-        say(_USAGE)
+        say(_USAGE.format(command=written("chain")))
         return 0
     cut = arguments.index("--") if "--" in arguments else len(arguments)
     stages, overrides = arguments[:cut], arguments[cut + 1 :]

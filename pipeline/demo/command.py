@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from pipeline.arguments import Parser
+from pipeline.printing import written
 from pipeline.seeds import ARCHES
 from pipeline.store.errors import PipelineError
 
@@ -96,7 +97,7 @@ def run(options: argparse.Namespace) -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
-        "python -m pipeline.demo",
+        written("demo"),
         description="A shipped policy steers a wire, in a catheter where the take-off is steep, through an arch that "
         "it has never seen, or through yours; "
         "film, log and page of the episode go to a folder.",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import jinja2
 
 from pipeline.demo.film import LUMEN, TARGET, TRUE_WIRE, WAY, WIRE
 from pipeline.demo.steering import Scene
+from pipeline.printing import CALLED, written
 from pipeline.store.atomic_files import write_text
 
 PAGE = "index.html"
@@ -47,6 +49,7 @@ def write_page(
         seconds=metrics["steps"] / _STEPS_A_SECOND,
         files=files,
         folder=folder.as_posix(),
+        commands=_further(folder, files["log"]),
         parts=sections(shipped.card(scene.model)),
         summary=shipped.models()[scene.model],
         plots=[
@@ -63,6 +66,22 @@ def write_page(
     )
     write_text(page, text)
     return page
+
+
+def _further(folder: Path, log: str) -> list[tuple[str, str]]:
+    """Commands to go on with, each with what it does."""
+    arguments = {
+        "an aorta of your own: a surface or a label volume": "--anatomy arch.stl",
+        "another arch and branch": "--seed 7 --target lcca",
+        "by a roadmap of the scan in place of images": "--model generalist",
+    }
+    if CALLED in os.environ:
+        demos = [(f"{written('demo')} {words}", what) for what, words in arguments.items()]
+    else:
+        own, *others = arguments.items()
+        demos = [("make demo DEMO=arch.stl", own[0]), *((f'make demo ARGS="{words}"', what) for what, words in others)]
+    python = "" if CALLED in os.environ else ".venv/bin/"
+    return [*demos, (f"{python}{written('episodes')} info {folder.as_posix()}/{log}", "what the log holds")]
 
 
 def sections(card: str) -> dict[str, str]:

@@ -20,6 +20,7 @@ from pipeline.episodes.encoding.schema import DEVICE_MASKS
 from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError, ViewerError
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.recover import recover
+from pipeline.printing import written
 
 FINE, DAMAGED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
@@ -140,7 +141,7 @@ def _run_export(arguments: argparse.Namespace) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
-        prog="python -m pipeline.episodes",
+        prog=written("episodes"),
         description="Look at episode logs, check them, recover damaged ones, view them in Rerun, film and export them.",
         epilog="Exit codes: 0 all is well; 1 a log is damaged; 2 wrong usage, missing file, unwritable destination, no "
         "viewer.",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pipeline.printing import written
 from pipeline.store.errors import PipelineError
 
 
@@ -30,4 +31,4 @@ def damaged(path: Path, reason: object) -> EpisodeReadError:
 
 def recover_command(path: Path) -> str:
     """Give the command line that recovers a log."""
-    return f"python -m pipeline.episodes recover {path}"
+    return f"{written('episodes')} recover {path}"

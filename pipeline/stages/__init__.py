@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pipeline.printing import installing
 from pipeline.settings.checks import shown
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.run_folder import RunFolder
@@ -131,7 +132,9 @@ def _imported(stage: str, module: str, name: str) -> Any:
 
 def missing_module(stage: str, error: ModuleNotFoundError) -> StageError:
     """The error to raise where a stage needs a package that is not installed."""
-    return StageError(f"stage {stage} needs the module {error.name!r}, which is not installed: run `make setup`")
+    return StageError(
+        f"stage {stage} needs the module {error.name!r}, which is not installed: run `{installing('make setup')}`"
+    )
 
 
 @functools.cache

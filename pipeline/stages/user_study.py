@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.printing import written
 from pipeline.report.learning.logs import COUNTED
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.settings.checks import validated
@@ -128,9 +129,7 @@ def run_user_study(settings: UserStudySettings, context: StageContext) -> None:
     """Sums the recordings up."""
     logs = logs_of(context.run_path)
     if not logs:
-        _LOGGER.info(
-            "no human episodes yet: `python -m pipeline.console --name %s` records them", context.run_path.name
-        )
+        _LOGGER.info("no human episodes yet: `%s --name %s` records them", written("console"), context.run_path.name)
     study = gather(logs, settings)
     counted = [log.relative_to(context.run_path).as_posix() for log in study.counted]
     write_json(context.path / COUNTED, counted)

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import os
+import platform
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -25,7 +32,7 @@ def test_help_names_every_command(words: list[str], capsys: pytest.CaptureFixtur
 def test_an_unknown_command_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main(["stage"]) == 2
     assert capsys.readouterr().err == (
-        "endonav has no command 'stage': choose from stages, chain, episodes, models, demo, console\n"
+        "endonav has no command 'stage': choose from stages, chain, episodes, models, demo, console, info\n"
     )
 
 
@@ -82,3 +89,58 @@ def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch, caps
     monkeypatch.setitem(command._COMMANDS, "console", missing)
     assert command.main(["console"]) == 2
     assert "endonav console needs the module uvicorn" in capsys.readouterr().err
+
+
+def test_a_message_that_says_what_to_install_is_kept(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def missing(arguments: list[str]) -> int:
+        raise ModuleNotFoundError("pictures need matplotlib: pip install 'x[pictures]'", name="matplotlib")
+
+    monkeypatch.setitem(command._COMMANDS, "console", missing)
+    assert command.main(["console"]) == 2
+    assert capsys.readouterr().err == "endonav console: pictures need matplotlib: pip install 'x[pictures]'\n"
+
+
+def test_the_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["--version"]) == 0
+    declared = tomllib.loads((PROJECT_ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert capsys.readouterr().out == f"endonav {declared}\n"
+
+
+def test_info_has_what_a_report_of_a_problem_needs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setenv("CATHSIM_CACHE", str(tmp_path))
+    (tmp_path / "arch.npz").write_bytes(bytes(20_000_000))
+    assert command.main(["info"]) == 0
+    rows = dict(re.split(r"  +", line, maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    for name in ("endonav", "endonav-guide3d", "mujoco", "torch"):
+        assert rows[name] == importlib.metadata.version(name)
+    assert platform.python_version() in rows["python"]
+    assert "cores" in rows["processor"]
+    assert rows["anatomies in"] == f"{tmp_path}, 0.02 GB"
+    assert re.match(r"egl (works|fails), osmesa (works|fails)", rows["rendering"])
+    assert rows["GPUs"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["stages"],
+        ["chain"],
+        ["episodes", "--help"],
+        ["demo", "--help"],
+        ["console", "--help"],
+        ["stages", "stage=navigation", "budget=smoke"],
+    ],
+    ids=" ".join,
+)
+def test_texts_of_the_command_name_it_and_nothing_of_a_clone(words: list[str], tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "pipeline.command", *words], cwd=tmp_path, capture_output=True, text=True, timeout=120,
+        check=False,
+    )  # fmt: skip
+    said = done.stdout + done.stderr
+    assert f"endonav {words[0]}" in said
+    assert not re.search(r"python -m pipeline|\bmake (setup|all|demo|ray)\b|\.venv", said), said

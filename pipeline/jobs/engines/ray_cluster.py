@@ -15,6 +15,7 @@ from pipeline.jobs.engines import sending
 from pipeline.jobs.engines.cluster import Cluster, Needs
 from pipeline.jobs.engines.sending import Errand
 from pipeline.jobs.engines.settings import RaySettings
+from pipeline.printing import installing
 from pipeline.store.errors import StageError
 
 ADDRESS = "RAY_ADDRESS"
@@ -40,7 +41,7 @@ class RayCluster(Cluster):
             if error.name != "ray":
                 raise
             raise StageError(
-                "engine=ray needs Ray, which is not installed: run `make ray`, or take engine=local"
+                f"engine=ray needs Ray, which is not installed: run `{installing('make ray')}`, or take engine=local"
             ) from (error)
         self._ray: Any = ray
         worker: Any = ray._private.worker
