@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any
 from pipeline.printing import written
 from pipeline.report.learning.logs import COUNTED
 from pipeline.report.results import Figure, write_figures, write_results
-from pipeline.settings.checks import validated
+from pipeline.settings.checks import shown, validated
 from pipeline.settings.kinds import Count, SuccessRadius
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import write_json
 from pipeline.store.provenance import hash_file
+from pipeline.store.written_files import is_inside
 
 if TYPE_CHECKING:
     from pipeline.episodes import EpisodeInfo
@@ -103,10 +104,13 @@ def _read(path: Path) -> tuple[EpisodeInfo, bool, dict[str, Any] | None]:
         raise EpisodeReadError(f"{path} is an episode of {info.operator}")
     for name, value in outcome.metrics.items():
         if name != "target" and not isinstance(value, int | float):
-            raise ValueError(f"the metric {name} is {value!r}")
+            raise ValueError(f"the metric {shown(name)} is {shown(value)}")
     metrics = {name: value for name, value in outcome.metrics.items() if name not in TOTALS}
     if metrics:
         EpisodeMetrics(**metrics)  # a log with other metrics is not one of the console
+    for name in (info.phantom, info.target):
+        if not is_inside(name) or "/" in name:
+            raise ValueError(f"{shown(name)} cannot be a file's name")
     finished = outcome.status == "finished" and bool(metrics)
     return info, finished, None if answered is None else check_answers(answered)
 
@@ -140,22 +144,28 @@ def run_user_study(settings: UserStudySettings, context: StageContext) -> None:
 def figures(study: Study, folder: Path, settings: UserStudySettings) -> list[Figure]:
     """Draws the tip's paths and the forces of every task."""
     from cathsim import PHANTOMS, load_phantom
-    from pipeline.episodes import EpisodeReader
+    from pipeline.episodes import EpisodeReader, EpisodeReadError
     from pipeline.report.plots.episodes import draw_task
 
-    shown = []
+    drawn = []
     for task, logs in study.logs.items():
         name, target = task.split("/")
         if name not in PHANTOMS:
             continue  # one of the user's own: its vessel is not known here
-        arrays = [EpisodeReader(log).load_arrays(pictures=False) for log in logs]
-        file = f"{name}/{target}.png"
-        draw_task(load_phantom(name), target, arrays, folder / file, radius_mm=settings.success_radius_mm)
+        file, arrays = f"{name}/{target}.png", []
+        try:
+            for path in logs:
+                with EpisodeReader(path) as log:
+                    arrays.append(log.load_arrays(pictures=False))
+            draw_task(load_phantom(name), target, arrays, folder / file, radius_mm=settings.success_radius_mm)
+        except (EpisodeReadError, ValueError) as error:
+            _LOGGER.warning("%s is not drawn: %s", task, error)
+            continue
         caption = f"{len(arrays)} procedures at the console; the target's sphere of success is dashed."
-        shown.append(
+        drawn.append(
             Figure(f"Human, {name}, {target.upper()}: path of the tip and contact force", caption, file, "Human")
         )
-    return shown
+    return drawn
 
 
 def _recordings(run_path: Path) -> dict[str, str]:

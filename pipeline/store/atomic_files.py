@@ -33,6 +33,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{path.name}")
+    temporary.unlink(missing_ok=True)  # a link of that name would be written through
     try:
         yield temporary
         _flush_to_disk(temporary)
@@ -87,7 +88,7 @@ def remove_unfinished(folder: Path) -> int:
     Args:
         folder: searched with everything below it; call it only while holding the folder's lock.
     """
-    leftovers = list(folder.rglob(f"{TEMPORARY_PREFIX}*"))
+    leftovers = [path for path in folder.rglob(f"{TEMPORARY_PREFIX}*") if path.is_symlink() or not path.is_dir()]
     for leftover in leftovers:
         leftover.unlink(missing_ok=True)
     return len(leftovers)

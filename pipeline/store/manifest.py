@@ -15,11 +15,10 @@ from pipeline.settings.checks import sentence, shown
 from pipeline.store.atomic_files import read_json
 from pipeline.store.file_cache import FileCache
 from pipeline.store.provenance import hash_value, software_versions
+from pipeline.store.written_files import is_inside
 
 MANIFEST = "manifest.json"
 MANIFEST_VERSION = 3
-
-_LONGEST_PART = 255  # bytes that a file system takes
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -47,8 +46,7 @@ def _entry(entry: dict[str, Any]) -> dict[str, Any]:
 
 def _relative(name: str) -> str:
     """Accepts a path below a stage's folder, as `files_below` lists them."""
-    parts = name.split("/")
-    if any(part in ("", ".", "..") or len(part.encode()) > _LONGEST_PART or "\0" in part for part in parts):
+    if not is_inside(name):
         raise ValueError(f"cannot be {shown(name)}: it is no path below the stage's folder")
     return name
 

@@ -18,6 +18,7 @@ import contextlib
 import fcntl
 import logging
 import os
+import re
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -29,6 +30,7 @@ from typing import Any, TypeVar
 from pipeline.jobs.costs import kept_costs
 from pipeline.store.atomic_files import remove_unfinished, write_json, write_text
 from pipeline.store.errors import FolderBusyError, StageError
+from pipeline.store.file_cache import CACHE
 from pipeline.store.finished_items import FinishedItems
 from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.manifest import MANIFEST, Identity, Manifest, files_below, read_manifest
@@ -38,7 +40,7 @@ from pipeline.store.provenance import present_commit
 Item = TypeVar("Item")
 
 _LOCK = ".lock"
-_COMMITS = "commits.txt"
+_COMMITS, _COMMIT = "commits.txt", re.compile(r"\w{1,40}\+?")
 OLD = ".old"  # below the run
 
 _LOGGER = logging.getLogger(__name__)
@@ -57,12 +59,19 @@ class RunFolder(FinishedItems):
 
         Raises:
             FolderBusyError: when another process holds it.
-            StageError: when the folder holds files that no stage wrote: working here would remove them.
+            StageError: when the folder holds files that no stage wrote: working here would remove them; or when its
+                lock is a link or no file.
         """
         self.path.mkdir(parents=True, exist_ok=True)
-        if any(self.path.iterdir()) and not (self.path / _LOCK).exists():
+        place = self.path / _LOCK
+        if place.is_symlink() or (place.exists() and not place.is_file()):
+            raise StageError(f"{place} is no file of this project: remove it")
+        if any(self.path.iterdir()) and not place.exists():
             raise StageError(f"{self.path} holds files that no stage wrote: choose another name=… or runs_dir=…")
-        with (self.path / _LOCK).open("a+") as lock:
+        for cache in (self.path.parent / CACHE, self.path.parent / CACHE / "digests"):
+            if cache.is_symlink():
+                cache.unlink()
+        with place.open("a+") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -106,6 +115,7 @@ class RunFolder(FinishedItems):
         Returns:
             How many finished items are kept.
         """
+        self._remove_links()
         manifest = self.path / MANIFEST
         if not force and not manifest.exists() and self._belong_to(self.identity.fingerprint):
             remove_unfinished(self.path)
@@ -145,7 +155,16 @@ class RunFolder(FinishedItems):
 
     def _commits(self) -> list[str]:
         path = self._place / _COMMITS
-        return path.read_text(encoding="utf-8").split() if path.is_file() else []
+        words = path.read_text(encoding="utf-8").split() if path.is_file() else []
+        return [word for word in words if _COMMIT.fullmatch(word)]
+
+    def _remove_links(self) -> None:
+        """Removes symbolic links, which no stage makes: through one, a stage would write and delete elsewhere."""
+        for place, folders, files in os.walk(self.path):
+            for entry in (Path(place, name) for name in (*folders, *files)):
+                if entry.is_symlink():
+                    _LOGGER.warning("%s is a link, which no stage makes: it is removed", entry)
+                    entry.unlink()
 
     def pending(self, items: Sequence[Item], *, key: Callable[[Item], str] = str) -> list[Item]:
         """Lists the items that are not done yet, for stages that hand them to worker processes themselves.

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 _WRITING = os.O_WRONLY | os.O_RDWR
+_LONGEST_PART = 255  # bytes that a file system takes
 _state: dict[str, _Notes | None] = {"notes": None}
 _installed: list[bool] = []
 
@@ -80,15 +81,21 @@ def note(*files: Path) -> None:
             notes.add(file)
 
 
+def is_inside(name: str) -> bool:
+    """Whether a name, with slashes, is a path below a folder that any file can have."""
+    parts = name.split("/")
+    return not any(part in ("", ".", "..") or len(os.fsencode(part)) > _LONGEST_PART or "\0" in part for part in parts)
+
+
 def read_journal(journal: Path) -> list[str]:
     """What a journal holds.
 
     Returns:
-        Paths relative to its folder, in the order in which they were first written; none without a journal.
+        Paths below its folder, in the order in which they were first written; none without a journal.
     """
     try:
         lines = journal.read_bytes().split(b"\n")
     except FileNotFoundError:
         return []
     # What follows the last line's end was cut off by a kill: that file was not opened yet.
-    return list(dict.fromkeys(line.decode("utf-8", "surrogateescape") for line in lines[:-1] if line))
+    return list(filter(is_inside, dict.fromkeys(map(os.fsdecode, lines[:-1]))))

@@ -16,7 +16,7 @@ from pipeline.recording.record import record_episode
 from pipeline.recording.replay import ReplayError, replay
 from pipeline.report.force_logs import read_forces
 from pipeline.report.learning.reading import read_logs
-from pipeline.stages.user_study import UserStudySettings, gather
+from pipeline.stages.user_study import UserStudySettings, figures, gather
 from pipeline.store.errors import PipelineError
 
 WRONG_CONFIGURATION: dict[str, dict[str, Any]] = {
@@ -115,3 +115,27 @@ def test_a_user_study_leaves_out_what_it_cannot_use(metrics: dict[str, Any], log
     study = gather([log, good, bad], UserStudySettings(max_steps=3))
     assert study.unreadable == 2
     assert len(study.counted) == 1
+
+
+@pytest.mark.parametrize("name", ["a/b", "/etc/x", "..", "", "a" * 300, "a\0b"])
+@pytest.mark.parametrize("field", ["target", "phantom"])
+def test_a_user_study_leaves_out_names_that_no_file_can_have(field, name, log: Path, tmp_path: Path, caplog) -> None:
+    study = gather([log, rewritten(log, tmp_path / "forged.mcap", **{field: name})], UserStudySettings(max_steps=3))
+    assert (study.unreadable, len(study.counted)) == (1, 1)
+    assert "left out: " in caplog.text
+    assert "cannot be a file's name" in caplog.text
+
+
+def test_a_user_study_draws_what_can_be_drawn(log: Path, tmp_path: Path, caplog) -> None:
+    unknown = rewritten(log, tmp_path / "forged.mcap", target="nowhere")
+    data = bytearray(log.read_bytes())
+    with EpisodeReader(log) as reader:
+        data[reader.summary.chunk_indexes[-1].chunk_start_offset + 100] ^= 1
+    (tmp_path / "damaged.mcap").write_bytes(data)
+    settings = UserStudySettings(max_steps=3)
+    study = gather([log, unknown], settings)
+    assert [figure.file for figure in figures(study, tmp_path, settings)] == ["type_1/bca.png"]
+    assert "type_1/nowhere is not drawn: " in caplog.text
+    study.logs["type_1/bca"] = [tmp_path / "damaged.mcap"]
+    assert figures(study, tmp_path, settings) == []
+    assert "type_1/bca is not drawn: " in caplog.text

@@ -377,3 +377,80 @@ def test_a_damaged_memory_condemns_no_good_file_and_passes_no_bad_one(tmp_path: 
     assert FileCache(store, tmp_path).digest(tmp_path / "a") == digest
     (tmp_path / "a").write_text("c")
     assert not FileCache(store, tmp_path).holds(tmp_path / "a", digest, 1)
+
+
+@pytest.fixture
+def precious(tmp_path: Path) -> Path:
+    """A folder outside the run with files that must not change."""
+    outside = tmp_path / "outside"
+    (outside / "digests").mkdir(parents=True)
+    for name in ("letter.txt", "identity.json", "b.txt", "digests/phantoms.json"):
+        (outside / name).write_text("mine")
+    return outside
+
+
+def unharmed(outside: Path) -> bool:
+    names = sorted(path.relative_to(outside).as_posix() for path in outside.rglob("*") if path.is_file())
+    wanted = ["b.txt", "digests/phantoms.json", "identity.json", "letter.txt"]
+    return names == wanted and all((outside / name).read_text() == "mine" for name in wanted)
+
+
+def test_a_lock_that_is_no_file_is_refused_and_its_target_stays(folder: RunFolder, precious: Path) -> None:
+    folder.path.mkdir(parents=True)
+    lock = folder.path / ".lock"
+    for make in (lambda: lock.symlink_to(precious / "letter.txt"), lambda: os.mkfifo(lock), lock.mkdir):
+        make()
+        with pytest.raises(StageError, match=r"\.lock is no file of this project: remove it"), folder.locked():
+            pass
+        lock.rmdir() if lock.is_dir() else lock.unlink()
+    assert unharmed(precious)
+
+
+@pytest.mark.parametrize("same", [True, False], ids=["goes on", "begins anew"])
+@pytest.mark.parametrize("forged", ["journal", "record", ".progress", "sub", "b.txt", ".cache", "temporary"])
+def test_nothing_outside_a_run_folder_is_written_or_removed(folder, precious, forged: str, same: bool) -> None:
+    build(folder, "ab")
+    progress, cache = folder.path / ".progress", folder.path.parent / ".cache"
+    elsewhere = [f"../{precious.name}/letter.txt", str(precious / "b.txt"), "sub/letter.txt", "sub/../../outside/b.txt"]
+    [record] = [path for path in progress.glob("item-*.json") if json.loads(path.read_text())["key"] == "b"]
+    (folder.path / "b.txt").write_text("changed")  # so that item b and what it wrote are removed
+    if forged == "journal":
+        for path in (progress / f"files-{record.stem.removeprefix('item-')}.txt", progress / "files-x.txt"):
+            path.write_text("\n".join(elsewhere) + "\n")
+    elif forged == "record":
+        item = json.loads(record.read_text())
+        record.write_text(json.dumps({**item, "files": {name: {"sha256": "0", "bytes": 1} for name in elsewhere}}))
+    elif forged == ".progress":
+        for path in progress.iterdir():
+            shutil.copy(path, precious)
+        shutil.rmtree(progress)
+        progress.symlink_to(precious)
+        for path in precious.glob("*-*"):
+            path.unlink()
+        (precious / "identity.json").write_text("mine")
+    elif forged == ".cache":
+        shutil.rmtree(cache, ignore_errors=True)
+        cache.symlink_to(precious)
+    elif forged == "temporary":
+        (folder.path / f".writing-{os.getpid()}-c.txt").symlink_to(precious / "letter.txt")
+    if forged in ("sub", "journal", "record"):
+        (folder.path / "sub").symlink_to(precious)
+    if forged == "b.txt":
+        (folder.path / "b.txt").unlink()
+        (folder.path / "b.txt").symlink_to(precious / "b.txt")
+    later = folder if same else RunFolder(folder.path, Identity("other", {}, "code"))
+    with later.locked():
+        later.is_up_to_date()
+        later.prepare()
+        for name in later.resumable(list("abc")):
+            write_text(later.path / f"{name}.txt", name)
+    finish(later)
+    assert unharmed(precious)
+    assert later.is_up_to_date()
+
+
+def test_a_temporary_file_that_is_a_link_is_not_written_through(tmp_path: Path, precious: Path) -> None:
+    (tmp_path / f".writing-{os.getpid()}-c.txt").symlink_to(precious / "letter.txt")
+    write_text(tmp_path / "c.txt", "new")
+    assert (tmp_path / "c.txt").read_text() == "new"
+    assert unharmed(precious)

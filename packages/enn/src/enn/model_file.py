@@ -71,6 +71,7 @@ def write_model(path: Path, content: dict[str, Any]) -> None:
         raise ValueError(f"{path} was not written: {spoilt} is not finite; train it again with a lower learning rate")
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.unlink(missing_ok=True)  # a link of that name would be written through
     try:
         temporary.write_bytes(encoded(content))
         os.replace(temporary, path)

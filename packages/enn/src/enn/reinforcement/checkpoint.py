@@ -152,6 +152,7 @@ class CheckpointFolder:
 
     def _put(self, name: str, data: bytes) -> str:
         """Writes a file of the folder; its digest."""
+        (self.folder / name).unlink(missing_ok=True)  # a link of that name would be written through
         with (self.folder / name).open("wb") as stream:
             stream.write(data)
             stream.flush()

@@ -147,6 +147,7 @@ def _shared(path: Path, count: int, size_px: int) -> NDArray[np.uint8]:
     size = count * (1 + size_px**2)
     if not path.is_file() or path.stat().st_size != size:
         temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+        temporary.unlink(missing_ok=True)  # a link of that name would be written through
         with temporary.open("wb") as file:
             file.truncate(size)  # sparse: takes no room until it is written
         os.replace(temporary, path)

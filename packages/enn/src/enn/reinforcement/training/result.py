@@ -67,6 +67,7 @@ def read_curve(path: Path) -> list[Row]:
 def replace_text(path: Path, text: str) -> None:
     """Writes a small file at once: a reader sees the former text or this one."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.unlink(missing_ok=True)  # a link of that name would be written through
     temporary.write_text(text)
     os.replace(temporary, path)
 
