@@ -4,6 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
+import unicodedata
+
+_HIDDEN = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # categories of letters that command a terminal, or turn the text's direction
+
+
+def visible(text: str) -> str:
+    r"""A text of a file as one line that no terminal takes for a command: an escape becomes `\x1b`."""
+    if text.isprintable():
+        return text
+    letters = (one.encode("unicode_escape").decode() if unicodedata.category(one) in _HIDDEN else one for one in text)
+    return "".join(letters)
 
 CALLED = "ENDONAV_CALLED"  # in the environment, so that processes that a command starts write it the same way
 _IN_A_CLONE = {
@@ -19,8 +30,9 @@ _EXTRAS = {"make setup": "pip install 'endonav[learning]'", "make ray": "pip ins
 def say(text: str, *, error: bool = False) -> None:
     """Prints a text and its line end; where nobody reads any more, it and all that follows are dropped."""
     stream = sys.stderr if error else sys.stdout
+    lines = "\n".join("\t".join(map(visible, line.split("\t"))) for line in text.rstrip().split("\n"))
     try:
-        stream.write(f"{text.rstrip()}\n")  # at once: threads may print, too
+        stream.write(f"{lines}\n")  # at once: threads may print, too
         stream.flush()
     except BrokenPipeError:
         nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -20,13 +20,17 @@ from pipeline.episodes.encoding.schema import DEVICE_MASKS
 from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError, ViewerError
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.recover import recover
-from pipeline.printing import written
+from pipeline.printing import visible, written
 
 FINE, DAMAGED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
 
 def _complain(message: object) -> None:
-    print(message, file=sys.stderr)
+    print(visible(str(message)), file=sys.stderr)
+
+
+def _tell(message: object) -> None:
+    print(visible(str(message)))
 
 
 def _show_info(path: Path) -> int:
@@ -57,9 +61,9 @@ def _show_info(path: Path) -> int:
         rows += [(f"version {name}", value) for name, value in sorted(info.versions.items())]
         rows.append(("configuration", json.dumps(info.configuration, sort_keys=True)))
     width = max(len(key) for key, _ in rows)
-    print(path)
+    _tell(path)
     for key, value in rows:
-        print(f"  {key:<{width}}  {value}")
+        _tell(f"  {key:<{width}}  {value}")
     return FINE
 
 
@@ -70,7 +74,7 @@ def _show_check(path: Path) -> int:
     if report.problems:
         return DAMAGED
     notes = f" ({'; '.join(report.notes)})" if report.notes else ""
-    print(f"{path} is fine: {report.records} records, {report.pictures} pictures{notes}")
+    _tell(f"{path} is fine: {report.records} records, {report.pictures} pictures{notes}")
     return FINE
 
 
@@ -84,7 +88,7 @@ def _run_recover(source: Path, destination: Path | None, overwrite: bool) -> int
     report = recover(source, destination or _default_destination(source), overwrite=overwrite)
     outcome = "the outcome is kept" if report.outcome_kept else "the outcome is lost: marked as interrupted"
     missing = f", {len(report.missing_steps)} known to be missing" if report.missing_steps else ""
-    print(
+    _tell(
         f"{report.destination}: {report.steps_kept} records kept{missing}; "
         f"{report.bytes_dropped} damaged bytes dropped; {outcome}"
     )
@@ -97,7 +101,7 @@ def _run_view(source: Path, destination: Path | None) -> int:
     if destination is None:
         show_episode(source)
     else:
-        print(save_recording(source, destination))
+        _tell(save_recording(source, destination))
     return FINE
 
 
@@ -105,7 +109,7 @@ def _run_film(source: Path, destination: Path | None) -> int:
     from pipeline.recording.replay import ReplayError, film_of
 
     try:
-        print(film_of(source, destination or source.with_suffix(".gif")))
+        _tell(film_of(source, destination or source.with_suffix(".gif")))
     except ReplayError as error:
         _complain(error)
         return DAMAGED
@@ -135,7 +139,7 @@ def _run_export(arguments: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         _complain(f"interrupted: nothing was left at {arguments.output}")
         return INTERRUPTED
-    print(f"{report.destination}: {report.episodes} episodes, {report.steps} steps; open it with {report.hint}")
+    _tell(f"{report.destination}: {report.episodes} episodes, {report.steps} steps; open it with {report.hint}")
     return FINE
 
 

@@ -10,9 +10,9 @@ from typing import Any
 from mcap.records import ChunkIndex, MetadataIndex
 
 from pipeline.episodes.encoding.container import McapFile, replacing
-from pipeline.episodes.encoding.scan import messages, read_chunk, read_metadata, read_summary
+from pipeline.episodes.encoding.scan import messages, open_log, read_chunk, read_metadata, read_summary
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE
-from pipeline.episodes.errors import ContainerError, EpisodeReadError, EpisodeWriteError, damaged
+from pipeline.episodes.errors import ContainerError, EpisodeWriteError, damaged
 from pipeline.episodes.metadata import seal, unseal
 from pipeline.episodes.reader import EpisodeReader
 
@@ -55,7 +55,7 @@ def annotate(path: str | os.PathLike[str], key: str, values: Mapping[str, Any]) 
 
 def _copy(path: Path, out: McapFile, *, leave_out: str) -> None:
     """Copy chunks and metadata in their order."""
-    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    fd = open_log(path)
     try:
         summary = read_summary(fd)
         counts = dict.fromkeys(summary.channels, 0)
@@ -91,10 +91,7 @@ def _offset(part: ChunkIndex | MetadataIndex) -> int:
 def read_annotation(path: str | os.PathLike[str], key: str) -> dict[str, Any] | None:
     """Read an annotation of a log: its values, or None when the log has none of that key."""
     name = annotation_name(key)
-    try:
-        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    except OSError as error:
-        raise EpisodeReadError(f"cannot open {path}: {error.strerror}; check the path") from error
+    fd = open_log(path)
     try:
         found = [index for index in read_summary(fd).metadata_indexes if index.name == name]
         return unseal(read_metadata(fd, found[-1]).metadata) if found else None

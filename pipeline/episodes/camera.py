@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,11 +13,19 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from numpy.typing import NDArray
 
 from pipeline.episodes.encoding.schema import WORLD_FRAME
+from pipeline.settings.checks import shown
 
 FloatArray = NDArray[np.float64]
 
 LONGEST_EDGE = 8192
 """Pixels along an edge of a camera's picture."""
+
+
+def require_name(name: object) -> str:
+    """Accept a camera's name: topics, entities of viewers and files of exports are named after it."""
+    if not isinstance(name, str) or not re.fullmatch(r"\w[\w.-]{0,63}", name):
+        raise ValueError(f"a camera's name must be a word of at most 64 letters, got {shown(name)}")
+    return name
 
 
 def camera_frame(name: str) -> str:

@@ -1,27 +1,49 @@
-"""The check of a log: every checksum, every step, every picture."""
+"""The check of a log: every checksum, every step, every picture, and that all topics show the same episode."""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
-from mcap.records import DataEnd
+from mcap.records import Channel, DataEnd, MessageIndex, Schema
 
-from pipeline.episodes.encoding.scan import check_magic, messages, open_chunk, parse_record, walk
-from pipeline.episodes.encoding.schema import DEVICE_FIELDS, DEVICES_TOPIC, STEP_FIELDS, STEP_TOPIC
+from pipeline.episodes.camera import Camera, camera_frame
+from pipeline.episodes.encoding.scan import MessageSpan, check_magic, messages, open_chunk, parse_record, walk
+from pipeline.episodes.encoding.schema import (
+    CATHETER_POINTS_TOPIC,
+    CATHETER_TOPIC,
+    DEVICE_FIELDS,
+    DEVICE_MASKS,
+    DEVICES_TOPIC,
+    PHANTOM_TOPIC,
+    STEP_FIELDS,
+    STEP_TOPIC,
+    TRANSFORM_TOPIC,
+    WIRE_POINTS_TOPIC,
+    WIRE_TOPIC,
+    camera_topic,
+    topic_messages,
+)
 from pipeline.episodes.encoding.step_codec import decode_devices, decode_with_norm
 from pipeline.episodes.errors import ContainerError, EpisodeReadError, damaged
 from pipeline.episodes.reader import EpisodeReader
+from pipeline.episodes.records import DeviceRecord, StepRecord
 from pipeline.episodes.recover import mapped
 
 _MAGIC_BYTES = 8
 _MAX_PROBLEMS = 20
+_TOLERANCE = 1e-9
 
 
 @dataclass
@@ -37,19 +59,37 @@ class CheckReport:
     """what is known to be incomplete without being damaged"""
 
 
+@dataclass
+class _DataSection:
+    """What stands before the index."""
+
+    chunks: set[int] = field(default_factory=set)
+    metadata: int = 0
+    declared: list[Any] = field(default_factory=list)
+    """schemas and channels, each as often as it stands there"""
+
+
 def check(path: Path) -> CheckReport:
     """Check a log from its first byte to its last; damage is reported, never raised."""
     report = CheckReport(path)
     try:
-        _check_data_section(path)
+        with mapped(path) as (fd, data):
+            try:
+                check_magic(fd)
+                section = _read_data_section(data)
+            except ContainerError as error:
+                raise damaged(path, error) from error
         with EpisodeReader(path) as log:
-            _check_steps(log, report)
-            if log.info.has_catheter:
-                _check_devices(log, report)
+            _check_index(log, section, report)
+            records = _check_steps(log, report)
+            _check_times(log, [record.step for record in records], report)
+            _check_shown(log, records, report)
             _check_pictures(log, report)
-            _check_statistics(log, report)
-            if log.phantom_mesh() is None:
+            mesh = log.phantom_mesh()
+            if mesh is None:
                 report.notes.append("no phantom mesh")
+            elif not all(np.isfinite(points).all() for points in (mesh.vertices, mesh.target, mesh.entry)):
+                _add(report, "the phantom has a point that is not finite")
             if log.outcome.status != "finished":
                 report.notes.append("the episode was interrupted")
             if log.outcome.missing_steps:
@@ -59,37 +99,66 @@ def check(path: Path) -> CheckReport:
     return report
 
 
-def _check_data_section(path: Path) -> None:
-    """Verify the checksums of the data section and of all its chunks."""
-    with mapped(path) as (fd, data):
-        try:
-            check_magic(fd)
-            crc = zlib.crc32(data[:_MAGIC_BYTES])
-            for opcode, start, end in walk(data, _MAGIC_BYTES):
-                if opcode == Opcode.DATA_END:
-                    expected = parse_record(DataEnd, data[start:end]).data_section_crc
-                    if expected not in (0, crc):
-                        raise ContainerError("the checksum of its data section does not match")
-                    return
-                record = data[start - 9 : end]
-                crc = zlib.crc32(record, crc)
-                if opcode == Opcode.CHUNK:
-                    for _ in messages(open_chunk(record[9:], start - 9)):
-                        pass
-            raise ContainerError("its data section has no end, so its writer was stopped or the file was cut off")
-        except ContainerError as error:
-            raise damaged(path, error) from error
-
-
 def _add(report: CheckReport, problem: str) -> None:
     if len(report.problems) < _MAX_PROBLEMS:
         report.problems.append(problem)
 
 
-def _check_steps(log: EpisodeReader, report: CheckReport) -> None:
-    """Verify that steps follow each other, stand at their time and hold finite numbers."""
+def _read_data_section(data: Any) -> _DataSection:
+    """Verify the checksums of the data section and of all its chunks, and that it holds what a log may hold."""
+    section, crc = _DataSection(), zlib.crc32(data[:_MAGIC_BYTES])
+    expected: dict[int, list[MessageSpan]] = {}
+    for opcode, start, end in walk(data, _MAGIC_BYTES):
+        content = data[start:end]
+        if opcode == Opcode.DATA_END:
+            if parse_record(DataEnd, content).data_section_crc not in (0, crc):
+                raise ContainerError("the checksum of its data section does not match")
+            return section
+        crc = zlib.crc32(content, zlib.crc32(data[start - 9 : start], crc))
+        if opcode == Opcode.CHUNK:
+            chunk = open_chunk(content, start - 9)
+            section.chunks.add(start - 9)
+            expected = {}
+            for span in messages(chunk):
+                expected.setdefault(span.channel_id, []).append(span)
+            for inner, begin, stop in walk(chunk):
+                _keep_declaration(section, inner, chunk[begin:stop])
+        elif opcode == Opcode.MESSAGE_INDEX:
+            index = parse_record(MessageIndex, content)
+            spans = expected.get(index.channel_id, [])
+            if sorted(index.records) != sorted((span.log_time_ns, span.record_start) for span in spans):
+                raise ContainerError(f"the index of messages at byte {start - 9} does not fit its chunk")
+        elif opcode == Opcode.METADATA:
+            section.metadata += 1
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            _keep_declaration(section, opcode, content)
+        elif opcode != Opcode.HEADER:
+            raise ContainerError(f"the record at byte {start - 9} is of kind {opcode}, which a log does not hold")
+    raise ContainerError("its data section has no end, so its writer was stopped or the file was cut off")
+
+
+def _keep_declaration(section: _DataSection, opcode: int, content: bytes) -> None:
+    if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+        section.declared.append(parse_record(Schema if opcode == Opcode.SCHEMA else Channel, content))
+
+
+def _check_index(log: EpisodeReader, section: _DataSection, report: CheckReport) -> None:
+    """Verify that the index at the end names all that stands before it, and declares the same."""
+    summary = log.summary
+    if {index.chunk_start_offset for index in summary.chunk_indexes} != section.chunks:
+        _add(report, "the index does not name the chunks that are there")
+    if len(summary.metadata_indexes) != section.metadata:
+        _add(report, f"the index names {len(summary.metadata_indexes)} metadata records of {section.metadata}")
+    for one in section.declared:
+        if one != (summary.schemas if isinstance(one, Schema) else summary.channels).get(one.id):
+            _add(report, f"the index declares {type(one).__name__.lower()} {one.id} otherwise than the data section")
+
+
+def _check_steps(log: EpisodeReader, report: CheckReport) -> list[StepRecord]:
+    """Verify that steps follow each other, stand at their time and hold finite numbers; give them with devices."""
     missing = set(log.outcome.missing_steps)
     expected, shapes = 0, None
+    records = []
     for time_ns, payload in log.payloads(STEP_TOPIC):
         try:
             record, norm = decode_with_norm(payload)
@@ -116,22 +185,103 @@ def _check_steps(log: EpisodeReader, report: CheckReport) -> None:
         shapes = shapes or found
         if found != shapes:
             _add(report, f"step {record.step} has shapes {found}, the first record {shapes}")
-        report.records += 1
+        records.append(record)
+    report.records = len(records)
     while expected in missing:
         expected += 1
     if expected - 1 != log.outcome.steps:
         _add(report, f"the outcome counts {log.outcome.steps} steps, the records {expected - 1}")
+    return records
 
 
-def _check_devices(log: EpisodeReader, report: CheckReport) -> None:
+def _check_times(log: EpisodeReader, steps: Sequence[int], report: CheckReport) -> None:
+    """Verify that every topic has a message for each record, or one at the start, and that the index counts them."""
+    once = {PHANTOM_TOPIC, TRANSFORM_TOPIC, *(camera_topic(name, "calibration") for name in log.cameras)}
+    every_step = [log.info.time_ns(step) for step in steps]
+    counts = log.summary.statistics.channel_message_counts if log.summary.statistics else None
+    for channel in log.summary.channels.values():
+        found = [time_ns for time_ns, _ in log.payloads(channel.topic)] if log.holds(channel.topic) else []
+        if counts is not None and counts.get(channel.id, 0) != len(found):
+            _add(report, f"the index counts {counts.get(channel.id, 0)} messages on {channel.topic}, not {len(found)}")
+        if channel.topic not in topic_messages(log.cameras, devices=log.info.has_catheter):
+            report.notes.append(f"the topic {channel.topic}, which this version does not know")
+        elif found:
+            wanted = [log.info.start_time_ns] if channel.topic in once else every_step
+            pairs = enumerate(zip_longest(found, wanted))
+            number = next((number for number, (one, other) in pairs if one != other), None)
+            if number is not None:
+                _add(report, f"{channel.topic} has {len(found)} messages for {len(wanted)}, odd from {number} on")
+
+
+def _check_shown(log: EpisodeReader, records: Sequence[StepRecord], report: CheckReport) -> None:
+    """Verify that what viewers draw is what the records and the cameras say."""
+    devices: list[DeviceRecord] = []
+    if log.info.has_catheter:
+        devices = _check_devices(log, report)
+    wires = [one.wire_points for one in (devices or records)]
+    shown = [(WIRE_TOPIC, WIRE_POINTS_TOPIC, wires)]
+    shown += [(CATHETER_TOPIC, CATHETER_POINTS_TOPIC, [one.catheter_points for one in devices])] if devices else []
+    try:
+        for line_topic, cloud_topic, curves in shown:
+            for topic, points_of in ((line_topic, _line_points), (cloud_topic, _cloud_points)):
+                found = log.payloads(topic) if log.holds(topic) else ()
+                for (time_ns, payload), points in zip(found, curves, strict=False):
+                    drawn = points_of(payload, time_ns)
+                    wanted = points if topic == line_topic else points.astype("<f4")
+                    if not np.array_equal(drawn, wanted, equal_nan=True):
+                        _add(report, f"{topic} shows another device than the record at {time_ns} ns")
+        for name in log.cameras:
+            _check_camera(log, name, log.camera(name), report)
+    except (DecodeError, ValueError, IndexError) as error:
+        if isinstance(error, EpisodeReadError):
+            raise
+        _add(report, f"what viewers draw cannot be decoded: {error}")
+
+
+def _line_points(payload: bytes, time_ns: int) -> Any:
+    (entity,) = SceneUpdate.FromString(payload).entities
+    (line,) = entity.lines
+    if entity.timestamp.ToNanoseconds() != time_ns:
+        raise ValueError(f"a line at {time_ns} ns is of another time")
+    return np.reshape([(point.x, point.y, point.z) for point in line.points], (-1, 3))
+
+
+def _cloud_points(payload: bytes, time_ns: int) -> Any:
+    cloud = PointCloud.FromString(payload)
+    if cloud.timestamp.ToNanoseconds() != time_ns:
+        raise ValueError(f"a cloud at {time_ns} ns is of another time")
+    return np.frombuffer(cloud.data, "<f4").reshape(-1, 3)
+
+
+def _check_camera(log: EpisodeReader, name: str, camera: Camera, report: CheckReport) -> None:
+    """Verify that the messages of a camera say what its matrix does."""
+    start, topic = log.info.start_time_ns, camera_topic(name, "calibration")
+    wanted = CameraCalibration.FromString(camera.calibration(name, start))
+    if log.holds(topic) and any(CameraCalibration.FromString(one) != wanted for _, one in log.payloads(topic)):
+        _add(report, f"{topic} is another calibration than the metadata's")
+    pose = camera.transform(name, start)
+    for _, payload in log.payloads(TRANSFORM_TOPIC) if log.holds(TRANSFORM_TOPIC) else ():
+        found = [
+            one for one in FrameTransforms.FromString(payload).transforms if one.child_frame_id == camera_frame(name)
+        ]
+        same = len(found) == 1 and found[0].parent_frame_id == pose.parent_frame_id
+        moved, turned = (
+            [[getattr(getattr(one, part), axis) for axis in axes] for one in (*found[:1], pose)]
+            for part, axes in (("translation", "xyz"), ("rotation", "wxyz"))
+        )
+        same = same and bool(np.allclose(moved[0], moved[1], atol=_TOLERANCE))
+        if not same or not np.isclose(abs(np.dot(turned[0], turned[1])), 1.0, atol=_TOLERANCE):
+            _add(report, f"{TRANSFORM_TOPIC} gives camera {name} another pose than the metadata")
+
+
+def _check_devices(log: EpisodeReader, report: CheckReport) -> list[DeviceRecord]:
     """Verify that every record has both devices, at its time and with finite numbers."""
-    count = 0
+    found: list[DeviceRecord] = []
     for time_ns, payload in log.payloads(DEVICES_TOPIC):
-        count += 1
         try:
             step, devices = decode_devices(payload)
         except ValueError as error:
-            _add(report, f"the devices of record {count - 1} cannot be decoded: {error}")
+            _add(report, f"the devices of record {len(found)} cannot be decoded: {error}")
             continue
         if time_ns != log.info.time_ns(step):
             _add(report, f"the devices of step {step} have log time {time_ns}, expected {log.info.time_ns(step)}")
@@ -140,37 +290,15 @@ def _check_devices(log: EpisodeReader, report: CheckReport) -> None:
             value = np.asarray(getattr(devices, name, step))
             if not np.isfinite(value[there] if name == "tip_rotations" else value).all():
                 _add(report, f"step {step} has a non-finite number in {name} of its devices")
-    if count != report.records:
-        _add(report, f"there are devices of {count} steps for {report.records} records")
+        found.append(devices)
+    return found
 
 
 def _check_pictures(log: EpisodeReader, report: CheckReport) -> None:
-    """Verify that every stream has one picture a record, of the camera's size."""
+    """Verify that every picture can be decoded, and is of the size, camera and time that it should be."""
     for name in log.cameras:
-        size = (log.camera(name).height, log.camera(name).width)
-        streams: dict[str, Callable[[str], Iterable[Any]]] = {"image": log.images, "mask": log.masks}
-        for device in ("wire", "catheter") if log.info.has_catheter else ():
-            streams[f"mask_{device}"] = partial(log.masks, device=device)
-        for stream, pictures in streams.items():
-            if not log.has(name, stream):
+        for stream in ("image", "mask", *(DEVICE_MASKS if log.info.has_catheter else ())):
+            if log.has(name, stream):
+                report.pictures += sum(1 for _ in log.pictures(name, stream))
+            else:
                 report.notes.append(f"no {stream} of camera {name}")
-                continue
-            count = 0
-            for picture in pictures(name):
-                count += 1
-                if picture.shape != size:
-                    _add(report, f"{stream} {count - 1} of camera {name} is {picture.shape}, expected {size}")
-            if count != report.records:
-                _add(report, f"camera {name} has {count} {stream}s for {report.records} records")
-            report.pictures += count
-
-
-def _check_statistics(log: EpisodeReader, report: CheckReport) -> None:
-    """Verify that the index counts what is there."""
-    statistics = log.summary.statistics
-    if statistics is None:
-        return
-    for channel in log.summary.channels.values():
-        if channel.topic == STEP_TOPIC and statistics.channel_message_counts.get(channel.id, 0) != report.records:
-            counted = statistics.channel_message_counts.get(channel.id, 0)
-            _add(report, f"the index counts {counted} records, there are {report.records}")

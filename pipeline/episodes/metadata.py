@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-from pipeline.episodes.camera import Camera
+from pipeline.episodes.camera import Camera, require_name
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, SCHEMA_VERSION
 from pipeline.episodes.errors import ContainerError
 from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, as_json
@@ -74,16 +74,27 @@ def open_episode(record: Mapping[str, str]) -> tuple[EpisodeInfo, dict[str, Came
     """
     values = unseal(record)
     try:
-        cameras = {_name(camera): Camera.from_json(camera) for camera in values["cameras"]}
-        return EpisodeInfo(**values["info"]), cameras
+        cameras: dict[str, Camera] = {}
+        for given in values["cameras"]:
+            name, camera = require_name(given["name"]), Camera.from_json(given)
+            if name in cameras:
+                raise ValueError(f"two cameras have the name {shown(name)}")
+            _require_as_written(given, {"name": name, **camera.to_json()})
+            cameras[name] = camera
+        info = EpisodeInfo(**values["info"])
+        _require_as_written(values["info"], info.to_json())
+        return info, cameras
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ContainerError(f"the metadata record {EPISODE_METADATA} cannot be used ({_reason(error)})") from error
 
 
-def _name(camera: Mapping[str, Any]) -> str:
-    if not isinstance(camera["name"], str):
-        raise ValueError(f"a camera's name must be text, got {shown(camera['name'])}")
-    return camera["name"]
+def _require_as_written(given: Mapping[str, Any], understood: Mapping[str, Any]) -> None:
+    """Refuse values that a writer writes otherwise, such as a truth in words, which a validator takes for the same."""
+    for name, value in given.items():
+        if name not in understood:
+            raise ValueError(f"{shown(name)} is no field")
+        if as_json(value) != as_json(understood[name]):
+            raise ValueError(f"{name} must be {shown(understood[name])}, got {shown(value)}")
 
 
 def _reason(error: Exception) -> str:
@@ -101,6 +112,8 @@ def open_outcome(record: Mapping[str, str]) -> EpisodeOutcome:
     """Read the content of the record `endonav.outcome`; raises as `unseal` does."""
     values = unseal(record)
     try:
-        return EpisodeOutcome(**values)
+        outcome = EpisodeOutcome(**values)
+        _require_as_written(values, outcome.to_json())
+        return outcome
     except (TypeError, ValueError, OverflowError) as error:
         raise ContainerError(f"the episode's outcome cannot be used ({_reason(error)})") from error

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cached_property, partial
+from itertools import zip_longest
+from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -16,34 +18,35 @@ from google.protobuf.message import DecodeError
 from mcap.records import ChunkIndex
 from numpy.typing import NDArray
 
-from pipeline.episodes.camera import Camera
+from pipeline.episodes.arrays import stacked
+from pipeline.episodes.camera import Camera, camera_frame
 from pipeline.episodes.encoding.png import decode_image, decode_mask
-from pipeline.episodes.encoding.scan import MessageSpan, Summary, messages, read_chunk, read_metadata, read_summary
+from pipeline.episodes.encoding.scan import (
+    MessageSpan,
+    Summary,
+    messages,
+    open_log,
+    read_chunk,
+    read_metadata,
+    read_summary,
+)
 from pipeline.episodes.encoding.scene import PhantomMesh, decode_phantom
 from pipeline.episodes.encoding.schema import (
-    DEVICE_FIELDS,
     DEVICES_TOPIC,
     EPISODE_METADATA,
     OUTCOME_METADATA,
     PHANTOM_TOPIC,
-    STEP_FIELDS,
     STEP_TOPIC,
     camera_topic,
+    topic_messages,
 )
 from pipeline.episodes.encoding.step_codec import decode_step
 from pipeline.episodes.errors import ContainerError, EpisodeReadError, damaged
 from pipeline.episodes.metadata import VersionError, open_episode, open_outcome
 from pipeline.episodes.records import MOST_STEPS, EpisodeOutcome, StepRecord
+from pipeline.settings.checks import shown
 
 _Decoded = TypeVar("_Decoded")
-_MOST_POINTS = 1 << 26  # of a ragged field stacked over an episode: 1.5 GB
-_RAGGED = {
-    "wire_points": "wire_count",
-    "contact_positions": "contact_count",
-    "contact_forces": "contact_count",
-    "devices/wire_points": "devices/wire_count",
-    "devices/catheter_points": "devices/catheter_count",
-}
 
 
 class EpisodeReader:
@@ -64,43 +67,63 @@ class EpisodeReader:
             EpisodeReadError: it is missing, damaged, unfinished, no episode log, or newer than this reader.
         """
         self.path = Path(path)
-        try:
-            self._fd = os.open(self.path, os.O_RDONLY | os.O_CLOEXEC)
-        except OSError as error:
-            raise EpisodeReadError(f"cannot open {self.path}: {error.strerror}; check the path") from error
+        self._fd = open_log(self.path)
         try:
             self._summary = read_summary(self._fd)
             self.info, self._cameras = self._metadata(EPISODE_METADATA, open_episode)
             self.outcome: EpisodeOutcome = self._metadata(OUTCOME_METADATA, open_outcome)
+            self._topics = self._channels()
         except VersionError as error:
             self.close()
             raise EpisodeReadError(f"{self.path} cannot be read: {error}") from error
         except (ContainerError, OSError) as error:
             self.close()
             raise damaged(self.path, error) from error
-        self._topics = {channel.topic: channel.id for channel in self._summary.channels.values()}
+        in_time = sorted(self._summary.chunk_indexes, key=lambda index: index.message_start_time)
         self._chunks: dict[int, list[ChunkIndex]] = {
-            channel_id: [index for index in self._summary.chunk_indexes if channel_id in index.message_index_offsets]
+            channel_id: [index for index in in_time if channel_id in index.message_index_offsets]
             for channel_id in self._topics.values()
         }
-        self._ends = {key: [index.message_end_time for index in chunks] for key, chunks in self._chunks.items()}
-        if not -1 <= self.last_step <= MOST_STEPS:
+        steps = self._chunks.get(self._topics.get(STEP_TOPIC, 0), [])
+        ends = [(index.message_end_time - self.info.start_time_ns) // self.info.interval_ns for index in steps]
+        if not all(-1 <= end <= MOST_STEPS for end in ends):
             self.close()
             raise damaged(self.path, f"the times of its steps do not fit its start, {self.info.start_time_ns} ns")
         self._cached: tuple[int, bytes, dict[tuple[int, int], MessageSpan]] = (-1, b"", {})
 
     def _metadata(self, name: str, parse: Callable[[dict[str, str]], _Decoded]) -> _Decoded:
-        """Read the first intact one of the metadata records of a name."""
+        """Read the intact metadata records of a name, which must all say the same."""
         failure: ContainerError = VersionError(
             f"it has no metadata record {name}, so it was not written as an episode log"
         )
+        found: list[tuple[dict[str, str], _Decoded]] = []
         for index in self._summary.metadata_indexes:
             if index.name == name:
                 try:
-                    return parse(read_metadata(self._fd, index).metadata)
+                    record = read_metadata(self._fd, index).metadata
+                    found.append((record, parse(record)))
                 except ContainerError as error:
                     failure = error
-        raise failure
+        if not found:
+            raise failure
+        if any(record != found[0][0] for record, _ in found):
+            raise ContainerError(f"its metadata records {name} say different things")
+        return found[0][1]
+
+    def _channels(self) -> dict[str, int]:
+        """The channel of each topic, whose messages must be of the kind that the topic has."""
+        kinds = topic_messages(self.cameras, devices=self.info.has_catheter)
+        topics: dict[str, int] = {}
+        for channel in self._summary.channels.values():
+            schema = self._summary.schemas.get(channel.schema_id)
+            found = (channel.message_encoding, schema and schema.encoding, schema and schema.name)
+            kind = kinds.get(channel.topic)
+            if kind is not None and found != ("protobuf", "protobuf", kind.DESCRIPTOR.full_name):
+                raise ContainerError(f"its messages on {channel.topic} are no {kind.DESCRIPTOR.full_name}")
+            if channel.topic in topics:
+                raise ContainerError(f"it has two channels of the topic {shown(channel.topic)}")
+            topics[channel.topic] = channel.id
+        return topics
 
     # -- chunks and messages ------------------------------------------------------------------------------------------
 
@@ -119,17 +142,26 @@ class EpisodeReader:
     def _spans(self, index: ChunkIndex) -> tuple[bytes, dict[tuple[int, int], MessageSpan]]:
         """Read a chunk, or take it from the one-chunk cache, and find its messages by channel and time."""
         offset, chunk, spans = self._cached
+        where = f"the chunk at byte {index.chunk_start_offset}"
         if offset != index.chunk_start_offset:
             try:
                 chunk = read_chunk(self._fd, index)
-                spans = {(span.channel_id, span.log_time_ns): span for span in messages(chunk)}
+                found = list(messages(chunk))
+                spans = {(span.channel_id, span.log_time_ns): span for span in found}
+                if len(spans) < len(found):
+                    raise ContainerError(f"{where} has two messages of one topic and time")
+                if {channel_id for channel_id, _ in spans} != set(index.message_index_offsets):
+                    raise ContainerError(f"{where} has messages of other topics than the index says")
+                times = [time_ns for _, time_ns in spans] or [index.message_start_time, index.message_end_time]
+                if (min(times), max(times)) != (index.message_start_time, index.message_end_time):
+                    raise ContainerError(f"{where} has messages of other times than the index says")
             except (ContainerError, OSError) as error:
                 raise damaged(self.path, error) from error
             self._cached = (index.chunk_start_offset, chunk, spans)
         return chunk, spans
 
     def payloads(self, topic: str) -> Iterator[tuple[int, bytes]]:
-        """Stream the messages of a topic.
+        """Stream the messages of a topic by their times, of which no two may be the same.
 
         Args:
             topic: e.g. `/step`.
@@ -137,23 +169,42 @@ class EpisodeReader:
         Yields:
             Log time in nanoseconds, and the serialised message.
         """
-        channel_id = self._channel(topic)
-        for index in self._chunks[channel_id]:
+        channel_id, last_ns = self._channel(topic), -1
+        chunks, waiting = self._chunks[channel_id], list[tuple[int, bytes]]()
+        for index, following in zip_longest(chunks, chunks[1:]):
             chunk, spans = self._spans(index)
-            for span in spans.values():
-                if span.channel_id == channel_id:
-                    yield span.log_time_ns, chunk[span.start : span.end]
+            waiting += [(one.log_time_ns, chunk[one.start : one.end]) for one in spans.values() if one[0] == channel_id]
+            waiting.sort(key=itemgetter(0))
+            # what comes before all that follows: chunks are in the order of their first times, but may overlap
+            ready = len(waiting) if following is None else bisect_left(waiting, (following.message_start_time,))
+            for time_ns, payload in waiting[:ready]:
+                if time_ns == last_ns:
+                    raise damaged(self.path, f"it has two messages on {topic} at {time_ns} ns")
+                last_ns = time_ns
+                yield time_ns, payload
+            del waiting[:ready]
+
+    def _steps(self, topic: str) -> Iterator[tuple[int, bytes]]:
+        """Stream the messages of a topic with the index of the step at whose time each stands."""
+        for time_ns, payload in self.payloads(topic):
+            yield self._step_at(topic, time_ns), payload
+
+    def _step_at(self, topic: str, time_ns: int) -> int:
+        step, beside = divmod(time_ns - self.info.start_time_ns, self.info.interval_ns)
+        if beside or step < 0:
+            raise damaged(self.path, f"a message on {topic} has log time {time_ns}, which is that of no step")
+        return step
 
     def _payload(self, topic: str, step: int) -> bytes:
         """Find the message of a step by its time."""
         channel_id, time_ns = self._channel(topic), self.info.time_ns(step)
         chunks = self._chunks[channel_id]
-        for index in chunks[bisect_left(self._ends[channel_id], time_ns) :]:
-            if index.message_start_time > time_ns:
-                break
-            chunk, spans = self._spans(index)
-            if span := spans.get((channel_id, time_ns)):
-                return chunk[span.start : span.end]
+        begun = bisect_right(chunks, time_ns, key=lambda index: index.message_start_time)
+        for index in reversed(chunks[:begun]):
+            if index.message_end_time >= time_ns:
+                chunk, spans = self._spans(index)
+                if span := spans.get((channel_id, time_ns)):
+                    return chunk[span.start : span.end]
         if step in self.outcome.missing_steps:
             raise EpisodeReadError(f"step {step} of {self.path} was lost before the log was recovered; skip it")
         raise EpisodeReadError(f"{self.path} has no step {step} on {topic}; it holds steps 0 to {self.last_step}")
@@ -166,21 +217,30 @@ class EpisodeReader:
 
     # -- steps --------------------------------------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def last_step(self) -> int:
         """Index of the last step (-1 if there is none)."""
-        ends = self._ends.get(self._topics.get(STEP_TOPIC, 0), [])
-        return (ends[-1] - self.info.start_time_ns) // self.info.interval_ns if ends else -1
+        channel_id, last_ns = self._topics.get(STEP_TOPIC, 0), -1
+        for index in sorted(self._chunks.get(channel_id, []), key=lambda index: -index.message_end_time):
+            if index.message_end_time > last_ns:  # else it holds nothing later
+                last_ns = max(last_ns, *(time for channel, time in self._spans(index)[1] if channel == channel_id))
+        return -1 if last_ns < 0 else self._step_at(STEP_TOPIC, last_ns)
 
     def __len__(self) -> int:
         """Count the records, from the state after reset to the last step."""
         return self.last_step + 1 - sum(step <= self.last_step for step in self.outcome.missing_steps)
 
     def __iter__(self) -> Iterator[StepRecord]:
-        """Stream the records in order."""
-        for time_ns, payload in self.payloads(STEP_TOPIC):
-            step = (time_ns - self.info.start_time_ns) // self.info.interval_ns
+        """Stream the records in order; a gap that the log does not own to is damage."""
+        lost = set(self.outcome.missing_steps)
+        expected = (step for step in range(self.outcome.steps + 1) if step not in lost)
+        for step, payload in self._steps(STEP_TOPIC):
+            if step != (wanted := next(expected, None)):
+                instead = "beyond its end" if wanted is None else f"instead of step {wanted}"
+                raise damaged(self.path, f"it has a record of step {step} {instead}")
             yield self._step(payload, step)
+        if (wanted := next(expected, None)) is not None:
+            raise damaged(self.path, f"it has no record of step {wanted} of {self.outcome.steps}")
 
     def step(self, step: int) -> StepRecord:
         """Read one step at random."""
@@ -189,7 +249,10 @@ class EpisodeReader:
     def _step(self, payload: bytes, step: int) -> StepRecord:
         """Decode a step, in a log with a catheter together with both devices."""
         devices = self._payload(DEVICES_TOPIC, step) if self.info.has_catheter else None
-        return self._decode(partial(decode_step, devices=devices), payload)
+        record = self._decode(partial(decode_step, devices=devices), payload)
+        if record.step != step:
+            raise damaged(self.path, f"at the time of step {step} stands step {record.step}")
+        return record
 
     # -- cameras and scene --------------------------------------------------------------------------------------------
 
@@ -207,7 +270,7 @@ class EpisodeReader:
 
     def image(self, camera: str, step: int) -> NDArray[np.uint8]:
         """Read one image at random, (H, W) uint8."""
-        return self._decode(_image, self._payload(self._stream(camera, "image"), step))
+        return self._picture(camera, "image", step)
 
     def mask(self, camera: str, step: int, device: str | None = None) -> NDArray[np.bool_]:
         """Read one mask at random, (H, W) bool.
@@ -215,21 +278,47 @@ class EpisodeReader:
         Args:
             device: "wire" or "catheter", in a log with a catheter; None: of all devices.
         """
-        return self._decode(_mask, self._payload(self._stream(camera, _mask_stream(device)), step))
+        return self._picture(camera, _mask_stream(device), step)
 
     def images(self, camera: str) -> Iterator[NDArray[np.uint8]]:
         """Stream the images of a camera, (H, W) uint8, one a step; raises as `image` does."""
-        return (self._decode(_image, payload) for _, payload in self.payloads(self._stream(camera, "image")))
+        return (picture for _, picture in self.pictures(camera, "image"))
 
     def masks(self, camera: str, device: str | None = None) -> Iterator[NDArray[np.bool_]]:
         """Stream the masks of a camera, (H, W) bool, one a step; arguments and errors are those of `mask`."""
-        stream = self._stream(camera, _mask_stream(device))
-        return (self._decode(_mask, payload) for _, payload in self.payloads(stream))
+        return (picture for _, picture in self.pictures(camera, _mask_stream(device)))
+
+    def pictures(self, camera: str, stream: str) -> Iterator[tuple[int, NDArray[Any]]]:
+        """Stream the pictures of a camera with the indices of their steps.
+
+        Args:
+            stream: "image", "mask", "mask_wire" or "mask_catheter".
+        """
+        for step, payload in self._steps(self._stream(camera, stream)):
+            yield step, self._picture(camera, stream, step, payload)
+
+    def _picture(self, camera: str, stream: str, step: int, payload: bytes | None = None) -> NDArray[Any]:
+        """Decode a picture, which must say itself of which camera and time it is."""
+        if payload is None:
+            payload = self._payload(self._stream(camera, stream), step)
+
+        def decode(payload: bytes) -> NDArray[Any]:
+            message, size = CompressedImage.FromString(payload), (self.camera(camera).height, self.camera(camera).width)
+            said = (message.timestamp.ToNanoseconds(), message.frame_id, message.format)
+            if said != (self.info.time_ns(step), camera_frame(camera), "png"):
+                raise ValueError(f"the {stream} of camera {camera} at step {step} is of another time, camera or format")
+            return (decode_image if stream == "image" else decode_mask)(message.data, *size)
+
+        return self._decode(decode, payload)
 
     def _stream(self, camera: str, stream: str) -> str:
         """Name the topic of a camera's stream; refuse a camera that there is not."""
         self.camera(camera)
         return camera_topic(camera, stream)
+
+    def holds(self, topic: str) -> bool:
+        """Say whether there are messages on a topic."""
+        return bool(self._chunks.get(self._topics.get(topic, 0)))
 
     def has(self, camera: str, stream: str) -> bool:
         """Say whether a camera's stream holds pictures.
@@ -237,11 +326,11 @@ class EpisodeReader:
         Args:
             stream: "image", "mask", "mask_wire" or "mask_catheter".
         """
-        return bool(self._chunks.get(self._topics.get(camera_topic(camera, stream), 0)))
+        return self.holds(camera_topic(camera, stream))
 
     def phantom_mesh(self) -> PhantomMesh | None:
         """Read the phantom's wall, target and entry; None if the log was written without."""
-        if not self._chunks.get(self._topics.get(PHANTOM_TOPIC, 0)):
+        if not self.holds(PHANTOM_TOPIC):
             return None
         _, payload = next(self.payloads(PHANTOM_TOPIC))
         return self._decode(decode_phantom, payload)
@@ -262,45 +351,7 @@ class EpisodeReader:
             pictures as `image/<camera>` (T, H, W) uint8 and `mask/<camera>` (T, H, W) bool, with a catheter also
             `mask_wire/<camera>` and `mask_catheter/<camera>`.
         """
-        records = list(self)
-        if not records:
-            raise damaged(self.path, "it holds no step")
-        steps = np.array([record.step for record in records], dtype=np.int64)
-        arrays: dict[str, NDArray[Any]] = {"step": steps}
-        arrays["time_s"] = steps * self.info.interval_ns * 1e-9
-        stacked = {name: [getattr(record, name) for record in records] for name in STEP_FIELDS if name != "step"}
-        if self.info.has_catheter:
-            of_devices = [name for name in DEVICE_FIELDS if name != "step"]
-            stacked |= {f"devices/{name}": [getattr(one.devices, name) for one in records] for name in of_devices}
-        for name, values in stacked.items():
-            if name in _RAGGED:
-                counts = np.array([len(value) for value in values])
-                if counts.max() * len(values) > _MOST_POINTS:
-                    raise damaged(self.path, f"a step holds {counts.max()} {name}, too many to stack {len(values)}")
-                padded = np.full((len(values), counts.max(), 3), np.nan)
-                for row, value in zip(padded, values, strict=True):
-                    row[: len(value)] = value
-                arrays[name], arrays[_RAGGED[name]] = padded, counts
-            else:
-                arrays[name] = self._stack(name, [np.asarray(value) for value in values])
-        for key in dict.fromkeys(key for record in records for key in record.extra):
-            arrays[f"extra/{key}"] = np.array([record.extra.get(key, np.nan) for record in records])
-        for camera in self._cameras if pictures else ():
-            readers: dict[str, Callable[[str], Iterator[NDArray[Any]]]] = {"image": self.images, "mask": self.masks}
-            readers |= {_mask_stream(device): partial(self.masks, device=device) for device in ("wire", "catheter")}
-            for stream, pictures_of in readers.items():
-                if self.has(camera, stream):
-                    arrays[f"{stream}/{camera}"] = self._stack(f"{stream} of camera {camera}", [*pictures_of(camera)])
-        return arrays
-
-    def _stack(self, name: str, values: list[NDArray[Any]]) -> NDArray[Any]:
-        """Stack what must be of one shape."""
-        if not values:
-            raise damaged(self.path, f"it holds no {name}")
-        shapes = dict.fromkeys(value.shape for value in values)
-        if len(shapes) > 1:
-            raise damaged(self.path, f"{name} changes its shape from step to step: {', '.join(map(str, shapes))}"[:300])
-        return np.stack(values)
+        return stacked(self, pictures=pictures)
 
     def close(self) -> None:
         """Close the file; closing again does nothing."""
@@ -317,13 +368,5 @@ class EpisodeReader:
         self.close()
 
 
-def _image(message: bytes) -> NDArray[np.uint8]:
-    return decode_image(CompressedImage.FromString(message).data)
-
-
 def _mask_stream(device: str | None) -> str:
     return "mask" if device is None else f"mask_{device}"
-
-
-def _mask(message: bytes) -> NDArray[np.bool_]:
-    return decode_mask(CompressedImage.FromString(message).data)

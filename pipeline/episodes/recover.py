@@ -6,7 +6,7 @@ import logging
 import mmap
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,17 @@ from mcap.records import Channel, Metadata, Schema
 
 from pipeline.episodes.camera import Camera
 from pipeline.episodes.encoding.container import McapFile, replacing
-from pipeline.episodes.encoding.scan import find_record, messages, open_chunk, parse_record, read_summary, walk
+from pipeline.episodes.encoding.scan import (
+    likely_records,
+    messages,
+    open_chunk,
+    open_log,
+    parse_record,
+    read_summary,
+    require_proportion,
+    unpacked_bytes,
+    walk,
+)
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE, STEP_TOPIC, topic_messages
 from pipeline.episodes.errors import ContainerError, EpisodeReadError, EpisodeWriteError
 from pipeline.episodes.metadata import VersionError, open_episode, open_outcome, seal_episode, seal_outcome
@@ -26,6 +36,8 @@ from pipeline.episodes.writer import schema_data
 logger = logging.getLogger(__name__)
 
 _MAGIC_BYTES = 8
+# What reading in vain may cost, in bytes: each record walked over; in all, and beside that times the log's size.
+_RECORD_COST, _MOST_IN_VAIN, _TIMES_IN_VAIN = 1 << 10, 1 << 28, 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +66,8 @@ class _Findings:
     chunks: list[tuple[int, int]] = field(default_factory=list)
     """where each intact chunk's content begins and ends"""
     bytes_dropped: int = 0
+    unpacked: int = 0
+    """bytes of all intact chunks"""
     refusal: VersionError | None = None
 
 
@@ -67,10 +81,7 @@ def mapped(path: Path) -> Iterator[tuple[int, Any]]:
     Raises:
         EpisodeReadError: it cannot be opened, or is empty.
     """
-    try:
-        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    except OSError as error:
-        raise EpisodeReadError(f"cannot open {path}: {error.strerror}; check the path") from error
+    fd = open_log(path)
     try:
         if os.fstat(fd).st_size == 0:
             raise EpisodeReadError(f"{path} is empty: there is nothing to recover")
@@ -80,24 +91,34 @@ def mapped(path: Path) -> Iterator[tuple[int, Any]]:
         os.close(fd)
 
 
-def _examine(data: Any) -> _Findings:
+def _examine(data: Any, likely: Iterator[int]) -> _Findings:
     """Find what is intact, going on behind damaged records.
 
     Most records have no checksum of their own, and a wrong length may swallow what follows: after damage the search
-    goes back to the end of the last record whose checksum was right.
+    goes back to the end of the last record whose checksum was right. What is read in vain is limited, as every record
+    of a forged log can reach over all that follow.
+
+    Raises:
+        ContainerError: it unpacks to far more than a log of its size.
     """
     findings, position, verified = _Findings(), _MAGIC_BYTES, _MAGIC_BYTES
-    while position < len(data):
+    in_vain = since_verified = 0
+    while position < len(data) and in_vain <= _MOST_IN_VAIN + _TIMES_IN_VAIN * len(data):
         try:
             for opcode, start, end in walk(data, position):
                 position = start - 9
+                since_verified += _RECORD_COST
                 if opcode == Opcode.CHUNK:
-                    open_chunk(data[start:end], position)
+                    content = data[start:end]
+                    since_verified += len(content) + unpacked_bytes(content)
+                    findings.unpacked += len(open_chunk(content, position))
+                    require_proportion(findings.unpacked, len(data))
                     findings.chunks.append((start, end))
-                    verified = end
+                    verified, since_verified = end, 0
                 elif opcode == Opcode.METADATA:
+                    since_verified += end - start
                     if _keep_metadata(findings, parse_record(Metadata, data[start:end])):
-                        verified = end
+                        verified, since_verified = end, 0
                 elif opcode == Opcode.SCHEMA:
                     schema = parse_record(Schema, data[start:end])
                     findings.schemas.setdefault(schema.id, schema)
@@ -110,14 +131,16 @@ def _examine(data: Any) -> _Findings:
                     raise ContainerError(f"the record at byte {position} is of no known kind")
                 position = end
         except ContainerError as error:
+            require_proportion(findings.unpacked, len(data))
             if isinstance(error, VersionError):
                 findings.refusal = error
-            following = find_record(data, verified)
-            resumed = len(data) if following is None else following
+            in_vain, since_verified = in_vain + since_verified, 0
+            resumed = next((place for place in likely if place >= verified), len(data))
             logger.info("%s; %d bytes skipped", error, resumed - verified)
             findings.bytes_dropped += resumed - verified
             # Whatever stands there is either right, which moves on, or is not looked at again.
             position, verified = resumed, resumed + 1
+    findings.bytes_dropped += len(data) - position if position < len(data) else 0
     return findings
 
 
@@ -167,8 +190,11 @@ def recover(
     source, destination = Path(source), Path(destination)
     if destination.exists() and (not overwrite or destination.samefile(source)):
         raise EpisodeWriteError(f"{destination} exists already: name another file to recover {source} into")
-    with mapped(source) as (fd, data):
-        findings = _examine(data)
+    with mapped(source) as (fd, data), closing(likely_records(data)) as likely:
+        try:
+            findings = _examine(data, likely)
+        except ContainerError as error:
+            raise EpisodeReadError(f"{source} cannot be recovered: {error}") from error
         try:
             summary = read_summary(fd)
             findings.schemas, findings.channels = summary.schemas, summary.channels
@@ -210,6 +236,7 @@ def _copy(data: Any, findings: _Findings, out: McapFile, info: EpisodeInfo, came
     for _ in range(2):
         out.add_metadata(EPISODE_METADATA, sealed)
     steps: list[int] = []
+    copied: set[tuple[int, int]] = set()
     for start, end in findings.chunks:
         chunk = open_chunk(data[start:end], start - 9)
         for span in messages(chunk):
@@ -219,6 +246,9 @@ def _copy(data: Any, findings: _Findings, out: McapFile, info: EpisodeInfo, came
             step, beside = divmod(span.log_time_ns - info.start_time_ns, info.interval_ns)
             if beside or not 0 <= step <= MOST_STEPS:
                 continue  # no time of a step: the message or the start is not what a writer wrote
+            if (channel_id, step) in copied:
+                continue  # the first one counts
+            copied.add((channel_id, step))
             if span.channel_id == step_channel:
                 steps.append(step)
             out.add(channel_id, span.log_time_ns, step, chunk[span.start : span.end])

@@ -15,12 +15,9 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from google.protobuf.message import DecodeError
 
-from pipeline.episodes.encoding.png import decode_mask
-from pipeline.episodes.encoding.schema import camera_topic
-from pipeline.episodes.errors import ViewerError, damaged
+from pipeline.episodes.encoding.png import encode_image
+from pipeline.episodes.errors import ViewerError
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.records import DeviceRecord
 
@@ -181,22 +178,13 @@ def _log_pictures(rr: ModuleType, log: EpisodeReader, recording: RecordingStream
         for stream in ("image", "mask"):
             if not log.has(name, stream):
                 continue
-            for time_ns, payload in log.payloads(camera_topic(name, stream)):
-                _set_step(log, recording, (time_ns - log.info.start_time_ns) // log.info.interval_ns)
-                picture = _as_image(rr, payload) if stream == "image" else _as_mask(rr, log, payload)
+            for step, pixels in log.pictures(name, stream):
+                _set_step(log, recording, step)
+                if stream == "image":
+                    picture = rr.EncodedImage(contents=encode_image(pixels), media_type="image/png")
+                else:
+                    picture = rr.SegmentationImage(pixels.astype(np.uint8), opacity=0.5)
                 recording.log(f"world/camera/{name}/{stream}", picture)
-
-
-def _as_image(rr: ModuleType, payload: bytes) -> Any:
-    return rr.EncodedImage(contents=CompressedImage.FromString(payload).data, media_type="image/png")
-
-
-def _as_mask(rr: ModuleType, log: EpisodeReader, payload: bytes) -> Any:
-    try:
-        mask = decode_mask(CompressedImage.FromString(payload).data)
-    except (ValueError, DecodeError) as error:
-        raise damaged(log.path, error) from error
-    return rr.SegmentationImage(mask.astype(np.uint8), opacity=0.5)
 
 
 def _set_step(log: EpisodeReader, recording: RecordingStream, step: int) -> None:

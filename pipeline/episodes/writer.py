@@ -18,7 +18,7 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import NDArray
 
-from pipeline.episodes.camera import Camera, camera_frame
+from pipeline.episodes.camera import Camera, camera_frame, require_name
 from pipeline.episodes.encoding.container import MAX_CHUNK_BYTES, McapFile
 from pipeline.episodes.encoding.png import encode_image, encode_mask
 from pipeline.episodes.encoding.protobuf_wire import delimited, timestamp
@@ -106,7 +106,7 @@ class EpisodeWriter:
             overwrite: replace an existing log or partial log instead of refusing.
 
         Raises:
-            ValueError: `flush_every` is out of range.
+            ValueError: `flush_every` is out of range, or a camera's name is no word.
             EpisodeWriteError: there is such a log already, or the file cannot be written.
         """
         if not 1 <= flush_every <= MAX_FLUSH_EVERY:
@@ -114,7 +114,7 @@ class EpisodeWriter:
         self.path = Path(path)
         self.partial = partial_path(self.path)
         self.info = info
-        self.cameras = dict(cameras or {})
+        self.cameras = {require_name(name): camera for name, camera in (cameras or {}).items()}
         self._flush_every = flush_every
         self._recorded = self._safe = 0
         self._state: Literal["open", "finished", "abandoned"] = "open"

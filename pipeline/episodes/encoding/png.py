@@ -1,24 +1,18 @@
 """PNG pictures of grey images and masks, written uncompressed, since the log's chunks are compressed.
 
-Every function raises a ValueError for an array of another kind, or for what is no PNG that can be read.
+Every function raises a ValueError for an array of another kind, or for a PNG that is not as it is written here: so a
+picture never takes more memory than its bytes in the log, and never has other pixels than other programs see.
 """
 
 from __future__ import annotations
 
-import io
 import struct
 import zlib
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-from pipeline.episodes.camera import LONGEST_EDGE
-
-_MOST_PIXELS = LONGEST_EDGE**2
-# What Pillow raises for damaged pictures, by experience.
-_UNREADABLE = (OSError, SyntaxError, ValueError, EOFError, struct.error, zlib.error, IndexError, KeyError, TypeError)
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _GREY = 0
 _LENGTH = struct.Struct(">I")
@@ -81,22 +75,38 @@ def encode_mask(mask: NDArray[np.bool_] | NDArray[np.uint8]) -> bytes:
     return _encode(np.packbits(mask, axis=1), mask.shape[1], 1)
 
 
-def decode_image(data: bytes) -> NDArray[np.uint8]:
-    """Read a grey PNG, (H, W) uint8."""
-    return np.array(_open(data).convert("L"), dtype=np.uint8)
+def decode_image(data: bytes, height: int, width: int) -> NDArray[np.uint8]:
+    """Read a grey image, (H, W) uint8."""
+    return _decode(data, height, width, 8)
 
 
-def decode_mask(data: bytes) -> NDArray[np.bool_]:
+def decode_mask(data: bytes, height: int, width: int) -> NDArray[np.bool_]:
     """Read a mask, (H, W) bool."""
-    return np.array(_open(data).convert("L"), dtype=np.uint8) > 0
+    return np.unpackbits(_decode(data, height, width, 1), axis=1, count=width).view(np.bool_)
 
 
-def _open(data: bytes) -> Image.Image:
+def _decode(data: bytes, height: int, width: int, bit_depth: int) -> NDArray[np.uint8]:
+    """Read the rows of a picture that `_encode` wrote."""
+    row_bytes = (width * bit_depth + 7) // 8
+    size, head = height * (row_bytes + 1), _head(height, width, bit_depth)
+    if not data.startswith(head) or len(data) < len(head) + size:
+        raise ValueError(f"not a readable PNG: no {width} x {height} grey pixels of {bit_depth} bit, uncompressed")
+    stream, position, kind = b"", len(head), b""
+    while kind != b"IEND" and position + 12 <= len(data):
+        end = position + 12 + _LENGTH.unpack_from(data, position)[0]
+        kind, content = data[position + 4 : position + 8], data[position + 8 : end - 4]
+        if kind not in (b"IDAT", b"IEND") or data[position:end] != _chunk(kind, content):
+            raise ValueError("not a readable PNG: a part of it is damaged or of a foreign kind")
+        stream, position = stream + content, end
+    inflated = zlib.decompressobj()
     try:
-        picture = Image.open(io.BytesIO(data), formats=("PNG",))
-        if picture.width * picture.height > _MOST_PIXELS:
-            raise ValueError(f"it has {picture.width} x {picture.height} pixels, at most {_MOST_PIXELS} are read")
-        picture.load()
-    except (*_UNREADABLE, Image.DecompressionBombError) as error:
-        raise ValueError(f"not a readable PNG: {error}") from error
-    return picture
+        raw = inflated.decompress(stream, size + 1)
+    except zlib.error as error:
+        raise ValueError("not a readable PNG: its pixels are damaged") from error
+    rows = np.frombuffer(raw, np.uint8)
+    if kind != b"IEND" or position != len(data) or not inflated.eof or inflated.unused_data or len(rows) != size:
+        raise ValueError("not a readable PNG: it does not end where its pixels do")
+    rows = rows.reshape(height, row_bytes + 1)
+    if rows[:, 0].any():
+        raise ValueError("not a readable PNG: its rows are filtered")
+    return rows[:, 1:].copy()

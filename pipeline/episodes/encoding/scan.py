@@ -6,9 +6,11 @@ Every function raises a `ContainerError` where what it reads is damaged, cut off
 from __future__ import annotations
 
 import os
+import re
+import stat
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import Any, NamedTuple
@@ -21,7 +23,7 @@ from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema, S
 from mcap.writer import MCAP0_MAGIC
 
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA
-from pipeline.episodes.errors import ContainerError
+from pipeline.episodes.errors import ContainerError, EpisodeReadError
 
 _RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
@@ -29,6 +31,8 @@ _CHUNK_HEAD = struct.Struct("<QQQII")
 _FOOTER = struct.Struct("<BQQQI")
 _MAX_UNCOMPRESSED = 1 << 26  # a writer's chunks are far smaller, but for a mesh or a picture that is a chunk by itself
 _MAX_SUMMARY = 1 << 28
+_ALWAYS_UNPACKED = 1 << 28  # bytes that any log may unpack to, and times its size: real ones unpack to 1 to 4 times it,
+_MOST_UNPACKED = 500  # and pictures that are all black to a few hundred times
 _MAX_MESSAGES = 100_000  # of a chunk
 
 
@@ -39,6 +43,11 @@ class MessageSpan(NamedTuple):
     log_time_ns: int
     start: int
     end: int
+
+    @property
+    def record_start(self) -> int:
+        """Where the message's record begins."""
+        return self.start - _MESSAGE_HEAD.size
 
 
 @dataclass
@@ -63,6 +72,28 @@ def parse_record(kind: Any, content: bytes) -> Any:
         return kind.read(ReadDataStream(BytesIO(content)))
     except (McapError, struct.error, ValueError, EOFError, OverflowError) as error:
         raise ContainerError(f"a {kind.__name__} record cannot be parsed") from error
+
+
+def open_log(path: str | os.PathLike[str]) -> int:
+    """Open a log for reading, which must be a regular file: a pipe or a device may have no end.
+
+    Raises:
+        EpisodeReadError: it cannot be opened.
+    """
+    try:
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    except (OSError, ValueError) as error:
+        raise EpisodeReadError(f"cannot open {path}: {getattr(error, 'strerror', error)}; check the path") from error
+    if not stat.S_ISREG(os.fstat(fd).st_mode):
+        os.close(fd)
+        raise EpisodeReadError(f"cannot open {path}: it is no regular file; give the path of an episode log")
+    return fd
+
+
+def require_proportion(unpacked: int, size: int) -> None:
+    """Refuse a log of so many bytes that unpacks to so many that only a forger makes it."""
+    if unpacked > _ALWAYS_UNPACKED + _MOST_UNPACKED * size:
+        raise ContainerError(f"it unpacks to {unpacked / 1e9:.1f} GB, {unpacked // size} times its size")
 
 
 def check_magic(fd: int) -> int:
@@ -102,6 +133,9 @@ def read_summary(fd: int) -> Summary:
             summary.metadata_indexes.append(parse_record(MetadataIndex, content[begin:end]))
         elif opcode == Opcode.STATISTICS:
             summary.statistics = parse_record(Statistics, content[begin:end])
+    if len({index.chunk_start_offset for index in summary.chunk_indexes}) < len(summary.chunk_indexes):
+        raise ContainerError("its index names a chunk twice")
+    require_proportion(sum(index.uncompressed_size for index in summary.chunk_indexes), size)
     return summary
 
 
@@ -124,7 +158,15 @@ def read_chunk(fd: int, index: ChunkIndex) -> bytes:
     data = _read(fd, index.chunk_length, index.chunk_start_offset)
     if data[:1] != bytes((Opcode.CHUNK,)):
         raise ContainerError(f"the chunk at byte {index.chunk_start_offset} is not where the index says")
-    return open_chunk(data[9:], index.chunk_start_offset)
+    chunk = open_chunk(data[9:], index.chunk_start_offset)
+    if len(chunk) != index.uncompressed_size:
+        raise ContainerError(f"the chunk at byte {index.chunk_start_offset} has another size than the index says")
+    return chunk
+
+
+def unpacked_bytes(content: bytes) -> int:
+    """What the content of a chunk says that it unpacks to, as far as it is believed."""
+    return min(int.from_bytes(content[16:24], "little"), _MAX_UNCOMPRESSED)
 
 
 def open_chunk(content: bytes, offset: int) -> bytes:
@@ -194,28 +236,22 @@ def walk(data: Any, start: int = 0) -> Iterator[tuple[int, int, int]]:
 
 
 # What stands where in a record that is looked for: bytes, how far behind the record's start, and its kind.
-_PATTERNS = (
-    (b"\x04\x00\x00\x00zstd", 9 + _CHUNK_HEAD.size - 4, Opcode.CHUNK),
-    *(
-        (struct.pack("<I", len(name)) + name.encode(), 9, Opcode.METADATA)
-        for name in (EPISODE_METADATA, OUTCOME_METADATA)
-    ),
-)
+_PATTERNS = {b"\x04\x00\x00\x00zstd": (9 + _CHUNK_HEAD.size - 4, Opcode.CHUNK)} | {
+    struct.pack("<I", len(name)) + name.encode(): (9, Opcode.METADATA) for name in (EPISODE_METADATA, OUTCOME_METADATA)
+}
 
 
-def find_record(data: Any, start: int) -> int | None:
-    """Find the next place that looks like a chunk or like an episode's metadata.
+_ANY_PATTERN = re.compile(b"|".join(re.escape(pattern) for pattern in _PATTERNS))
 
-    Returns:
-        Where the record begins, or None. Whether it is intact is for its checksum to say.
+
+def likely_records(data: Any) -> Generator[int, None, None]:
+    """Find the places that look like a chunk or like an episode's metadata, in one pass.
+
+    Yields:
+        Where a record begins. Whether it is intact is for its checksum to say.
     """
-    found = []
-    for pattern, offset, opcode in _PATTERNS:
-        position = data.find(pattern, start + offset)
-        while position >= 0:
-            begin = position - offset
-            if data[begin] == opcode and begin + 9 + _RECORD_HEAD.unpack_from(data, begin)[1] <= len(data):
-                found.append(begin)
-                break
-            position = data.find(pattern, position + 1)
-    return min(found, default=None)
+    for match in _ANY_PATTERN.finditer(data):
+        offset, opcode = _PATTERNS[match[0]]
+        begin = match.start() - offset
+        if begin >= 0 and data[begin] == opcode and begin + 9 + _RECORD_HEAD.unpack_from(data, begin)[1] <= len(data):
+            yield begin

@@ -230,7 +230,7 @@ def test_check_finds_what_checksums_cannot(episode, tmp_path):
     file.close_with_index()
     problems = "\n".join(check(odd).problems)
     assert f"step 0 has log time {episode.info.time_ns(0) + 1}" in problems
-    assert "camera frontal has 4 images for 5 records" in problems
+    assert "/camera/frontal/image has 4 messages for 5, odd from 2 on" in problems
     assert "the outcome counts 22 steps, the records 4" in problems
 
 
