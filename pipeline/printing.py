@@ -16,6 +16,7 @@ def visible(text: str) -> str:
     letters = (one.encode("unicode_escape").decode() if unicodedata.category(one) in _HIDDEN else one for one in text)
     return "".join(letters)
 
+
 CALLED = "ENDONAV_CALLED"  # in the environment, so that processes that a command starts write it the same way
 _IN_A_CLONE = {
     "stages": "python -m pipeline",

@@ -23,6 +23,7 @@ from enn.model_file import decoded, write_model
 from enn.networks.network import NetworkSettings, build_network
 from enn.policy import Policy
 from tests.damaged_files import refusals
+from tests.forged_models import require_refusals
 
 Box = gymnasium.spaces.Box
 
@@ -143,3 +144,24 @@ def test_a_wrong_bit_in_the_checkpoint_of_a_fit_is_refused(tmp_path: Path) -> No
         raise ValueError(str(refused.value))
 
     assert all("remove it to start again" in message for message in refusals(path, load))
+
+
+@pytest.mark.parametrize("make", [policy, encoder, force_predictor, cloned_policy, path_follower, recurrent_policy])
+def test_a_model_that_asks_for_more_than_it_holds_is_refused_before_it_is_built(make: Any, tmp_path: Path) -> None:
+    path = tmp_path / "model.pt"
+    model = make()
+    model.save(path)
+    assert require_refusals(path, lambda: type(model).load(path)) > 24
+
+
+def test_a_policy_of_a_million_actions_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "policy.pt"
+    policy().save(path)
+    content = decoded(path.read_bytes())
+    for name, space in (("action_space", content["action_space"]), ("network_space", {"tip": None})):
+        del space
+        for changed in ({"shape": [10**6]}, {"shape": [10**13]}, {"dtype": "O"}, {"dtype": "S1000000000"}):
+            forged = {**content, name: {**content["action_space"], **changed}}
+            write_model(path, forged)
+            with pytest.raises(ValueError, match="another architecture"):
+                Policy.load(path)

@@ -49,7 +49,7 @@ def test_what_is_no_model_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"is damaged or no toy \(its digest does not match\): build it again"):
         read(path)
     write_model(path, {"format": "toy-0"})
-    with pytest.raises(ValueError, match="is no toy of format toy-1, but toy-0: build it again"):
+    with pytest.raises(ValueError, match="is no toy of format toy-1, but 'toy-0': build it again"):
         read(path)
     assert "x.pt is of another architecture than this version builds (sizes differ): fit it again" in str(
         another_architecture(Path("x.pt"), RuntimeError("sizes\n  differ"), verb="fit")

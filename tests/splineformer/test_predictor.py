@@ -14,6 +14,7 @@ from splineformer.image_input import picture_of, shares_of_pixels
 from splineformer.predictor import Predictor
 from splineformer.tokens import sampled, tokens_of_polyline, tokens_px
 from tests.damaged_files import refusals
+from tests.forged_models import require_refusals
 from tests.splineformer.curves import image_of, wavy_wire
 
 
@@ -143,7 +144,7 @@ def test_files_of_other_versions(tmp_path: Path) -> None:
     content = read_content(path)
     for change, message in (
         ({"format": "guide3d-network-0"}, "no network of format"),
-        ({"kind": "shape"}, "kind shape, expected splineformer"),
+        ({"kind": "shape"}, "kind 'shape', expected splineformer"),
         ({"network": content["network"] | {"layout": 7}}, "layout 7, this version reads 2"),
         ({"weights": {}}, "cannot be used"),
     ):
@@ -156,6 +157,12 @@ def test_a_wrong_bit_is_refused(tmp_path: Path) -> None:
     untrained("ordered").save(tmp_path / "model.pt")
     messages = refusals(tmp_path / "model.pt", lambda: Predictor.load(tmp_path / "model.pt"))
     assert all("model.pt is damaged or no network" in message for message in messages)
+
+
+@pytest.mark.parametrize("variant", ["ordered", "published"])
+def test_a_model_that_asks_for_more_than_it_holds_is_refused_before_it_is_built(variant: str, tmp_path: Path) -> None:
+    untrained(variant).save(tmp_path / "model.pt")
+    assert require_refusals(tmp_path / "model.pt", lambda: Predictor.load(tmp_path / "model.pt")) > 24
 
 
 def test_graph_for_the_compiler_agrees() -> None:

@@ -21,6 +21,7 @@ from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, Sha
 from guide3d.learning.preprocessing import Preprocessing
 from guide3d.modeling.fgrn import FGRN
 from tests.damaged_files import damaged, refusals
+from tests.forged_models import require_refusals
 
 
 def shape() -> ShapePredictor:
@@ -47,6 +48,13 @@ def test_a_wrong_bit_is_refused(kind: str, tmp_path: Path) -> None:
     model.save(path)
     messages = refusals(path, lambda: type(model).load(path))
     assert all("model.pt is damaged or no network" in message for message in messages)
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_model_that_asks_for_more_than_it_holds_is_refused_before_it_is_built(kind: str, tmp_path: Path) -> None:
+    model, path = MODELS[kind](), tmp_path / "model.pt"
+    model.save(path)
+    assert require_refusals(path, lambda: type(model).load(path)) > 24
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])

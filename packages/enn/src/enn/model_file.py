@@ -13,17 +13,19 @@ from __future__ import annotations
 import hashlib
 import io
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
+from enn.bounded_content import built_from, load_content, tensors
 from enn.devices import on_cpu
 
 Network = TypeVar("Network", bound=nn.Module)
+LARGEST_BYTES = 4 << 30
 
 
 class OlderFormatError(ValueError):
@@ -53,7 +55,21 @@ def decoded(data: bytes) -> Any:
     body = memoryview(data)[len(_digest_line(b"")) :]
     if data[: len(data) - len(body)] != _digest_line(body):
         raise ValueError("its digest does not match")
-    return torch.load(io.BytesIO(body), map_location="cpu", weights_only=True)
+    return load_content(body)
+
+
+def read_bytes(path: Path) -> bytes:
+    """The bytes of a file, which must be a regular one and no larger than any model.
+
+    Raises:
+        FileNotFoundError: there is no such file, or it is a folder, a pipe or a device.
+        ValueError: it is too large.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is no file")
+    if path.stat().st_size > LARGEST_BYTES:
+        raise ValueError(f"it has more than {LARGEST_BYTES >> 30} GB")
+    return path.read_bytes()
 
 
 def write_model(path: Path, content: dict[str, Any]) -> None:
@@ -94,7 +110,7 @@ def read_model(path: Path, form: str, *, kind: str, verb: str) -> dict[str, Any]
     if not path.is_file():
         raise FileNotFoundError(f"there is no {kind} {path}: {verb} one first")
     try:
-        content = decoded(path.read_bytes())
+        content = decoded(read_bytes(path))
     except OlderFormatError as error:
         raise ValueError(f"{path} is {error}: {verb} it again") from error
     except OSError as error:
@@ -103,7 +119,7 @@ def read_model(path: Path, form: str, *, kind: str, verb: str) -> dict[str, Any]
         reason = str(error) if isinstance(error, ValueError) else type(error).__name__
         raise ValueError(f"{path} is damaged or no {kind} ({reason}): {verb} it again") from error
     if not isinstance(content, dict) or content.get("format") != form:
-        got = content.get("format") if isinstance(content, dict) else type(content).__name__
+        got = f"{content.get('format')!a:.80}" if isinstance(content, dict) else type(content).__name__
         raise ValueError(f"{path} is no {kind} of format {form}, but {got}: {verb} it again")
     spoilt = _not_finite(content)
     if spoilt is not None:
@@ -112,12 +128,12 @@ def read_model(path: Path, form: str, *, kind: str, verb: str) -> dict[str, Any]
 
 
 # what building or filling a network raises when the file is of another version
-UNFIT = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
+UNFIT = (ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, RuntimeError, TypeError, ValueError)
 
 
 def another_architecture(path: Path, error: Exception, *, verb: str) -> ValueError:
     """The error of a file whose weights do not fit its own settings."""
-    reason = " ".join(str(error).split())[:200]
+    reason = " ".join(str(error).split())[:200].encode("ascii", "backslashreplace").decode()
     return ValueError(f"{path} is of another architecture than this version builds ({reason}): {verb} it again")
 
 
@@ -158,7 +174,8 @@ def read_network(
     path = Path(path)
     content = read_model(path, form, kind=kind, verb=verb)
     try:
-        network = build(content["settings"])
+        with built_from(content):
+            network = build(content["settings"])
         network.load_state_dict(content["weights"])
         return network.to(device), dict(content["metadata"])
     except UNFIT as error:
@@ -208,12 +225,4 @@ def _digest_line(body: bytes | memoryview) -> bytes:
 
 def _not_finite(content: Any) -> str | None:
     """Where the first tensor is that is not finite, if there is one."""
-    return next((place for place, tensor in _tensors(content) if not bool(torch.isfinite(tensor).all())), None)
-
-
-def _tensors(content: Any, place: str = "") -> Iterator[tuple[str, Tensor]]:
-    if isinstance(content, Tensor):
-        yield place, content
-    elif isinstance(content, dict | list | tuple):
-        for name, part in content.items() if isinstance(content, dict) else enumerate(content):
-            yield from _tensors(part, f"{place}/{name}" if place else str(name))
+    return next((place for place, tensor in tensors(content) if not bool(torch.isfinite(tensor).all())), None)

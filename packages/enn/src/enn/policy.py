@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.policies import BasePolicy
 from torch import Tensor
 
+from enn.bounded_content import built_from
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
 from enn.networks.network import NetworkSettings, action_distribution, actor_features, build_network
 
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from enn.encoder import Encoder
 
 FORMAT = "enn-policy-1"
+_LARGEST_SPACE = 1 << 24  # numbers of an observation or action: an image of 4,096 x 4,096 px
 Observation = Mapping[str, NDArray[Any]] | NDArray[Any]
 
 
@@ -211,10 +214,13 @@ class Policy:
             if content["encoder"] is not None:
                 from enn.encoder import Encoder, EncoderSettings
 
-                encoder = Encoder(EncoderSettings(**content["encoder"]["settings"]))
+                with built_from(content):
+                    encoder = Encoder(EncoderSettings(**content["encoder"]["settings"]))
                 encoder.load_state_dict(content["encoder"]["weights"])
                 encoder.to(device)
-            module = build_network(network, _space(content["network_space"]), action_space).to(device)
+            with built_from(content):
+                module = build_network(network, _space(content["network_space"]), action_space)
+            module.to(device)
             known = module.state_dict().keys()
             critics = content["weights"].keys() == known
             wanted = known if critics else {key for key in known if _acts(network, key)}
@@ -280,6 +286,8 @@ def _space(description: dict[str, Any]) -> Any:
         # the order of the names is the order of the network's inputs
         return gymnasium.spaces.Dict([(name, _space(one)) for name, one in description["dict"].items()])
     shape, dtype = tuple(description["shape"]), np.dtype(description["dtype"])
+    if math.prod(shape) > _LARGEST_SPACE or dtype.kind not in "biuf":
+        raise ValueError(f"no space has the shape {shape} and type {dtype}")
     low, high = (
         np.broadcast_to(
             np.array(description[k]) if len(description[k]) == 1 else np.reshape(description[k], shape), shape

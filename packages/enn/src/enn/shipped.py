@@ -16,7 +16,7 @@ import torch
 import enn
 from enn.imitation.images.policy import ImagePolicy
 from enn.imitation.recurrent_policy import FORMAT as IMAGE_FORMAT
-from enn.model_file import decoded
+from enn.model_file import decoded, read_bytes
 from enn.policy import FORMAT, Policy
 
 _SUFFIX, _CARD = ".pt", ".md"
@@ -98,7 +98,7 @@ def _sentence(name: str) -> str:
 
 def _format_of(path: Path) -> Any:
     try:
-        content = decoded(path.read_bytes())
+        content = decoded(read_bytes(path))
     except Exception:  # a damaged file: what torch raises is not of one kind
         return None
     return content.get("format") if isinstance(content, dict) else None

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from guide3d.geometry.bspline import BSplineCurve
 from guide3d.geometry.polyline import Array
-from guide3d.learning.model_file import UNFIT, filled, read_model, write_model
+from guide3d.learning.bounded_content import built_from
+from guide3d.learning.model_file import UNFIT, read_model, write_model
 from guide3d.reading.image_reading import MapReader, shipped_reader
 from guide3d.shipped import shipped_file
 from splineformer.build import described, rebuilt
@@ -122,13 +123,15 @@ class Predictor:
         """
         content = read_model(path, KIND)
         try:
-            network = filled(rebuilt, content["network"], content["weights"])
+            with built_from(content):
+                network = rebuilt(content["network"])
+            network.load_state_dict(content["weights"])
             source_px = int(content["preprocessing"]["source_px"])
             input = str(content["preprocessing"].get("input", "levels"))
             if input not in INPUTS:
                 raise ValueError(f"unknown input '{input}'")
         except UNFIT as error:
-            reason = " ".join(str(error).split())[:200]
+            reason = " ".join(str(error).split())[:200].encode("ascii", "backslashreplace").decode()
             raise ValueError(f"{path} cannot be used: {reason}") from error
         return cls(network, source_px=source_px, input=input, **options)
 

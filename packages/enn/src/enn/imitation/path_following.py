@@ -18,6 +18,7 @@ from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
+from enn.bounded_content import built_from
 from enn.devices import device_of, seeded
 from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, fit
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
@@ -146,7 +147,8 @@ class PathFollower:
         content = read_model(path, FORMAT, kind="path follower", verb="fit")
         try:
             settings = PathFollowerSettings(**content["settings"])
-            network = build(settings, content["actions"])
+            with built_from(content):
+                network = build(settings, content["actions"])
             network.load_state_dict(content["weights"])
         except UNFIT as error:
             raise another_architecture(path, error, verb="fit") from error

@@ -18,6 +18,7 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from enn.bounded_content import built_from
 from enn.devices import device_of
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
 from enn.setting_kinds import Count, Units, UnitsOrNone, settings
@@ -168,7 +169,8 @@ class RecurrentPolicy:
         """
         content = read_model(Path(path), FORMAT, kind="recurrent policy", verb="train")
         try:
-            policy = cls(RecurrentPolicySettings(**content["settings"]), 0, device, dict(content["perception"]))
+            with built_from(content):
+                policy = cls(RecurrentPolicySettings(**content["settings"]), 0, device, dict(content["perception"]))
             policy.network.load_state_dict(content["weights"])
             policy.metadata = dict(content["metadata"])
         except UNFIT as error:

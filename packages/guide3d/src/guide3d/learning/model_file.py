@@ -31,13 +31,10 @@ from torch.utils._pytree import tree_map_only
 
 from guide3d.atomic_file import whole_file
 from guide3d.guarded_reading import open_regular
+from guide3d.learning.bounded_content import load_content, tensors
 
 FORMAT = "guide3d-network-1"
-_LARGEST = 8 << 30  # bytes of a file
-_DEEPEST, _MOST = 50, 1_000_000  # dictionaries and lists in each other, and values in all
-_PLAIN = (str, int, float, bool, type(None))
-
-Network = TypeVar("Network", bound=nn.Module)
+LARGEST_BYTES = 4 << 30
 _PARTS = ("network", "preprocessing", "metadata", "weights")
 
 
@@ -62,56 +59,14 @@ def read_content(path: Path | str) -> Any:
         OlderFormatError: it is a file without a digest.
         ValueError: it is no regular file, a byte is missing or differs, or it holds something else than plain numbers.
     """
-    with open_regular(Path(path), _LARGEST) as file:
+    with open_regular(Path(path), LARGEST_BYTES) as file:
         data = file.read()
     if data.startswith(b"PK"):
         raise OlderFormatError("a file of an older format, without a digest")
     body = memoryview(data)[len(_digest_line(b"")) :]
     if data[: len(data) - len(body)] != _digest_line(body):
         raise ValueError("its digest does not match")
-    return plain_content(io.BytesIO(body), len(body))
-
-
-def plain_content(file: IO[bytes], size: int) -> Any:
-    """Reads what `torch.save` wrote, if it takes no more memory than the file has bytes.
-
-    Raises:
-        ValueError: it is compressed or nested without end, or holds sparse, quantised or expanded tensors.
-        Exception: torch's own, of a damaged file.
-    """
-    if zipfile.is_zipfile(file):
-        with zipfile.ZipFile(file) as archive:
-            parts = archive.infolist()
-        if any(part.compress_type for part in parts) or sum(part.file_size for part in parts) > size:
-            raise ValueError("its archive is compressed")
-    file.seek(0)
-    content = torch.load(file, map_location="cpu", weights_only=True)
-    _require_plain(content)
-    return content
-
-
-def filled(build: Callable[[dict[str, Any]], Network], description: dict[str, Any], weights: dict[str, Any]) -> Network:
-    """Builds a network and fills it, once its sizes are known to be those of the weights: no others take memory.
-
-    Args:
-        build: makes it from the description.
-
-    Raises:
-        ValueError: the weights have other names or shapes.
-        Exception: whatever building raises (`UNFIT`).
-    """
-    given = {name: tuple(values.shape) for name, values in weights.items()}
-    largest = max(_numbers(description), default=0)
-    if largest > sum(values.numel() for values in weights.values()):
-        raise ValueError(f"its settings have a size of {largest:g}, more than it has weights")
-    with torch.device("meta"):
-        wanted = {name: tuple(values.shape) for name, values in build(description).state_dict().items()}
-    wrong = next((name for name in sorted({*wanted, *given}) if wanted.get(name) != given.get(name)), None)
-    if wrong is not None:
-        raise ValueError(f"expected {wrong} of size {wanted.get(wrong)}, found {given.get(wrong)}")
-    network = build(description)
-    network.load_state_dict(weights)
-    return network
+    return load_content(body)
 
 
 def write_model(
@@ -165,7 +120,8 @@ def read_model(path: Path | str, kind: str) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ValueError(f"{path} is no network of format {FORMAT}: train it again")
     if content.get("kind") != kind:
-        raise ValueError(f"{path} is a network of kind {content.get('kind')}, expected {kind}: give the other file")
+        found = f"{content.get('kind')!a:.80}"
+        raise ValueError(f"{path} is a network of kind {found}, expected {kind}: give the other file")
     missing = [name for name in _PARTS if not isinstance(content.get(name), dict)]
     if missing:
         raise ValueError(f"{path} is no whole network, without {', '.join(missing)}: train it again")
@@ -176,12 +132,12 @@ def read_model(path: Path | str, kind: str) -> dict[str, Any]:
 
 
 # what building or filling a network raises when the file is of another version
-UNFIT = (AttributeError, IndexError, KeyError, RuntimeError, TypeError, ValueError)
+UNFIT = (ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, RuntimeError, TypeError, ValueError)
 
 
 def another_architecture(path: Path | str, error: Exception) -> ValueError:
     """The error of a file whose weights do not fit its own settings; `error`: what building or filling raised."""
-    reason = " ".join(str(error).split())[:200]
+    reason = " ".join(str(error).split())[:200].encode("ascii", "backslashreplace").decode()
     return ValueError(f"{path} is of another architecture than this version builds ({reason}): train it again")
 
 
@@ -189,36 +145,6 @@ def _digest_line(body: bytes | memoryview) -> bytes:
     return b"sha256 " + hashlib.sha256(body).hexdigest().encode() + b"\n"
 
 
-def _require_plain(content: Any) -> None:
-    waiting, count = [(content, 0)], 0
-    while waiting:
-        value, depth = waiting.pop()
-        count += 1
-        if depth > _DEEPEST or count > _MOST:
-            raise ValueError("it is nested without end")
-        if isinstance(value, Tensor):
-            plain = value.layout == torch.strided and value.device.type == "cpu" and not value.is_quantized
-            if not plain or value.numel() * value.element_size() > value.untyped_storage().nbytes():
-                raise ValueError("it holds tensors that are sparse, quantised or expanded")
-        elif isinstance(value, Mapping):
-            waiting += [(part, depth + 1) for pair in value.items() for part in pair]
-        elif isinstance(value, list | tuple | set):
-            waiting += [(part, depth + 1) for part in value]
-        elif not isinstance(value, _PLAIN):
-            raise ValueError(f"it holds a {type(value).__name__}")
-
-
-def _numbers(value: Any) -> Iterator[float]:
-    if isinstance(value, Mapping):
-        value = list(value.values())
-    if isinstance(value, list | tuple):
-        for part in value:
-            yield from _numbers(part)
-    elif isinstance(value, int | float):
-        yield value
-
-
 def _not_finite(weights: dict[str, Any]) -> str | None:
     """The first weight that is not finite, if there is one."""
-    tensors = ((name, value) for name, value in weights.items() if isinstance(value, Tensor))
-    return next((name for name, value in tensors if not bool(torch.isfinite(value).all())), None)
+    return next((name for name, value in tensors(weights) if not bool(torch.isfinite(value).all())), None)

@@ -14,8 +14,9 @@ import torch
 from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array
+from guide3d.learning.bounded_content import built_from
 from guide3d.learning.build import ShapeSize, build_segmenter, described, rebuilt
-from guide3d.learning.model_file import UNFIT, another_architecture, filled, read_model, write_model
+from guide3d.learning.model_file import UNFIT, another_architecture, read_model, write_model
 from guide3d.learning.preprocessing import Preprocessing
 from guide3d.modeling.fgrn import FGRN
 from guide3d.modeling.shape_network import ShapeNetwork
@@ -62,7 +63,9 @@ class _Predictor:
         """
         content = read_model(path, cls.kind)
         try:
-            network = filled(cls.build, content["network"], content["weights"])
+            with built_from(content):
+                network = cls.build(content["network"])
+            network.load_state_dict(content["weights"])
             preprocessing = Preprocessing(**content["preprocessing"])
         except UNFIT as error:
             raise another_architecture(path, error) from error

@@ -16,7 +16,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from guide3d.guarded_reading import open_regular
-from guide3d.learning.model_file import plain_content
+from guide3d.learning.bounded_content import load_content
+from guide3d.learning.model_file import LARGEST_BYTES
 from guide3d.modeling.vision_transformer import VisionTransformer
 
 # this package's name, timm's pattern, torchvision's pattern
@@ -53,8 +54,8 @@ def load_pretrained(network: VisionTransformer, file: Path | str) -> None:
     if not file.is_file():
         raise FileNotFoundError(f"there are no pretrained weights {file}: leave them out to train from nothing")
     try:
-        with open_regular(file) as stream:
-            content = plain_content(stream, file.stat().st_size)
+        with open_regular(file, LARGEST_BYTES) as stream:
+            content = load_content(stream.read())
     except Exception as error:
         raise ValueError(
             f"{file} is no file of weights that torch.load reads safely ({type(error).__name__}): save the network's "

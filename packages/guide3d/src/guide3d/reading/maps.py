@@ -19,7 +19,8 @@ except ModuleNotFoundError:
     require("torch", "learning")  # says what to install
     raise
 
-from guide3d.learning.model_file import UNFIT, another_architecture, filled, read_model, write_model
+from guide3d.learning.bounded_content import built_from
+from guide3d.learning.model_file import UNFIT, another_architecture, read_model, write_model
 from guide3d.learning.precision import has_bfloat16
 from guide3d.modeling.reader_network import ReaderNetwork, reader_input, without_normalisation
 
@@ -79,9 +80,12 @@ class Reader:
         content = read_model(path, KIND)
         version = content["network"].get("version")
         if version != VERSION:
-            raise ValueError(f"{path} is a reader of version {version}, expected {VERSION}: train it again")
+            raise ValueError(f"{path} is a reader of version {version!a:.80}, expected {VERSION}: train it again")
         try:
-            network = filled(_built, content["network"], content["weights"])
+            size = content["network"]
+            with built_from(content):
+                network = ReaderNetwork(block_px=size["block_px"], widths=tuple(size["widths"]))
+            network.load_state_dict({name: value.float() for name, value in content["weights"].items()})
         except UNFIT as error:
             raise another_architecture(path, error) from error
         return cls(network, content["metadata"], fast)

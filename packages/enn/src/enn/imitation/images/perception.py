@@ -17,6 +17,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
+from enn.bounded_content import built_from
 from enn.imitation.images.egocentric import CATHETER_SIZE, VIEW_SIZE, EgocentricView
 from enn.imitation.images.lumen_segmentation import LumenSegmenter
 from enn.imitation.images.stereo_geometry import StereoGeometry
@@ -242,6 +243,7 @@ def load_image_policy(path: Path | str, device: torch.device | str = "cpu") -> t
     """
     policy = RecurrentPolicy.load(path, device)
     try:
-        return policy, ImagePerception.of(policy.perception, device)
+        with built_from(policy.perception):
+            return policy, ImagePerception.of(policy.perception, device)
     except UNFIT as error:
         raise another_architecture(Path(path), error, verb="train") from error
