@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.episodes.encoding.schema import DEVICE_FIELDS, DEVICE_MASKS, STEP_FIELDS, STEP_TOPIC
 from pipeline.episodes.errors import damaged
-
-if TYPE_CHECKING:
-    from pipeline.episodes.reader import EpisodeReader
 
 _MOST_POINTS = 1 << 26  # of a ragged field stacked over an episode: 1.5 GB
 _RAGGED = {
@@ -24,8 +21,8 @@ _RAGGED = {
 }
 
 
-def stacked(log: EpisodeReader, *, pictures: bool) -> dict[str, NDArray[Any]]:
-    """Stack a whole episode: see `EpisodeReader.load_arrays`."""
+def stacked(log: Any, *, pictures: bool) -> dict[str, NDArray[Any]]:
+    """Stack a whole episode of an `EpisodeReader`: see its `load_arrays`."""
     records = list(log) if log.holds(STEP_TOPIC) else []
     if not records:
         raise damaged(log.path, "it holds no step")
@@ -58,7 +55,7 @@ def stacked(log: EpisodeReader, *, pictures: bool) -> dict[str, NDArray[Any]]:
     return arrays
 
 
-def _stack(log: EpisodeReader, name: str, values: list[NDArray[Any]]) -> NDArray[Any]:
+def _stack(log: Any, name: str, values: list[NDArray[Any]]) -> NDArray[Any]:
     """Stack what must be of one shape."""
     if not values:
         raise damaged(log.path, f"it holds no {name}")
