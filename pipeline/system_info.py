@@ -13,7 +13,6 @@ from cathsim.anatomy.phantom_cache import default_cache_directory
 from pipeline.installation import GL_LIBRARIES
 from pipeline.jobs.gpus import find_gpus
 from pipeline.store.errors import StageError
-from pipeline.store.user_cache import user_cache
 
 OURS = ("endonav", "endonav-cathsim", "endonav-enn", "endonav-guide3d", "endonav-splineformer")
 THEIRS = (
@@ -36,7 +35,6 @@ def report() -> str:
         ("rendering", _rendering() + (f" (MUJOCO_GL={backend})" if backend else "")),
         ("GPUs", _gpus()),
         ("anatomies in", _size(default_cache_directory())),
-        ("cache of runs", _size(user_cache())),
         *(("problems to", url) for url in _addresses() if url.endswith("issues")),
     ]
     width = max(len(name) for name, _ in rows) + 2
