@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
 import os
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -114,89 +111,6 @@ def test_a_wrong_bit_of_a_distortion_is_refused_or_changes_nothing(tmp_path: Pat
                 24,
             )
     assert refused > 100
-
-
-def _expanded() -> torch.Tensor:
-    return torch.zeros(1).expand(10**6, 10**6)
-
-
-def _sparse() -> torch.Tensor:
-    return torch.sparse_coo_tensor(torch.zeros((2, 1), dtype=torch.long), torch.ones(1), (10**9, 10**9))
-
-
-def _quantised() -> torch.Tensor:
-    return torch.quantize_per_tensor(torch.zeros(4), 0.1, 0, torch.qint8)
-
-
-def _recursive() -> list:
-    content: list = []
-    content.append(content)
-    return content
-
-
-def _branching() -> list:
-    content: list = []
-    for _ in range(40):
-        content = [content] * 10
-    return content
-
-
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        (_expanded, "sparse, quantised or expanded"),
-        (_sparse, "sparse, quantised or expanded"),
-        (_quantised, "sparse, quantised or expanded"),
-        (lambda: torch.empty((10**6, 10**6), device="meta"), "sparse, quantised or expanded"),
-        (_recursive, "nested without end"),
-        (_branching, "nested without end"),
-    ],
-)
-@pytest.mark.filterwarnings("ignore")
-def test_content_that_would_grow_is_refused(content: Callable[[], Any], said: str, tmp_path: Path) -> None:
-    stream = io.BytesIO()
-    torch.save({"weights": {"a": content()}}, stream)
-    data = stream.getvalue()
-    (tmp_path / "model.pt").write_bytes(b"sha256 " + hashlib.sha256(data).hexdigest().encode() + b"\n" + data)
-    with pytest.raises(ValueError, match=said):
-        read_content(tmp_path / "model.pt")
-    with pytest.raises(ValueError, match=rf"model\.pt is damaged or no network \(.*{said}\)"):
-        ShapePredictor.load(tmp_path / "model.pt")
-
-
-def test_compressed_archives_are_refused(tmp_path: Path) -> None:
-    stream, packed = io.BytesIO(), io.BytesIO()
-    torch.save({"a": torch.zeros(10**6)}, stream)
-    with zipfile.ZipFile(stream) as source, zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as target:
-        for name in source.namelist():
-            target.writestr(name, source.read(name))
-    data = packed.getvalue()
-    assert len(data) < 10_000
-    (tmp_path / "model.pt").write_bytes(b"sha256 " + hashlib.sha256(data).hexdigest().encode() + b"\n" + data)
-    with pytest.raises(ValueError, match="its archive is compressed"):
-        read_content(tmp_path / "model.pt")
-
-
-@pytest.mark.parametrize("kind", MODELS)
-def test_settings_of_other_sizes_than_the_weights_are_refused_before_they_are_built(kind: str, tmp_path: Path) -> None:
-    model, path = MODELS[kind](), tmp_path / "model.pt"
-    model.save(path)
-    content = read_content(path)
-    for network in _enlarged(content["network"]):
-        write_content(path, content | {"network": network})
-        with pytest.raises(ValueError, match="of another architecture"):
-            type(model).load(path)
-
-
-def _enlarged(description: dict[str, Any]) -> list[dict[str, Any]]:
-    """The description with each of its sizes ten thousand times as large."""
-    found = []
-    for key, value in description.items():
-        if isinstance(value, dict):
-            found += [description | {key: inner} for inner in _enlarged(value)]
-        elif type(value) is int and value > 3:
-            found += [description | {key: value * 10**4}, description | {key: 10**12}]
-    return found
 
 
 def test_a_pipe_is_no_model(tmp_path: Path) -> None:

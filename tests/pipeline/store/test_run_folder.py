@@ -425,7 +425,7 @@ def test_nothing_outside_a_run_folder_is_written_or_removed(folder, precious, fo
             shutil.copy(path, precious)
         shutil.rmtree(progress)
         progress.symlink_to(precious)
-        for path in precious.glob("*-*"):
+        for path in (*precious.glob("*-*"), precious / "commits.txt"):
             path.unlink()
         (precious / "identity.json").write_text("mine")
     elif forged == ".cache":
@@ -438,7 +438,7 @@ def test_nothing_outside_a_run_folder_is_written_or_removed(folder, precious, fo
     if forged == "b.txt":
         (folder.path / "b.txt").unlink()
         (folder.path / "b.txt").symlink_to(precious / "b.txt")
-    later = folder if same else RunFolder(folder.path, Identity("other", {}, "code"))
+    later = folder if same else RunFolder(folder.path, Identity("other", {}, 1))
     with later.locked():
         later.is_up_to_date()
         later.prepare()
