@@ -106,7 +106,7 @@ def test_the_next_step_resets_what_has_ended(make_vector: MakeVector, make_env: 
 
 
 def test_the_same_step_resets_what_has_ended(make_vector: MakeVector) -> None:
-    vector = make_vector(2, variations=[{"max_steps": 2}, {"max_steps": 9}], autoreset="same_step")
+    vector = make_vector(2, variations=[{"max_steps": 2}, {"max_steps": 9}], autoreset_mode="SameStep")
     assert vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
     vector.reset(seed=0)
     forward = np.tile([1.0, 0.0], (2, 1))
@@ -163,7 +163,7 @@ def test_results_are_not_overwritten(make_vector: MakeVector) -> None:
     ("arguments", "message"),
     [
         ({"num_envs": 0}, "num_envs must lie in 1 to 100000, got 0"),
-        ({"autoreset": "never"}, "unknown autoreset 'never'; there are next_step, same_step"),
+        ({"autoreset_mode": "never"}, "unknown autoreset_mode 'never'; there are NextStep, SameStep, Disabled"),
         ({"variations": [{}]}, "expected 3 variations, one an environment, got 1"),
         ({"variations": [{}, {}, {"wire": "thesis"}]}, "all environments of a vector need the same action and obs"),
         ({"threads": 0}, "threads must lie in 1 to 100000, got 0"),

@@ -143,7 +143,7 @@ def test_the_threaded_vector_of_many_gives_what_its_environments_give_alone() ->
 def test_infos_of_endings_have_the_form_of_gymnasiums_vectors() -> None:
     """Also where all environments of a vector end in the same step."""
     arguments: dict[str, Any] = {**FAST, "max_steps": 2}
-    ours = ThreadedVectorEnv(2, autoreset="same_step", **arguments)
+    ours = ThreadedVectorEnv(2, autoreset_mode="SameStep", **arguments)
     theirs = gymnasium.make_vec(
         ENVIRONMENT,
         2,

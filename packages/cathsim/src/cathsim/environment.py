@@ -28,6 +28,7 @@ from cathsim.observations.sensors import Sensors
 from cathsim.presets import Accuracy
 from cathsim.presets import accuracy as preset
 from cathsim.registration.description import Specified, chosen, described
+from cathsim.registration.usage import Usage, exclusive
 from cathsim.robot.feeders import ROTATION_STEP as ROTATION_STEP
 from cathsim.robot.feeders import TRANSLATION_STEP as TRANSLATION_STEP
 from cathsim.robot.feeders import Feeders
@@ -35,7 +36,7 @@ from cathsim.robot.follower import FollowerRobot
 from cathsim.robot.pace import Pace, named_pace
 from cathsim.simulation import CONTROL_STEP
 from cathsim.validation import Count, quantity
-from cathsim.viewing.display import MODES, Display
+from cathsim.viewing.display import MODES, Display, modes_here
 
 ACTIONS = ("feeder", "tip_motors")
 
@@ -101,6 +102,9 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     With `cameras`, for each of them (a and b): `image_a`, a noisy X-ray image, and `mask_a`, (1, size, size) uint8.
 
+    With `channels_last=True`, images and masks have the shape (size, size, 1) instead, `sequential` (size, size, 3), as
+    `ResizeObservation` and other wrappers for images need them.
+
     ## Reward
     "distance" (the thesis's): -|tip - target| in metres; "geodesic": 100 per metre of decrease of the distance along
     the lumen, less 0.02 a step. Both: 10 on reaching the target. Or what a function gives for the step's `info`, in
@@ -141,6 +145,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         accuracy: "accurate", "fast" (about twice as fast, deeper contacts), "reference", or an `Accuracy`.
         actions: "feeder" or "tip_motors".
         image_size: side of the images, px (the thesis uses 80 and 128; the public biplane data set has 1,024).
+        channels_last: images of shape (size, size, channels) instead of (channels, size, size).
         cameras: None, "guide3d", "clinical", or a `BiplaneFluoroscope`: two C-arms beside the frontal view.
         render_mode: "rgb_array" (a 3-D view, needs EGL or OSMesa), "fluoroscopy" (the frontal image) or "human" (a
             window that shows every step at the speed of the simulated time; the extra `human` brings pygame for it).
@@ -179,6 +184,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         actions: str = "feeder",
         observation: str | Sequence[str] = "internal",
         image_size: int = 80,
+        channels_last: bool = False,
         render_mode: str | None = None,
         phantom_seed: int | None = None,
         blood: str | BloodFlow | None = None,
@@ -216,6 +222,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             breathing=None if breathing is None else chosen("breathing", breathing, Breathing, _no_named_breathing),
         )
         self.render_mode, self._contact_info = render_mode, contact_info
+        self.metadata = {**self.metadata, "render_modes": modes_here()}
+        self.usage = Usage()
         self._observe_every, self._observed = quantity("observe_every", observe_every, Count), None
         self.feeders = Feeders(self.simulation, drive)
         biplane = None
@@ -230,6 +238,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             asked.target,
             self._remaining_from,
             image_size=image_size,
+            channels_last=channels_last,
             registration_noise=registration_noise,
             biplane=biplane,
             scan=scan,
@@ -274,6 +283,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         read = self._task.reads_progress or self.sensors.reads_way
         self._field = self.phantom.geodesic_field(self._task.target) if read else None
 
+    @exclusive
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Starts an episode; the same seed gives the same episode to the same actions, bit for bit.
 
@@ -308,12 +318,14 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self._observed = self.observe()
         return self._observed, self._info(tip, straight_distance(inside, self._goal), success=False, invalid=False)
 
+    @exclusive
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advances by one control step.
 
         Raises:
             ValueError: the action has another shape or is not finite.
-            RuntimeError: the episode has ended, or none was started.
+            RuntimeError: the episode has ended, or none was started; the environment is closed, or in use by another
+                thread.
         """
         if self.ended:
             raise RuntimeError("the episode has ended: call reset() before step()")
@@ -339,10 +351,12 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             self._observed = self.observe()
         return self._observed, reward, success, truncated, info
 
+    @exclusive
     def start_state(self) -> np.ndarray:
         """The moment as a start that `reset(options={"start": …})` takes. Shape (n,)."""
         return self.simulation.state()
 
+    @exclusive
     def state(self) -> dict[str, Any]:
         """Everything that the rest of the episode depends on, to be pickled; for `restore`."""
         return {
@@ -357,6 +371,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             "robots": self.feeders.state(),
         }
 
+    @exclusive
     def restore(self, state: dict[str, Any]) -> Any:
         """Goes on where an environment with the same arguments was saved by `state`; returns the observation."""
         if state["target"] != self.task.target:
@@ -380,6 +395,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     def _remaining_from(self, place: np.ndarray) -> float:
         return self.task.remaining(self.phantom, place)
 
+    @exclusive
     def observe(self) -> Any:
         """The observation of the moment."""
         return self.sensors.observe()
@@ -406,6 +422,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             info["contact_points"], info["contact_forces"] = contacts.points, contacts.forces
         return info
 
+    @exclusive
     def render(self) -> np.ndarray | None:
         """A picture as `render_mode` says, shape (height, width, 3), uint8; "human" shows it in the window instead."""
         if self.render_mode == "human":
@@ -422,7 +439,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     def close(self) -> None:
         """Frees the renderer and closes the window."""
-        self._display.close()
+        self.usage.close(self._display.close)
 
 
 def _no_named_breathing(name: str) -> Breathing:

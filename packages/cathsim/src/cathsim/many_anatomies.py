@@ -16,6 +16,7 @@ from cathsim.devices.choice import chosen_wire
 from cathsim.environment import NavigateEnv
 from cathsim.guidewire import Guidewire
 from cathsim.registration.description import Specified, described
+from cathsim.registration.usage import Usage, exclusive
 
 # a phantom's name or a mesh's path; the seed of a random arch; a name that needs a seed, and that
 AnatomyChoice = str | int | tuple[str, int]
@@ -121,9 +122,11 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.resolution = resolution
         self._arguments = arguments
         self.case = 0
+        self.usage = Usage()
         self.current = self._build(0)
         self.action_space, self.observation_space = self.current.action_space, self.current.observation_space
         self.render_mode = self.current.render_mode
+        self.metadata = {**self.metadata, "render_modes": self.current.metadata["render_modes"]}
 
     @property
     def cases(self) -> int:
@@ -167,6 +170,7 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     fluoroscope = _of_current("fluoroscope", "The fluoroscope of the episode.")
     biplane = _of_current("biplane", "The bi-planar fluoroscope of the episode, or None.")
 
+    @exclusive
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Starts an episode in a case drawn at random.
 
@@ -194,6 +198,7 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         observation, info = self.current.reset(seed=own_seed, options={"start": start, "target": target})
         return observation, self._named(info)
 
+    @exclusive
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Advances by one control step, as `NavigateEnv.step` does."""
         observation, reward, terminated, truncated, info = self.current.step(action)
@@ -206,28 +211,33 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     def _named(self, info: dict[str, Any]) -> dict[str, Any]:
         return info | {"case": self.case, "phantom": self.phantom.name, "target": self.task.target_name}
 
+    @exclusive
     def observe(self) -> Any:
         """The observation of the moment."""
         return self.current.observe()
 
+    @exclusive
     def start_state(self) -> np.ndarray:
         """The moment as a start that `reset(options={"start": …})` takes, the number of the case last. Shape (n,)."""
         return np.append(self.current.start_state(), float(self.case))
 
+    @exclusive
     def state(self) -> dict[str, Any]:
         """Everything that the rest of the episode and later draws depend on, to be pickled; for `restore`."""
         return {"case": self.case, "generator": self.np_random.bit_generator.state, "episode": self.current.state()}
 
+    @exclusive
     def restore(self, state: dict[str, Any]) -> Any:
         """Goes on where an environment with the same arguments was saved by `state`; returns the observation."""
         self._change(state["case"])
         self.np_random.bit_generator.state = state["generator"]
         return self.current.restore(state["episode"])
 
+    @exclusive
     def render(self) -> np.ndarray | None:
         """A picture as `render_mode` says."""
         return self.current.render()
 
     def close(self) -> None:
         """Frees the renderer."""
-        self.current.close()
+        self.usage.close(self.current.close)

@@ -151,6 +151,29 @@ def quantity(name: str, value: Any, annotation: Any) -> Any:
         raise ValueError(str(own or _sentence(name, annotation, first))) from None
 
 
+def numbers(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Converts an argument to an array of float64.
+
+    Args:
+        name: with its article, such as "an action".
+        shape: that it must have.
+
+    Raises:
+        ValueError: another shape, or no real numbers; a tensor that requires a gradient, or lies on a GPU.
+    """
+    expected = f"expected {name} of shape {shape}"
+    try:
+        array = np.asarray(value)
+    except (TypeError, ValueError, RuntimeError) as error:
+        reason = str(error).strip().partition("\n")[0]
+        raise ValueError(f"{expected}, real numbers, got a {type(value).__name__}: {reason}") from None
+    if array.shape != shape:
+        raise ValueError(f"{expected}, got {array.shape if array.shape else repr(value)}")
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"{expected}, real numbers, got {value!r}")
+    return array.astype(np.float64)
+
+
 def _refuse_truth(name: str, value: bool, annotation: Any) -> None:
     """Refuses True and False for a number, which they would become."""
     kinds = _kinds(annotation)

@@ -15,7 +15,8 @@ from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from cathsim.environment import NavigateEnv
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.registration.description import Specified
-from cathsim.validation import quantity
+from cathsim.registration.usage import Usage, exclusive
+from cathsim.validation import Count, numbers, quantity
 
 _Many = Annotated[int, Interval(ge=1, le=100_000)]
 
@@ -23,13 +24,16 @@ _Many = Annotated[int, Interval(ge=1, le=100_000)]
 class ThreadedVectorEnv(Specified, VectorEnv[Any, Any, np.ndarray]):
     """`num_envs` navigation environments in threads; nothing is pickled or copied between processes.
 
-    Results do not depend on the number of threads. An environment that has ended is reset by the next step, which
-    ignores its action and returns reward 0 (`autoreset="next_step"`), or in the same step, with the last observation in
-    `info["final_obs"]` and `info["final_info"]` (`autoreset="same_step"`).
+    Results do not depend on the number of threads. Wrappers of single environments and other vectors are those of
+    `gymnasium.make_vec` with `vectorization_mode="sync"` or "async".
 
     Args:
         threads: number of threads; by default one a core.
-        autoreset: "next_step" or "same_step".
+        autoreset_mode: as of `gymnasium.vector.SyncVectorEnv`, or its value: an environment that has ended is reset by
+            the next step, which ignores its action and returns reward 0 ("NextStep"); in the same step, with the last
+            observation in `info["final_obs"]` and `info["final_info"]` ("SameStep"); or by
+            `reset(options={"reset_mask": …})` ("Disabled").
+        max_episode_steps: truncates every episode after so many steps, as `gymnasium.make` does.
         variations: arguments of single environments, over `arguments`; as many as environments.
         arguments: of `NavigateEnv`.
     """
@@ -41,21 +45,25 @@ class ThreadedVectorEnv(Specified, VectorEnv[Any, Any, np.ndarray]):
         num_envs: int = 1,
         *,
         threads: int | None = None,
-        autoreset: str = "next_step",
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
         variations: Sequence[dict[str, Any]] | None = None,
         **arguments: Any,
     ) -> None:
         num_envs = quantity("num_envs", num_envs, _Many)
         threads = None if threads is None else quantity("threads", threads, _Many)
-        if autoreset not in ("next_step", "same_step"):
-            raise ValueError(f"unknown autoreset '{autoreset}'; there are next_step, same_step")
+        if autoreset_mode not in [*AutoresetMode, *(mode.value for mode in AutoresetMode)]:
+            known = ", ".join(mode.value for mode in AutoresetMode)
+            raise ValueError(f"unknown autoreset_mode {autoreset_mode!r}; there are {known}")
+        self._autoreset = AutoresetMode(autoreset_mode)
+        self._most_steps = (
+            None if max_episode_steps is None else quantity("max_episode_steps", max_episode_steps, Count)
+        )
         if variations is not None and len(variations) != num_envs:
             raise ValueError(f"expected {num_envs} variations, one an environment, got {len(variations)}")
         self.envs = [self._make(**{**arguments, **(variations[i] if variations else {})}) for i in range(num_envs)]
         self.num_envs = num_envs
-        self._same_step = autoreset == "same_step"
-        mode = AutoresetMode.SAME_STEP if self._same_step else AutoresetMode.NEXT_STEP
-        self.metadata = {**self._make.metadata, "autoreset_mode": mode}
+        self.metadata = {**self.envs[0].metadata, "autoreset_mode": self._autoreset}
         self.render_mode = self.envs[0].render_mode
         self.single_action_space = self.envs[0].action_space
         self.single_observation_space = self.envs[0].observation_space
@@ -66,7 +74,8 @@ class ThreadedVectorEnv(Specified, VectorEnv[Any, Any, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._threads = min(num_envs, threads or os.cpu_count() or 1)
         self._pool = self._start_threads()
-        self._ended = np.zeros(num_envs, bool)
+        self._ended, self._steps = np.zeros(num_envs, bool), np.zeros(num_envs, int)
+        self.usage = Usage()
 
     def _start_threads(self) -> ThreadPoolExecutor | None:
         return ThreadPoolExecutor(self._threads - 1, "cathsim") if self._threads > 1 else None
@@ -117,6 +126,7 @@ class ThreadedVectorEnv(Specified, VectorEnv[Any, Any, np.ndarray]):
         }
         return gathered | {f"_{key}": everyone.copy() for key in infos[0]}
 
+    @exclusive
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
@@ -145,47 +155,65 @@ class ThreadedVectorEnv(Specified, VectorEnv[Any, Any, np.ndarray]):
             return env.reset(seed=seeds[index], options=own) if mask[index] else (env.observe(), {})
 
         results = self._each(start)
-        self._ended[mask] = False
+        self._ended[mask], self._steps[mask] = False, 0
         infos = self._gather([info for _, info in results])
         return self._batch([observation for observation, _ in results]), infos
 
+    @exclusive
     def step(self, actions: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Steps every environment.
 
         Args:
             actions: shape (num_envs, actions).
+
+        Raises:
+            ValueError: the actions have another shape or are not finite.
+            RuntimeError: an episode has ended and autoreset is disabled; the vector is closed, or in use by another
+                thread.
         """
-        actions = np.asarray(actions)
-        if actions.shape != self.action_space.shape:
-            raise ValueError(f"expected actions of shape {self.action_space.shape}, got {actions.shape}")
+        assert self.action_space.shape is not None
+        actions = numbers("actions", actions, self.action_space.shape)
+        if self._autoreset == AutoresetMode.DISABLED and self._ended.any():
+            ended = ", ".join(map(str, np.flatnonzero(self._ended)))
+            raise RuntimeError(
+                f"the episodes of {ended} have ended and autoreset is disabled: call reset(options={{'reset_mask': …}})"
+            )
 
         def advance(index: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
             env = self.envs[index]
             if self._ended[index]:
                 observation, info = env.reset()
+                self._steps[index] = 0
                 return observation, 0.0, False, False, info
-            result = env.step(actions[index])
-            if self._same_step and (result[2] or result[3]):
+            observation, reward, terminated, truncated, info = env.step(actions[index])
+            self._steps[index] += 1
+            truncated = truncated or self._steps[index] == self._most_steps
+            if self._autoreset == AutoresetMode.SAME_STEP and (terminated or truncated):
+                final = {"final_obs": observation, "final_info": info}
                 observation, info = env.reset()
-                info = {**info, "final_obs": result[0], "final_info": result[4]}
-                return (observation, *result[1:4], info)
-            return result
+                self._steps[index] = 0
+                info = {**info, **final}
+            return observation, reward, terminated, truncated, info
 
         results = self._each(advance)
         infos = self._gather([result[4] for result in results])
         terminated = np.array([result[2] for result in results], bool)
         truncated = np.array([result[3] for result in results], bool)
-        if not self._same_step:
+        if self._autoreset != AutoresetMode.SAME_STEP:
             self._ended = terminated | truncated
         rewards = np.array([result[1] for result in results], np.float64)
         return self._batch([result[0] for result in results]), rewards, terminated, truncated, infos
 
+    @exclusive
     def render(self) -> tuple[Any, ...] | None:
         """A picture of every environment."""
         return tuple(env.render() for env in self.envs)
 
     def close_extras(self, **kwargs: Any) -> None:
         """Ends the threads and frees the renderers."""
+        self.usage.close(self._free)
+
+    def _free(self) -> None:
         if self._pool is not None:
             self._pool.shutdown()
         for env in self.envs:

@@ -30,6 +30,19 @@ class Observable:
     read: Callable[[], np.ndarray]
 
 
+def channels_behind(observable: Observable) -> Observable:
+    """An image of shape (height, width, channels) instead of (channels, height, width); others as they are."""
+    if observable.space.dtype != np.uint8:
+        return observable
+    channels, height, width = observable.space.shape
+    space = gymnasium.spaces.Box(0, 255, (height, width, channels), np.uint8)
+    return Observable(space, partial(_channels_behind, observable.read))
+
+
+def _channels_behind(read: Callable[[], np.ndarray]) -> np.ndarray:
+    return np.ascontiguousarray(np.moveaxis(read(), 0, -1))
+
+
 def _box(size: int) -> gymnasium.spaces.Box:
     return gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
 

@@ -11,7 +11,7 @@ import numpy as np
 from cathsim.anatomy.point_target import TargetLike
 from cathsim.fluoroscopy import BiplaneFluoroscope
 from cathsim.observations.fluoroscopes import BiplaneView, Fluoroscope
-from cathsim.observations.observables import make_observable
+from cathsim.observations.observables import channels_behind, make_observable
 from cathsim.observations.progress_history import History
 from cathsim.observations.roadmap import Roadmap
 from cathsim.observations.scan import Scan
@@ -29,6 +29,7 @@ class Sensors:
     Args:
         observation: one name, or several.
         remaining: gives the way from a place (3,) m to the target of the moment, m.
+        channels_last: whether images have their channels behind height and width.
         biplane: the C-arms that see the simulation, or None.
         scan: what roadmap and history show of the vessel; None: the vessel itself.
 
@@ -44,6 +45,7 @@ class Sensors:
         remaining: Callable[[np.ndarray], float],
         *,
         image_size: int,
+        channels_last: bool,
         registration_noise: float,
         biplane: BiplaneFluoroscope | None,
         scan: Scan | None = None,
@@ -60,7 +62,8 @@ class Sensors:
         self.history = History(simulation, self.way_left) if self.reads_way else None
         self.tracking = Tracking(simulation, self.roadmap) if "tracking" in names else None
         parts = self.fluoroscope, self.biplane, self.roadmap, self.history, self.tracking
-        self._observables = {name: make_observable(name, simulation, *parts) for name in names}
+        made = {name: make_observable(name, simulation, *parts) for name in names}
+        self._observables = {name: channels_behind(one) if channels_last else one for name, one in made.items()}
         self._single = names[0] if isinstance(observation, str) else None
         spaces: dict[str, gymnasium.Space[Any]] = {name: one.space for name, one in self._observables.items()}
         self.space = spaces[self._single] if self._single else gymnasium.spaces.Dict(spaces)

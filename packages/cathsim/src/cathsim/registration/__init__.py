@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium
 
 ENVIRONMENT = "cathsim/Navigate-v0"
@@ -11,39 +13,42 @@ GOAL = "cathsim/NavigateGoal-v0"
 COPIES = "cathsim/NavigateCopies-v0"
 ARCH_VARIETY = "cathsim/ArchVariety-v0"
 
+_ENTRIES: dict[str, tuple[str, str | None, dict[str, Any]]] = {
+    ENVIRONMENT: ("cathsim.environment:NavigateEnv", "cathsim.vector:ThreadedVectorEnv", {}),
+    DUAL: ("cathsim.environment:NavigateEnv", "cathsim.vector:ThreadedVectorEnv", {"catheter": "vertebral"}),
+    GOAL: ("cathsim.goals.environment:NavigateGoalEnv", "cathsim.goals.environment:ThreadedGoalVectorEnv", {}),
+    MANY: ("cathsim.many_anatomies:NavigateManyEnv", "cathsim.vector:ThreadedManyVectorEnv", {}),
+    ARCH_VARIETY: (
+        "cathsim.arch_variety.environment:ArchVarietyEnv",
+        "cathsim.arch_variety.environment:ThreadedArchVarietyVectorEnv",
+        {},
+    ),
+    COPIES: ("cathsim.rehearsal.environment:NavigateCopiesEnv", None, {}),
+}
+
+
+class _ThreadedArguments(dict[str, Any]):
+    """Arguments of an entry whose vector steps threads.
+
+    `gymnasium.make_vec` refuses `wrappers` and `vector_kwargs` there without saying what takes them; it asks the
+    entry's arguments for both first.
+    """
+
+    def pop(self, key: str, *default: Any) -> Any:
+        given = super().pop(key, *default)
+        if key == "vectorization_mode":
+            self._threads = given in (None, "vector_entry_point")
+        if key in ("wrappers", "vector_kwargs") and given and getattr(self, "_threads", False):
+            instead = "; autoreset_mode is an argument of make_vec itself" if key == "vector_kwargs" else ""
+            raise ValueError(
+                f"{key} need environments of their own: pass vectorization_mode='sync' or 'async' to make_vec{instead}"
+            )
+        return given
+
 
 def register() -> None:
     """Registers the environments; safe to call again."""
-    if ENVIRONMENT not in gymnasium.registry:
-        gymnasium.register(
-            id=ENVIRONMENT,
-            entry_point="cathsim.environment:NavigateEnv",
-            vector_entry_point="cathsim.vector:ThreadedVectorEnv",
-        )
-    if DUAL not in gymnasium.registry:
-        gymnasium.register(
-            id=DUAL,
-            entry_point="cathsim.environment:NavigateEnv",
-            vector_entry_point="cathsim.vector:ThreadedVectorEnv",
-            kwargs={"catheter": "vertebral"},
-        )
-    if GOAL not in gymnasium.registry:
-        gymnasium.register(
-            id=GOAL,
-            entry_point="cathsim.goals.environment:NavigateGoalEnv",
-            vector_entry_point="cathsim.goals.environment:ThreadedGoalVectorEnv",
-        )
-    if MANY not in gymnasium.registry:
-        gymnasium.register(
-            id=MANY,
-            entry_point="cathsim.many_anatomies:NavigateManyEnv",
-            vector_entry_point="cathsim.vector:ThreadedManyVectorEnv",
-        )
-    if ARCH_VARIETY not in gymnasium.registry:
-        gymnasium.register(
-            id=ARCH_VARIETY,
-            entry_point="cathsim.arch_variety.environment:ArchVarietyEnv",
-            vector_entry_point="cathsim.arch_variety.environment:ThreadedArchVarietyVectorEnv",
-        )
-    if COPIES not in gymnasium.registry:
-        gymnasium.register(id=COPIES, entry_point="cathsim.rehearsal.environment:NavigateCopiesEnv")
+    for name, (entry, vector, arguments) in _ENTRIES.items():
+        if name not in gymnasium.registry:
+            kept = _ThreadedArguments(arguments) if vector else arguments
+            gymnasium.register(name, entry_point=entry, vector_entry_point=vector, kwargs=kept)

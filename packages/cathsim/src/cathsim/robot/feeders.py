@@ -11,6 +11,7 @@ from cathsim.robot.follower import DRIVES, FollowerRobot
 from cathsim.robot.pace import ROTATION_STEP as ROTATION_STEP
 from cathsim.robot.pace import TRANSLATION_STEP as TRANSLATION_STEP
 from cathsim.simulation import Simulation
+from cathsim.validation import numbers
 
 
 class Feeders:
@@ -49,11 +50,9 @@ class Feeders:
         """An action as float64, clipped to [-1, 1].
 
         Raises:
-            ValueError: it has another shape or is not finite.
+            ValueError: it has another shape, holds no numbers, requires a gradient, or is not finite.
         """
-        action = np.asarray(action, np.float64)
-        if action.shape != self.shape:
-            raise ValueError(f"expected an action of shape {self.shape}, got {action.shape}")
+        action = numbers("an action", action, self.shape)
         if not np.isfinite(action).all():
             raise ValueError(f"expected a finite action, got {action.tolist()}")
         return action.clip(-1.0, 1.0)

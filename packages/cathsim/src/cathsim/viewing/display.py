@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +16,17 @@ if TYPE_CHECKING:
     from cathsim.viewing.camera_view import View
 
 MODES = ("human", "rgb_array", "fluoroscopy")
+_SDL_DRIVER = "SDL_VIDEODRIVER"  # which screen SDL, that pygame draws with, has to take
 LEAST_HEIGHT = 480  # px of the window: smaller pictures are enlarged by a whole number
+
+
+def modes_here() -> list[str]:
+    """The render modes that can be used on this machine: those for people only where there is a screen."""
+    return [mode for mode in MODES if mode != "human" or _screen_named()]
+
+
+def _screen_named() -> bool:
+    return sys.platform != "linux" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", _SDL_DRIVER)))
 
 
 class Display:
@@ -84,6 +96,7 @@ class Window:
 
     Raises:
         ImportError: pygame, which draws it, is not installed.
+        RenderingUnavailableError: there is no screen.
     """
 
     def __init__(self) -> None:
@@ -96,12 +109,34 @@ class Window:
         self._pygame = pygame
         self._surface: Any = None
         self._clock = pygame.time.Clock()
+        self._find_screen()
+
+    def _find_screen(self) -> None:
+        display, chosen = self._pygame.display, sys.platform == "linux" and _SDL_DRIVER not in os.environ
+        found = _screen_named()
+        # Left to itself, SDL draws nowhere where there is no screen, and at its end takes EGL from everybody else.
+        if chosen:
+            os.environ[_SDL_DRIVER] = "x11,wayland"
+        try:
+            if found:
+                display.init()
+        except self._pygame.error:
+            found = False
+        finally:
+            if chosen:
+                del os.environ[_SDL_DRIVER]
+        if not found:
+            from cathsim.viewing.camera_view import RenderingUnavailableError
+
+            raise RenderingUnavailableError(
+                "render_mode='human' needs a screen and none can be opened here: use render_mode='rgb_array' or "
+                "'fluoroscopy', or set DISPLAY or WAYLAND_DISPLAY to a screen"
+            )
 
     def show(self, picture: np.ndarray, interval: float = CONTROL_STEP) -> None:
         """Shows a picture (height, width, 3) uint8, after the last one has been seen for a control step, s."""
         pygame, factor = self._pygame, max(1, -(-LEAST_HEIGHT // len(picture)))
         if self._surface is None:
-            pygame.display.init()
             pygame.display.set_caption("cathsim")
             self._surface = pygame.display.set_mode((factor * picture.shape[1], factor * picture.shape[0]))
         enlarged = picture.repeat(factor, axis=0).repeat(factor, axis=1)
@@ -111,7 +146,7 @@ class Window:
         self._clock.tick(1 / interval)
 
     def close(self) -> None:
-        """Closes the window; showing another picture opens it again."""
-        if self._surface is not None:
+        """Closes the window."""
+        if self._pygame.display.get_init():
             self._pygame.display.quit()
-            self._surface = None
+        self._surface = None

@@ -1,0 +1,276 @@
+"""What users of Gymnasium and Stable-Baselines3 expect of every registered environment."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+import warnings
+from collections import Counter
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import FrameStackObservation, RecordEpisodeStatistics, ResizeObservation
+
+from cathsim import NavigateEnv, ThreadedVectorEnv
+from cathsim.registration import ARCH_VARIETY, COPIES, DUAL, ENVIRONMENT, GOAL, MANY
+
+SMALL: dict[str, dict[str, Any]] = {
+    ENVIRONMENT: {},
+    DUAL: {},
+    MANY: {"phantoms": (0,)},
+    GOAL: {},
+    COPIES: {"copies": (0,)},
+    ARCH_VARIETY: {"arch_types": ("VI",), "seeds": (1,), "resolution": 2e-3},
+}
+THREADED = [ident for ident in SMALL if ident != COPIES]
+
+
+def arguments(ident: str, **others: Any) -> dict[str, Any]:
+    return {"accuracy": "fast", "observation": "joints", **SMALL[ident], **others}
+
+
+@pytest.mark.parametrize("ident", SMALL)
+def test_gymnasiums_checker_passes_without_a_screen(ident: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    env = gymnasium.make(ident, **arguments(ident))
+    assert "human" not in env.metadata["render_modes"]
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped)
+    about = {str(one.message).rpartition("A Box observation space ")[2] for one in said}
+    assert all("value is" in sentence for sentence in about), "only that the observations have no bounds"
+
+
+@pytest.mark.parametrize("ident", THREADED)
+def test_a_most_number_of_steps_truncates_as_with_any_environment(ident: str) -> None:
+    ours = gymnasium.make_vec(ident, 2, max_episode_steps=3, **arguments(ident))
+    theirs = gymnasium.make_vec(ident, 2, max_episode_steps=3, vectorization_mode="sync", **arguments(ident))
+    assert isinstance(ours, ThreadedVectorEnv)
+    ours.reset(seed=4)
+    theirs.reset(seed=4)
+    draws = np.random.default_rng(0).uniform(-1, 1, (8, *ours.action_space.shape)).astype(np.float32)
+    for draw in draws:
+        for ours_gave, theirs_gave in zip(ours.step(draw)[1:4], theirs.step(draw)[1:4], strict=True):
+            assert np.array_equal(ours_gave, theirs_gave)
+    ours.close()
+    theirs.close()
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_autoreset_modes_are_those_of_gymnasium(mode: AutoresetMode) -> None:
+    chosen = arguments(ENVIRONMENT, max_steps=2)
+    ours = gymnasium.make_vec(ENVIRONMENT, 2, autoreset_mode=mode, **chosen)
+    theirs = gymnasium.make_vec(
+        ENVIRONMENT, 2, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **chosen
+    )
+    assert ours.metadata["autoreset_mode"] is theirs.metadata["autoreset_mode"] is mode
+    forward, mask = np.tile(np.float32([1, 0]), (2, 1)), {"reset_mask": np.array([True, True])}
+    seen, expected = ours.reset(seed=1)[0], theirs.reset(seed=1)[0]
+    for step in range(6):
+        assert np.array_equal(seen, expected)
+        if mode == AutoresetMode.DISABLED and step and step % 2 == 0:
+            with pytest.raises(RuntimeError, match=r"episodes of 0, 1 have ended.*call reset\(options"):
+                ours.step(forward)
+            ours.reset(options=mask)
+            theirs.reset(options=mask)
+        seen, *ours_gave, info = ours.step(forward)
+        expected, *theirs_gave, their_info = theirs.step(forward)
+        assert np.array_equal(ours_gave, theirs_gave)
+        assert ("final_obs" in info) == ("final_obs" in their_info)
+        assert ("final_obs" in info) == (mode == AutoresetMode.SAME_STEP and step % 2 == 1)
+    ours.close()
+    theirs.close()
+
+
+@pytest.mark.parametrize("ident", THREADED)
+@pytest.mark.parametrize(
+    "given", [{"wrappers": [RecordEpisodeStatistics]}, {"vector_kwargs": {"autoreset_mode": "SameStep"}}], ids=str
+)
+def test_what_threads_do_not_take_names_the_vector_that_does(ident: str, given: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="pass vectorization_mode='sync' or 'async' to make_vec"):
+        gymnasium.make_vec(ident, 2, **given, **arguments(ident))
+
+
+def test_the_named_vectors_take_it() -> None:
+    chosen = arguments(ENVIRONMENT, max_steps=2)
+    for mode in ("sync", "async"):
+        vector = gymnasium.make_vec(
+            ENVIRONMENT, 2, vectorization_mode=mode, wrappers=[RecordEpisodeStatistics],
+            vector_kwargs={"autoreset_mode": "SameStep"}, **chosen,
+        )  # fmt: skip
+        assert mode == "async" or isinstance(vector, SyncVectorEnv)
+        vector.reset(seed=0)
+        vector.step(vector.action_space.sample())
+        assert "final_info" in vector.step(vector.action_space.sample())[4]
+        vector.close()
+
+
+@pytest.mark.parametrize("ident", [ENVIRONMENT, DUAL, MANY])
+def test_six_threads_in_one_environment_are_refused(ident: str) -> None:
+    """In a process of its own, which a fault of the native code would end."""
+    code = f"""
+import threading, gymnasium, cathsim
+env = gymnasium.make({ident!r}, **{arguments(ident)!r}).unwrapped
+env.reset(seed=0)
+said = set()
+def use():
+    for step in range(40):
+        try:
+            env.reset() if step % 20 == 19 else env.step(env.action_space.sample())
+        except RuntimeError as error:
+            said.add(str(error))
+threads = [threading.Thread(target=use) for _ in range(6)]
+[one.start() for one in threads], [one.join() for one in threads]
+assert len(said) == 1 and "another thread is using this environment" in said.pop(), said
+env.reset(seed=0)
+assert env.step(env.action_space.sample())[0].any()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_one_thread_after_the_other_may_use_an_environment() -> None:
+    env, counts = NavigateEnv(accuracy="fast", observation="tip"), Counter[str]()
+    env.reset(seed=0)
+
+    def use() -> None:
+        counts.update(["step"] if env.step(np.zeros(2))[1] < 0 else [])
+
+    for _ in range(3):
+        one = threading.Thread(target=use)
+        one.start()
+        one.join()
+    assert counts == {"step": 3}
+
+
+@pytest.mark.parametrize("ident", [ENVIRONMENT, MANY, GOAL])
+def test_a_closed_environment_says_so(ident: str) -> None:
+    single = gymnasium.make(ident, **arguments(ident))
+    vector = gymnasium.make_vec(ident, 2, **arguments(ident))
+    for env in (single, vector):
+        env.reset(seed=0)
+        env.close()
+        env.close()
+        for use in (env.reset, lambda env=env: env.step(env.action_space.sample())):
+            with pytest.raises(RuntimeError, match="the environment is closed: make it again"):
+                use()
+
+
+def test_actions_that_are_no_numbers_are_refused_in_a_sentence() -> None:
+    torch = pytest.importorskip("torch")
+    env = NavigateEnv(accuracy="fast", observation="tip")
+    vector = ThreadedVectorEnv(2, accuracy="fast", observation="tip")
+    env.reset(seed=0)
+    vector.reset(seed=0)
+    cases: list[tuple[Any, str]] = [
+        (torch.zeros(2, requires_grad=True), r"a Tensor: Can't call numpy\(\) on Tensor that requires grad"),
+        (torch.zeros(3, requires_grad=True), "a Tensor"),
+        ([torch.zeros((), requires_grad=True), 0.0], "got a list"),
+        (torch.zeros(2, device="meta"), "a Tensor"),
+        (torch.zeros(3), r"got \(3,\)"),
+        (torch.tensor([float("nan"), 0.0]), "expected a finite action"),
+        ([[1.0], [2.0, 3.0]], "got a list"),
+        (np.array([1j, 0]), "real numbers"),
+        (["1", "0"], "real numbers"),
+        (np.array([None, 1.0]), "real numbers"),
+        ({"action": 1}, "got {'action': 1}"),
+        (None, "got None"),
+    ]
+    for action, message in cases:
+        with pytest.raises(ValueError, match=message) as said:
+            env.step(action)
+        assert "\n" not in str(said.value)
+        with pytest.raises(ValueError, match=r"expected actions of shape \(2, 2\)"):
+            vector.step(action)
+    plain = env.step([0.5, 0.0])[1]
+    env.reset(seed=0)
+    assert env.step(torch.tensor([0.5, 0.0]))[1] == plain
+    vector.close()
+
+
+@pytest.mark.parametrize("name", ["image", "mask", "sequential", "goal_image"])
+def test_channels_last_moves_the_channels_alone(name: str) -> None:
+    first = NavigateEnv(accuracy="fast", observation=(name, "tip"), image_size=32)
+    last = NavigateEnv(accuracy="fast", observation=(name, "tip"), image_size=32, channels_last=True)
+    seen, moved = first.reset(seed=0)[0], last.reset(seed=0)[0]
+    assert last.observation_space.contains(moved)
+    assert moved[name].shape == (32, 32, 3 if name == "sequential" else 1)
+    assert np.array_equal(np.moveaxis(moved[name], -1, 0), seen[name])
+    assert np.array_equal(moved["tip"], seen["tip"])
+
+
+def test_channels_last_of_c_arms() -> None:
+    env = NavigateEnv(
+        accuracy="fast", observation=("image_a", "mask_b"), cameras="guide3d", image_size=32, channels_last=True
+    )
+    shapes = {name: one.shape for name, one in env.reset(seed=0)[0].items()}
+    assert shapes == {"image_a": (32, 32, 1), "mask_b": (32, 32, 1)}
+
+
+@pytest.mark.parametrize("ident", SMALL)
+def test_wrappers_of_images_take_channels_last(ident: str) -> None:
+    pytest.importorskip("cv2")
+    chosen = arguments(ident, observation="image", image_size=32, channels_last=True)
+    env = gymnasium.make(ident, **chosen)
+    if ident == GOAL:
+        assert env.observation_space["observation"].shape == (32, 32, 1)
+        return
+    smaller = ResizeObservation(env, (20, 24))
+    seen, _ = smaller.reset(seed=0)
+    assert seen.shape == smaller.observation_space.shape == (20, 24, 1)
+    assert abs(float(seen.mean()) - float(env.unwrapped.observe().mean())) < 2
+    stacked = FrameStackObservation(smaller, 4)
+    assert stacked.reset(seed=0)[0].shape == (4, 20, 24, 1)
+
+
+@pytest.mark.parametrize("last", [False, True])
+def test_stable_baselines3_takes_both_orders(last: bool) -> None:
+    common = pytest.importorskip("stable_baselines3.common")
+    from stable_baselines3.common.env_checker import check_env as check
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecTransposeImage
+
+    def make() -> NavigateEnv:
+        return NavigateEnv(accuracy="fast", observation="image", image_size=40, channels_last=last)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check(make(), warn=True)
+    vector = DummyVecEnv([make])
+    seen = (VecTransposeImage(vector) if last else vector).reset()
+    assert seen.shape == (1, 1, 40, 40)
+    assert common.__name__
+
+
+def test_a_window_without_a_screen_is_refused_and_leaves_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a process of its own: OpenGL is a matter of the whole process."""
+    pytest.importorskip("pygame")
+    code = f"""
+import gymnasium, cathsim
+chosen = {arguments(ENVIRONMENT)!r}
+try:
+    gymnasium.make({ENVIRONMENT!r}, render_mode="human", **chosen)
+except RuntimeError as error:
+    print(error)
+from cathsim.viewing.camera_view import RenderingUnavailableError, open_context
+env = gymnasium.make({ENVIRONMENT!r}, render_mode="rgb_array", **chosen)
+env.reset(seed=0)
+print(env.render().shape)
+"""
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    for screen in ({}, {"DISPLAY": ":4711"}):
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=False, env={**os.environ, **screen}
+        )
+        if "3-D pictures need EGL" in done.stderr:
+            pytest.skip("OpenGL does not draw here")
+        *_, refused, shape = done.stdout.splitlines()
+        assert refused.startswith("render_mode='human' needs a screen and none can be opened here: use render_mode=")
+        assert shape == "(640, 480, 3)"
