@@ -60,6 +60,16 @@ def test_it_beats_the_greedy_variant_on_noise() -> None:
     assert np.mean(ours) < 0.5 * np.mean(greedy)
 
 
+def test_the_greedy_variant_doubts_cameras_and_annotation_only_where_they_are_wrong() -> None:
+    scene = CLICKED[33]
+    a, b = scene.cameras
+    sound = reconstruct_greedy(a, b, *scene.points)
+    assert sound.coverage < 0.6, "it misses half of the wire"
+    assert not [warning for warning in sound.warnings if "swapped" in warning or "tips" in warning]
+    exchanged = reconstruct_greedy(b, a, *CLICKED[0].points)
+    assert any("the cameras look swapped" in warning for warning in exchanged.warnings)
+
+
 def test_matches_are_monotone_and_lie_on_the_true_pairs() -> None:
     scene = next(scene for scene in EXACT if scene.kind == "loop")
     a, b = scene.cameras

@@ -261,16 +261,20 @@ def _warnings(
             f"the limit is {settings.rejection_px:g} px"
         )
     tips = float(geometry.signed_distance(curves[0][:1], curves[1][:1])[0])
-    if abs(tips) > TIPS_PX or match.coverage < LEAST_COVERAGE:
+    if abs(tips) <= TIPS_PX and match.coverage >= LEAST_COVERAGE:
+        return warnings
+    # what the greedy matching misses says nothing about the annotation and the cameras
+    judged = match_curves(geometry, curves[0], curves[1], settings.matching)
+    if abs(tips) > TIPS_PX or judged.coverage < LEAST_COVERAGE:
         warnings.append(
-            f"the tips miss each other's epilines by {abs(tips):.1f} px, {match.coverage:.0%} of the wire is measured; "
-            "the annotation may be distorted, or an annotated tip is not the tip"
+            f"the tips miss each other's epilines by {abs(tips):.1f} px, {judged.coverage:.0%} of the wire is "
+            "measured; the annotation may be distorted, or an annotated tip is not the tip"
         )
         swapped = EpipolarGeometry(geometry.cameras[1], geometry.cameras[0])
         other = match_curves(swapped, curves[0], curves[1], settings.matching)
-        if clearly_better(other.residual_px, match.residual_px):
+        if clearly_better(other.residual_px, judged.residual_px):
             warnings.append(
-                f"the cameras look swapped: the epipolar residual is {match.residual_px:.1f} px as given and "
+                f"the cameras look swapped: the epipolar residual is {judged.residual_px:.1f} px as given and "
                 f"{other.residual_px:.1f} px with A and B exchanged"
             )
     return warnings
