@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import logging
 import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,9 +27,12 @@ if TYPE_CHECKING:
     from cathsim.fluoroscopy import XRayScene
 
 _MM = 1e3
+PICTURE, IMPORT = "picture.png", "import.json"
 RADIOGRAPH, _RADIOGRAPH_PX = "radiograph.png", 512  # with a CT; side of a view
 _SLAB = 16  # layers of a grid written at once
 COARSEST_RESOLUTION_MM = 2.5  # above it a carotid artery is no longer resolved
+
+_LOGGER = logging.getLogger(__name__)
 
 
 @validated()
@@ -100,6 +105,17 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:
     if settings.picture:
         figures = [_figure(a, measured[a.label] or {}) for a in anatomies]
         write_figures(context.path, figures + [_radiograph_figure(a) for a in anatomies if a.file and a.file.ct])
+    for anatomy in anatomies:
+        _tell(anatomy.label, context.path / anatomy.label)
+
+
+def _tell(label: str, folder: Path) -> None:
+    """Says what an import left out, assumed or changed, and where the picture is."""
+    if (folder / IMPORT).is_file():
+        for note in json.loads((folder / IMPORT).read_text(encoding="utf-8"))["notes"]:
+            _LOGGER.info("%s: note: %s", label, note)
+    if (folder / PICTURE).is_file():
+        _LOGGER.info("%s: picture: %s", label, folder / PICTURE)
 
 
 def _build(anatomy: Anatomy, settings: PhantomsSettings) -> Phantom:
@@ -144,13 +160,13 @@ def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, pictu
         },
     })  # fmt: skip
     if phantom.imported is not None:
-        write_json(folder / "import.json", phantom.imported.to_json())
+        write_json(folder / IMPORT, phantom.imported.to_json())
     write_json(folder / "phantom.json", {"name": phantom.name, "hash": phantom.hash, **phantom.dimensions()})
     if picture:
         from cathsim.anatomy.pictures.import_picture import draw_import
         from cathsim.anatomy.pictures.phantom_picture import draw_phantom
 
-        with atomic_path(folder / "picture.png") as path:
+        with atomic_path(folder / PICTURE) as path:
             if phantom.imported is None:
                 draw_phantom(phantom, path)
             else:
@@ -172,7 +188,7 @@ def _figure(anatomy: Anatomy, measured: dict[str, Any]) -> Figure:
         title=f"Phantom {anatomy.label}",
         caption=f"{measured.get('branches', 0)} branches, lumen {measured.get('lumen_volume_ml', 0)} mL, aorta "
         f"{measured.get('aorta_length_mm', 0)} mm long.",
-        file=f"{anatomy.label}/picture.png",
+        file=f"{anatomy.label}/{PICTURE}",
     )
 
 

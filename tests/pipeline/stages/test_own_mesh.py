@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
@@ -17,14 +18,15 @@ from pipeline.store.errors import ConfigurationError
 
 @pytest.fixture
 def arch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    mesh = load_phantom("type_1", resolution=2e-3).lumen_mesh.copy()
-    mesh.apply_scale(1e3)
+    lumen = load_phantom("type_1", resolution=2e-3).lumen_mesh
+    twice = np.concatenate((lumen.faces, lumen.faces[:3]))  # which the import notes
+    mesh = trimesh.Trimesh(1e3 * lumen.vertices, twice, process=False)
     mesh.export(tmp_path / "my arch.stl")
     monkeypatch.setenv("CATHSIM_CACHE", str(tmp_path / "cache"))
     return tmp_path / "my arch.stl"
 
 
-def test_a_mesh_is_built_once(arch: Path, tmp_path: Path):
+def test_a_mesh_is_built_once(arch: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]):
     arguments = [
         "stage=phantoms",
         f"phantom.mesh='{arch}'",
@@ -36,6 +38,10 @@ def test_a_mesh_is_built_once(arch: Path, tmp_path: Path):
     folder = tmp_path / "runs" / "desk" / "phantoms" / "my_arch"
     account = json.loads((folder / "import.json").read_text())
     assert account["unit"] == "mm"
+    assert account["notes"] == ["3 degenerate or repeated faces dropped"]
+    ending = capfd.readouterr().out.splitlines()[-len(account["notes"]) - 2 :]
+    assert ending[:-2] == [f"my_arch: note: {note}" for note in account["notes"]]
+    assert ending[-2] == f"my_arch: picture: {folder / 'picture.png'}"
     assert "right_arm" in json.loads((folder / "targets.json").read_text())["targets"]
     assert trimesh.load(folder / "lumen.stl").is_watertight
     manifest = folder.parent / "manifest.json"
