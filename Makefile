@@ -12,7 +12,7 @@ NAME ?= $(BUDGET)
 SEEDS ?=
 BESIDE ?= 2
 ARGS ?=
-DEMO ?=
+override export DEMO := $(value DEMO)
 TEST_JOBS ?= 2
 TORCH_INDEX ?=
 BENCHMARKS ?= $(shell grep -l -e '"--quick"' benchmarks/*/*.py)
@@ -79,7 +79,8 @@ thesis-check: setup  ## every stage of BUDGET=thesis in minutes, and what each j
 	@$(GL) $(PY) -m pipeline.thesis_check $(ARGS)
 
 demo: setup  ## the shipped navigator in an unseen arch, or in yours (DEMO=arch.stl): film, log, page
-	@$(GL) $(PY) -m pipeline.demo $(if $(DEMO),--anatomy "$(DEMO)") $(ARGS)
+	@# from the environment, where no sign of a path means anything to make or to the shell
+	@$(GL) $(PY) -m pipeline.demo $${DEMO:+--anatomy="$$DEMO"} $(ARGS)
 
 # after the stages that it reads
 $(STAGES): setup

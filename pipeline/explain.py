@@ -15,6 +15,7 @@ from pipeline.config import BUDGETS, CONFIG_DIRECTORY, RunConfig
 from pipeline.jobs.engines.settings import ENGINES, LOCAL, SETTINGS
 from pipeline.printing import installing
 from pipeline.settings.checks import sentence
+from pipeline.settings.quoting import advice
 from pipeline.stages import available_stages, settings_of
 from pipeline.store.atomic_files import is_no_room
 from pipeline.store.errors import PipelineError
@@ -63,8 +64,9 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         return _missing_choice(str(error.missing_cfg_file))
     if isinstance(error, OverrideParseException):
+        text = f"; a text with such signs in quotes: {_first_line(advice(error.override))}" if "=" in error.override else ""
         override = _first_line(repr(error.override))
-        return f"cannot read {override}: write key=value, and quote lists for the shell: 'key=[a,b]'"
+        return f"cannot read {override}: write key=value, and quote lists for the shell: 'key=[a,b]'{text}"
     if isinstance(error, ConfigCompositionException) and "You must specify 'stage'" in str(error):
         return f"no stage given: add stage=…, one of {', '.join(available_stages())}"
     text = str(error).removeprefix("ConfigurationError raised while resolving interpolation: ")

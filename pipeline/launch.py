@@ -24,6 +24,7 @@ from pipeline.config import BUDGETS, CONFIG_DIRECTORY, register_schemas, run_con
 from pipeline.execution import execute
 from pipeline.explain import is_number_as_choice, one_line, system_error
 from pipeline.printing import say, written
+from pipeline.settings.quoting import with_quoted_paths
 from pipeline.stages import available_stages
 from pipeline.store.errors import PipelineError
 from pipeline.store.interruption import interrupted, let_ctrl_c_interrupt
@@ -104,6 +105,7 @@ def main(arguments: list[str]) -> int:
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, and the sentence below is the only one
     logging.raiseExceptions = False  # a full disk must not add the log file's traceback to the one sentence
     signal.signal(signal.SIGTERM, _terminate)
+    arguments = with_quoted_paths(arguments)
     sys.argv = [sys.argv[0], *arguments]
     if "-m" in arguments or "--multirun" in arguments:
         let_ctrl_c_interrupt()  # the jobs run elsewhere, so the launcher must get the chance to stop them

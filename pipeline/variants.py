@@ -141,12 +141,22 @@ def _require_unchanged(folder: Path, manifest: Manifest, reader: str) -> None:
 
 def _missing_input(run_path: Path, stage: str, reader: str, request: RunRequest, found: Sequence[Path]) -> str:
     own = [override for override in effective_overrides(request.overrides) if not override.startswith("stage.")]
-    run = command(stage, run_path, own, in_sweep=request.in_sweep)
     there = f"{run_path / stage} holds none"
     if found:
         wanted = ", ".join(own) or f"seed={request.seed}"
         there = f"none of {', '.join(folder.name for folder in found)} in {run_path} fits {wanted}"
-    return f"stage {reader} needs the results of stage {stage}, and {there}: run {run} first"
+    missing = f"stage {reader} needs the results of stage {stage}, and {there}"
+    if request.in_sweep:
+        return f"{missing}: run {command(stage, run_path, own, in_sweep=True)} first"
+    return f"{missing}: run {_with_inputs(reader, run_path, request)}, which begins with all that it needs"
+
+
+def _with_inputs(stage: str, run_path: Path, request: RunRequest) -> str:
+    """The command that runs a stage after all that it reads, in backquotes."""
+    settings = [f"stage@{stage}.{word.removeprefix('stage.')}" if word.startswith("stage.") else word
+                for word in effective_overrides(request.overrides)]  # fmt: skip
+    words = [*settings, f"name={run_path.name}", *_place(run_path)]
+    return f"`python -m pipeline.chain --inputs {stage} -- {shlex.join(words)}`"
 
 
 def command(stage: str, run_path: Path, overrides: Sequence[str], *, in_sweep: bool) -> str:
@@ -155,10 +165,13 @@ def command(stage: str, run_path: Path, overrides: Sequence[str], *, in_sweep: b
     Args:
         overrides: beside stage, name and runs_dir.
     """
-    words = [f"stage={stage}", f"name={run_path.name}", *overrides]
-    if run_path.parent != Path("runs"):
-        words.append(f"runs_dir={run_path.parent}")
+    words = [f"stage={stage}", f"name={run_path.name}", *overrides, *_place(run_path)]
     return f"`{written('stages')} {'-m ' if in_sweep else ''}{shlex.join(words)}`"
+
+
+def _place(run_path: Path) -> list[str]:
+    """The override for a folder of runs that is not the usual one."""
+    return [] if run_path.parent == Path("runs") else [f"runs_dir={run_path.parent}"]
 
 
 def _shared(overrides: Sequence[str]) -> Mapping[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 
+from pipeline.settings.quoting import unquoted
 from pipeline.stages import available_stages, load_stage, settings_of
 
 
@@ -50,7 +51,8 @@ def minutes_to_the_end(steps: Sequence[Step], known: Mapping[str, float]) -> lis
 
 def chosen_value(overrides: Sequence[str], key: str, default: str) -> str:
     """The value of a setting among overrides: the last one counts."""
-    return next((word.partition("=")[2] for word in reversed(overrides) if word.startswith(f"{key}=")), default)
+    found = (word.partition("=")[2] for word in reversed(overrides) if word.startswith(f"{key}="))
+    return next(map(unquoted, found), default)
 
 
 def after_inputs(stages: Sequence[str]) -> list[str]:

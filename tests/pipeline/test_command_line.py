@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
+from pipeline.chain.steps import after_inputs
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY
 from pipeline.stages import available_stages
 from pipeline.store.errors import StageError
-from pipeline.variants import require_input
+from pipeline.variants import RunRequest, require_input
 
 WRONG = {
     "no stage": ((), ["no stage given", "phantoms", "report"]),
@@ -70,8 +71,13 @@ def test_help_lists_stages_and_budgets(pipeline_process) -> None:
 
 
 def test_a_stage_without_its_input_names_the_command_to_run(tmp_path: Path) -> None:
-    with pytest.raises(StageError, match=r"python -m pipeline stage=phantoms name=demo"):
-        require_input(tmp_path / "demo", "phantoms", "expert")
+    request = RunRequest(("stage=enn", "budget=smoke", "stage.workers=1"), budget="smoke")
+    with pytest.raises(StageError, match="holds none: run `") as refused:
+        require_input(tmp_path / "smoke", "expert", "enn", request)
+    shown = shlex.split(str(refused.value).split("`")[1])
+    own = ["budget=smoke", "stage@enn.workers=1", "name=smoke", f"runs_dir={tmp_path}"]
+    assert shown == ["python", "-m", "pipeline.chain", "--inputs", "enn", "--", *own]
+    assert set(after_inputs(["enn"])) > {"expert", "enn"}
 
 
 @pytest.mark.parametrize("file", sorted(CONFIG_DIRECTORY.rglob("*.yaml")), ids=lambda p: p.stem)

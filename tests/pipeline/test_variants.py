@@ -62,7 +62,7 @@ def test_what_was_run_once_serves_every_seed_until_the_stage_runs_for_several(tm
     assert read(tmp_path, "seed=1", seed=1) == "enn@seed=1"
     with pytest.raises(
         StageError,
-        match=r"none of enn, enn@seed=1 in .* fits seed=3: run `python -m pipeline stage=enn name=\S+ seed=3 runs_dir=",
+        match=r"none of enn, enn@seed=1 in .* fits seed=3: run `python -m pipeline.chain --inputs force -- seed=3 ",
     ):
         read(tmp_path, "seed=3", seed=3)
 
@@ -122,5 +122,5 @@ def test_a_manifest_of_an_earlier_version_counts_as_not_run(tmp_path: Path, capl
     (place / "manifest.json").write_text(text.replace('"version": 3', '"version": 2'))
     assert read_manifest(place) is None
     assert "of another version of the project: the stage counts as not run" in caplog.text
-    with pytest.raises(StageError, match="holds none: run `python -m pipeline stage=enn"):
+    with pytest.raises(StageError, match=r"holds none: run `python -m pipeline\.chain --inputs force -- "):
         read(tmp_path)
