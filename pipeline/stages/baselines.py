@@ -72,7 +72,7 @@ def training_settings(settings: BaselinesSettings, algorithm: str, observation: 
     if settings.variant == THESIS:
         preset = thesis_baseline(algorithm, observation)
     decisions = settings.ppo_decisions if ppo else settings.decisions
-    sized = preset.sized(decisions, settings.evaluation_episodes, tensorboard=settings.tensorboard)
+    sized = preset.sized(decisions, settings.evaluation_episodes, tensorboard=True)
     return with_hyperparameters(sized, settings.training)
 
 

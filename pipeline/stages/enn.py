@@ -102,7 +102,7 @@ def training_settings(settings: EnnSettings, decisions: int, keys: tuple[str, ..
     preset = thesis if settings.variant == THESIS else desk
     if settings.variant != THESIS and settings.task.two_devices:
         preset = replace(preset, evaluation_episodes=EVALUATIONS_OF_TWO_DEVICES)
-    sized = preset.sized(decisions, settings.evaluation_episodes, tensorboard=settings.tensorboard, keys=keys)
+    sized = preset.sized(decisions, settings.evaluation_episodes, tensorboard=True, keys=keys)
     return with_hyperparameters(sized, settings.training)
 
 

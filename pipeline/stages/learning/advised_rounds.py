@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.recording.curves import Curves
 from pipeline.seeds import fit_seed
 from pipeline.store.atomic_files import write_arrays
 
@@ -77,6 +78,9 @@ def teach(
         write_episodes(_episodes_of(folder, one.number), one.new)
         policy.save(_policy_of(folder, one.number), loss=finished.loss, wall_s=finished.wall_s)
         done.append(finished)
+        with Curves(folder) as curves:
+            success = float(np.mean([episode.success for episode in one.new]))
+            curves.add(len(done), "rounds", loss=one.loss, success=success)
     return done
 
 

@@ -5,6 +5,7 @@ Each is kept as ``encoders/<phantom>/<observations>.pt``, with its report beside
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.jobs.worker import Report
+from pipeline.recording.curves import Curves
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.learning.training import repeat
 from pipeline.store.atomic_files import write_json
@@ -64,15 +66,23 @@ def fit_encoders(job: EncodersJob, report: Report) -> dict[str, dict[str, Any]]:
             began, file = time.monotonic(), encoder_file(job.folder, keys)
             ends = [share + (1.0 - share) * (number + k) / len(missing) for k in range(2)]
             part = report.part(ends[0], ends[1], f"fit of {file.stem}")
-            encoder, fitted = fit_encoder(samples, keys, job.settings, _progress(part), device=report.device)
+            with Curves(job.folder / file.stem) as curves:
+                told = _progress(part, curves)
+                encoder, fitted = fit_encoder(samples, keys, job.settings, told, device=report.device)
             encoder.save(file)
             write_json(file.with_suffix(".json"), {**fitted, "wall_s": sampled_s + time.monotonic() - began})
     files = [encoder_file(job.folder, keys) for keys in job.sets]
     return {file.stem: json.loads(file.with_suffix(".json").read_text(encoding="utf-8")) for file in files}
 
 
-def _progress(part: Callable[[float, str], None]) -> Callable[[float, Any], None]:
-    return lambda done, errors: part(done, "")
+def _progress(part: Callable[[float, str], None], curves: Curves) -> Callable[[float, dict[str, float]], None]:
+    epochs = itertools.count(1)
+
+    def tell(done: float, errors: dict[str, float]) -> None:
+        curves.add(next(epochs), **errors)
+        part(done, "")
+
+    return tell
 
 
 def _fitted(job: EncodersJob, keys: tuple[str, ...]) -> bool:

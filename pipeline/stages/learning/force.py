@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
+from pipeline.recording.curves import Curves
 from pipeline.recording.record import record_episode
 from pipeline.recording.trials import recorded
 from pipeline.seeds import force_seed
@@ -21,6 +22,7 @@ from pipeline.stages.learning.task import LearningTask
 from pipeline.store.atomic_files import write_json
 
 if TYPE_CHECKING:
+    from enn.fitting import EpisodeFitProgress
     from enn.force import ForcePredictionSettings, ForceSamples
     from enn.imitation.dagger import DisturbanceSettings
 
@@ -105,14 +107,15 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
         return dict(json.loads(record.read_text(encoding="utf-8")))
     began, worked = time.monotonic(), time.process_time()
     training, test = samples_of(job, report.device)
-    predictor, fitted = fit_force(
-        training,
-        job.settings,
-        seed=job.seed,
-        folder=job.folder / "fit",
-        device=report.device,
-        progress=lambda now: report(now.epoch / (now.epochs + 1), f"epoch {now.epoch}, loss {now.loss:.3f}"),
-    )
+
+    def tell(now: EpisodeFitProgress) -> None:
+        curves.add(now.epoch, loss=now.loss, validation=now.validation)
+        report(now.epoch / (now.epochs + 1), f"epoch {now.epoch}, loss {now.loss:.3f}")
+
+    with Curves(job.folder) as curves:
+        predictor, fitted = fit_force(
+            training, job.settings, seed=job.seed, folder=job.folder / "fit", device=report.device, progress=tell
+        )
     outcome = {
         "samples": len(training),
         **evaluate_predictor(predictor, training, test, seed=job.seed),

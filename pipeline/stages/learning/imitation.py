@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
+from pipeline.recording.curves import Curves
 from pipeline.recording.trials import POLICY, Origin, controllers
 from pipeline.seeds import disturbed_seeds
 from pipeline.stages.learning.evaluation import both_modes, evaluate
@@ -121,6 +122,8 @@ def _student(job: ImitationJob, report: Report) -> tuple[ClonedPolicy, dict[str,
         table = csv.DictWriter(stream, ("epoch", "loss", "validation", "cpu_s"))
         table.writeheader()
         table.writerows(distilled.fit.rows)
+    with Curves(job.folder) as curves:
+        curves.add_epochs(distilled.fit.rows)
     student.save(job.folder / POLICY)
     write_json(job.folder / RECORD, outcome)
     return student, outcome

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.jobs.worker import Report
+from pipeline.recording.curves import Curves
 from pipeline.recording.trials import MODES, Origin
 from pipeline.stages.learning.evaluation import evaluate
 from pipeline.stages.learning.expert_episodes import read_episode, readable
@@ -55,7 +56,11 @@ def follow(job: PathJob, report: Report) -> dict[str, Any]:
     if episodes:
         report(0.0, "fit")
         paths = [path.points] * len(episodes)
-        follower, _ = fit_path_follower(episodes, paths, seed=job.origin.training_seed, device=report.device)
+        with Curves(job.folder) as curves:
+            follower, _ = fit_path_follower(
+                episodes, paths, seed=job.origin.training_seed, device=report.device,
+                progress=lambda now: curves.add(now.epoch, loss=now.loss, validation=now.validation),
+            )  # fmt: skip
         follower.save(file)
     follower = PathFollower.load(file, report.device)
     environment = job.task.environment("tip")

@@ -66,7 +66,6 @@ class LearningSettings(ChosenAnatomies, DeviceSettings):
     ppo_accuracy: Accuracy = "accurate"  # of PPO's training
     training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
-    tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)  # event files beside each training
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
 
     def __post_init__(self) -> None:

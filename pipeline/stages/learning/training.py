@@ -3,7 +3,7 @@
 A training's folder, ``<phantom>/<target>/<row>/seed<k>/``, holds::
 
     policy.pt  training.csv  training.json        what was trained, and how it went
-    tensorboard/                                  event files, if asked for
+    tensorboard/                                  its curves
     evaluation/{deterministic,stochastic}/NNN.mcap
     expert/NNN.mcap                               with images: what imitation learns from
     checkpoint/                                   until the training is finished
@@ -101,7 +101,7 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
         make_validation_env=replace(job.task, accuracy=ACCURACY_OF_TESTS).factory(job.keys, job.settings.action_repeat),
     )
     with stopping_the_stage(CheckpointError):
-        result = training.run(lambda progress: report(trained * progress.decisions / progress.total, _words(progress)))
+        result = training.run(lambda progress: report(trained * progress.decisions / progress.total, words(progress)))
     outcome: dict[str, Any] = {"training_s": result.timings["wall_s"], "decisions": result.timings["decisions"]}
     evaluated = trained + (1.0 - trained) * job.tested / (job.tested + job.expert_episodes)
     environment = job.task.environment(result.policy.keys)
@@ -129,10 +129,12 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
     return outcome
 
 
-def _words(progress: Progress) -> str:
-    best = "" if progress.best_success is None else f", best {100 * progress.best_success:.0f} %"
+def words(progress: Progress) -> str:
+    """Return and success of a training's latest episodes, and the success of its best policy, beside its bar."""
+    gained = "" if progress.episode_return is None else f"return {progress.episode_return:.3g}"
     now = "" if progress.success is None else f"success {100 * progress.success:.0f} %"
-    return f"{now}{best}".strip(", ")
+    best = "" if progress.best_success is None else f"best {100 * progress.best_success:.0f} %"
+    return ", ".join(filter(None, (gained, now, best)))
 
 
 def _demonstrations(job: PolicyTrainingJob) -> list[Trajectory]:

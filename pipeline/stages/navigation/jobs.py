@@ -22,6 +22,7 @@ import numpy as np
 from pipeline.episodes.errors import EpisodeReadError
 from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
+from pipeline.recording.curves import Curves
 from pipeline.recording.trials import Origin
 from pipeline.seeds import further_expert_seeds, navigation_episode_seeds
 from pipeline.stages.learning.advised_rounds import forget_rounds, last_policy, read_episodes, teach, write_episodes
@@ -252,10 +253,13 @@ def train(job: NavigatorJob, perception: NavigatorPerception, report: Tell) -> t
                 epochs=job.epochs, updates=job.settings.updates, batch_size=8, weight_decay=1e-3, noise=0.05
             )
             passes = cloning.passes(len(episodes))
-            losses = clone_sequences(
-                policy, episodes, cloning, seed=seed,
-                progress=lambda epoch, loss: report(cloned * epoch / passes, f"cloning, loss {loss:.4f}"),
-            )  # fmt: skip
+
+            def told(epoch: int, loss: float) -> None:
+                curves.add(epoch, "cloning", loss=loss)
+                report(cloned * epoch / passes, f"cloning, loss {loss:.4f}")
+
+            with Curves(job.own_folder) as curves:
+                losses = clone_sequences(policy, episodes, cloning, seed=seed, progress=told)
     # a teacher knows more than the images show: to predict its roadmap teaches more than its actions alone
     advised = SequenceCloningSettings(epochs=job.epochs, batch_size=16, weight_decay=0.1, noise=0.15, hint_weight=10.0)
     before = len(episodes)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.jobs.worker import Report
+from pipeline.recording.curves import Curves
 from pipeline.stages.navigation.frames import frames_in
 from pipeline.stages.navigation.scene import Anatomy, phantom_of
 from pipeline.stages.navigation.settings import NavigationSettings
@@ -75,14 +76,16 @@ def fine_tune_perception(job: PerceptionJob, report: Report) -> dict[str, Any]:
     outcome: dict[str, Any] = {"images": 0, "epochs": epochs}
 
     def progress(now: FitProgress) -> None:
+        curves.add(now.epoch, loss=now.loss, validation=now.validation)
         report(_PREPARING + (1 - _PREPARING) * now.epoch / now.epochs, f"epoch {now.epoch}, loss {now.loss:.3g}")
 
     if epochs:
         shown = _shown(job, predictor, report.part(0.0, _PREPARING, "frames"))
-        predictor, errors = fine_tune(
-            predictor, shown, job.settings.splineformer, epochs,
-            folder=job.folder / "fit", seed=job.seed, device=report.device, progress=progress,
-        )  # fmt: skip
+        with Curves(job.folder) as curves:
+            predictor, errors = fine_tune(
+                predictor, shown, job.settings.splineformer, epochs,
+                folder=job.folder / "fit", seed=job.seed, device=report.device, progress=progress,
+            )  # fmt: skip
         outcome |= errors
     predictor.save(job.folder / PREDICTOR, navigation_epochs=epochs)
     write_json(job.folder / RECORD, outcome)

@@ -76,7 +76,6 @@ class SplineformerSettings(TrainingSettings):
     disturbances: _Disturbances = field(default_factory=lambda: ["none"])  # under which images are read
     test_images: CountOrNone = 0  # of the test acquisitions, evenly chosen; 0: all
     disturbed_images: CountOrNone = 0  # of those, under each disturbance; 0: all
-    tensorboard: bool = field(default=False, metadata=NO_EFFECT_ON_RESULTS)
 
     def __post_init__(self) -> None:
         """Checks that there is something to compare with, and that the variant has the size."""

@@ -37,8 +37,7 @@ def learn_variant(job: TrainingJob, report: Report) -> dict[str, Any]:
     file = job.folder / RECORD
     if file.is_file():
         return dict(json.loads(file.read_text(encoding="utf-8")))
-    words = ["--variant", job.network, *(["--tensorboard"] if job.settings.tensorboard else [])]
-    training = train("splineformer.train", job, words, ("images", "calibration"), report)
+    training = train("splineformer.train", job, ["--variant", job.network], ("images", "calibration"), report)
     from guide3d.dataset.dataset import images_of, split
     from splineformer.comparison.variant_figures import kind_accuracy, round_trips, speed
     from splineformer.predictor import Predictor

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.jobs.worker import Report
+from pipeline.recording.curves import Curves
 from pipeline.stages.guide3d.folder import read_source
 from pipeline.stages.networks.torchrun import train_together
 from pipeline.store.written_files import note
@@ -66,14 +67,19 @@ def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[
     if settings.processes > 1:
         train_together(module, words, settings.processes, report)
         note(*(file for file in job.folder.rglob("*") if file.is_file()))
-        return dict(json.loads(table.read_text(encoding="utf-8")))
+        trained = dict(json.loads(table.read_text(encoding="utf-8")))
+        with Curves(job.folder) as curves:
+            curves.add_epochs(trained["rows"])
+        return trained
     command = importlib.import_module(module)
 
     def tell(now: FitProgress) -> None:
+        curves.add(now.epoch, loss=now.loss, validation=now.validation)
         loss = now.loss if now.validation is None else now.validation
         report(0.9 * now.epoch / now.epochs, f"epoch {now.epoch}, validation {loss:.3g}")
 
-    return dict(command.train(command.arguments(words), progress=tell))
+    with Curves(job.folder) as curves:
+        return dict(command.train(command.arguments(words), progress=tell))
 
 
 def training_figures(training: dict[str, Any], predictor: Any) -> dict[str, Any]:

@@ -64,6 +64,7 @@ def training_settings(
         evaluate_every=every,
         evaluation_episodes=settings.validation_copies + 1,
         keep_latest=True,
+        tensorboard=True,
         device=device,
     )
     return with_hyperparameters(training, settings.training)

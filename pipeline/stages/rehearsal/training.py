@@ -15,6 +15,7 @@ from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import POLICY
 from pipeline.seeds import validation_copies
+from pipeline.stages.learning.training import words
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.demonstrations import always_arrives, mostly_arrives, read_demonstrations
 from pipeline.stages.rehearsal.hyperparameters import (
@@ -75,7 +76,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
         def tell(progress: Progress) -> None:
             before = sum(result.timings["decisions"] for result in results)
             share = (before + progress.decisions) / (before + progress.total)
-            report(_LAID + (1 - _LAID) * share, f"success {100 * (progress.success or 0):.0f} %")
+            report(_LAID + (1 - _LAID) * share, words(progress))
 
         def trained(start: Policy | None, training: TrainingSettings, folder: str, **given: Any) -> TrainingResult:
             return rehearse(

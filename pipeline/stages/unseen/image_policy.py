@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from pipeline.clutter import clutter_of
 from pipeline.jobs.worker import Report
+from pipeline.recording.curves import Curves
 from pipeline.recording.trials import POLICY, Controller
 from pipeline.seeds import unseen_episode_seeds
 from pipeline.stages.learning.advised_rounds import FinishedRound, forget_rounds, last_policy, teach
@@ -239,14 +240,16 @@ def _lumen_segmenter(job: ImagePolicyJob, report: Tell, device: str) -> LumenSeg
             else:
                 images.append(background_image(phantom.grid, projector, key=phantom.hash))
             lumens.append(lumen_path_length(phantom.grid, projector) > LUMEN_DEPTH)
-    network, overlap = fit_segmenter(
-        np.stack(images),
-        np.stack(lumens).astype(np.float32),
-        epochs=epochs,
-        seed=job.seed,
-        device=device,
-        progress=lambda epoch, _: report(0.1 + 0.4 * epoch / epochs, "lumen segmenter"),
-    )
+
+    def tell(epoch: int, loss: float) -> None:
+        curves.add(epoch, "lumen_segmenter", loss=loss)
+        report(0.1 + 0.4 * epoch / epochs, "lumen segmenter")
+
+    with Curves(job.own_folder) as curves:
+        network, overlap = fit_segmenter(
+            np.stack(images), np.stack(lumens).astype(np.float32), epochs=epochs, seed=job.seed, device=device,
+            progress=tell,
+        )  # fmt: skip
     _LOGGER.info("the lumen segmenter's overlap with its training lumens is %.3f", overlap)
     return network
 
@@ -270,10 +273,15 @@ def _device_segmenters(job: ImagePolicyJob, expert: Policy, report: Tell, device
     )  # fmt: skip
     environment.close()
     found: dict[str, WireSegmenter] = {}
+
+    def tell(epoch: int, loss: float) -> None:
+        curves.add(epoch, f"segmenter_of_{names[len(found)]}", loss=loss)
+        report(0.7 + 0.3 * (len(found) + epoch / epochs) / len(names), "wire segmenter")
+
     for name, mask in zip(names, masks, strict=True):
-        found[name], score = fit_wire_segmenter(
-            images, plains, mask, epochs=epochs, seed=job.seed, device=device,
-            progress=lambda epoch, _: report(0.7 + 0.3 * (len(found) + epoch / epochs) / len(names), "wire segmenter"),
-        )  # fmt: skip
+        with Curves(job.own_folder) as curves:
+            found[name], score = fit_wire_segmenter(
+                images, plains, mask, epochs=epochs, seed=job.seed, device=device, progress=tell
+            )
         _LOGGER.info("the Dice score of the segmenter of %s on its training images is %.3f", name, score)
     return found

@@ -20,6 +20,7 @@ from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.job import OPTIMISER
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import POLICY, Controller
+from pipeline.stages.learning.training import words
 from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, read_demonstrations
 from pipeline.stages.unseen.starts import STARTS, read_starts
 from pipeline.stages.unseen.task import RESOLUTION, ROADMAP_KEYS
@@ -136,5 +137,5 @@ def _trained(job: RoadmapJob, settings: TrainingSettings, report: Report) -> tup
         initial=None if job.start is None else Policy.load(job.start, report.device),
     )
     with stopping_the_stage(CheckpointError, *([ValueError] if job.start is not None else [])):
-        result = training.run(lambda p: report(0.7 * p.decisions / p.total, f"success {100 * (p.success or 0):.0f} %"))
+        result = training.run(lambda progress: report(0.7 * progress.decisions / progress.total, words(progress)))
     return result.policy, result.timings["wall_s"]

@@ -56,7 +56,7 @@ def training_settings(
         evaluate_every=max(decisions // evaluations, 1),
         evaluation_episodes=settings.validation_episodes,
         stop_after=STOP_AFTER,
-        tensorboard=settings.tensorboard,
+        tensorboard=True,
         keep_critics=True,  # a rehearsal starts from it
     )
     if start is not None:

@@ -97,7 +97,6 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
     task: Task = field(default_factory=task_in_random_arches)
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
     device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
-    tensorboard: bool = field(default=True, metadata=NO_EFFECT_ON_RESULTS)
 
     def __post_init__(self) -> None:
         """Takes the choices of the command line over."""

@@ -20,6 +20,7 @@ from pipeline.stages.learning.settings import BaselinesSettings
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
+from tests.pipeline.event_scalars import scalars
 from tests.pipeline.stages.small_expert import context
 from tests.pipeline.stages.test_enn import expert_run  # noqa: F401 - a fixture
 
@@ -126,4 +127,5 @@ def test_a_tiny_run_fills_the_table(pipeline_process, expert_run) -> None:  # no
         assert row["reward_bca"][0] < 0  # the thesis's reward, not the training's
         assert row["success_bca_pct"] in (0, 100)
     assert (folder / "type_1/bca/path_follower/seed0/follower.pt").is_file()
-    assert not list(folder.rglob("tensorboard"))
+    for row, name in (("sac_image", "curve/reward"), ("ppo_image", "curve/reward"), ("path_follower", "train/loss")):
+        assert scalars(folder / "type_1/bca" / row / "seed0")[name]

@@ -23,6 +23,7 @@ from enn.reinforcement.training import (
     Training,
     TrainingSettings,
 )
+from enn.reinforcement.training.course import Course
 from enn.reinforcement.training.result import COLUMNS
 from enn.reinforcement.training.run import TrainingRun
 from tests.enn.reinforcement.small_training import SMALL
@@ -115,7 +116,19 @@ def test_event_files_on_request(point_env: Any, tmp_path: Path) -> None:
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
     assert [event.step for event in events.Scalars("curve/reward")] == [104, 200, 240]
+    assert events.Scalars("curve/episode_return")[-1].step == 240
     assert "train/critic_loss" in events.Tags()["scalars"]
+
+
+def test_returns_are_those_of_all_episodes_and_success_of_those_from_the_start() -> None:
+    course = Course(None, lambda: 0.0)
+    assert course.episode_return() is None
+    ended = [{"r": 3.0, "l": 2, "success": True, "fresh": False}, {"r": -1.0, "l": 4, "success": False, "fresh": True}]
+    course.observe([1.0, 2.0], [{"steps": 1, "episode": episode} for episode in ended])
+    assert (course.episode_return(), course.success()) == (1.0, 0.0)
+    twin = Course(None, lambda: 0.0)
+    twin.restore(course.state())
+    assert twin.episode_return() == 1.0
 
 
 def test_the_thesis_preset_learns_its_entropy(point_env: Any) -> None:

@@ -16,6 +16,7 @@ from pipeline.stages.networks.evaluation import learn_shape, train_network
 from pipeline.stages.networks.settings import SegmentationSettings, ShapeSettings
 from pipeline.store.errors import ConfigurationError, StageError
 from tests.guide3d.learning.drawn_data import draw
+from tests.pipeline.event_scalars import scalars
 from tests.pipeline.stages.small_expert import context, in_this_process
 
 
@@ -55,8 +56,12 @@ def test_shape_leaves_networks_tables_and_figures(run: Path, shapes: dict) -> No
     figures = json.loads((run / "shape" / "figures.json").read_text())
     assert len(figures) == 6
     assert sorted(p.name for p in (run / "shape" / "fgrn").iterdir()) == [
-        "examples.npz", "predictor.pt", "shape.json", "training.json",
+        "examples.npz", "predictor.pt", "shape.json", "tensorboard", "training.json",
     ]  # fmt: skip
+    rows = json.loads((run / "shape" / "fgrn" / "training.json").read_text())["rows"]
+    shown = scalars(run / "shape" / "fgrn")
+    assert shown["train/loss"] == pytest.approx({row["epoch"]: row["loss"] for row in rows})
+    assert shown["train/validation"] == pytest.approx({row["epoch"]: row["validation"] for row in rows})
 
 
 def test_segmentation_leaves_networks_tables_and_figures(run: Path, masks: dict) -> None:

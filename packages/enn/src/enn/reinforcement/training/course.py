@@ -30,6 +30,7 @@ class Course:
         self.evaluation: dict[str, Any] = {}  # the latest that has no row yet
         self.rewards: deque[float] = deque(maxlen=REWARD_WINDOW)
         self.episodes: deque[tuple[int, bool]] = deque(maxlen=EPISODE_WINDOW)
+        self.returns: deque[float] = deque(maxlen=EPISODE_WINDOW)  # of all episodes, also those from the reset bank
         self.spent = {"wall_s": 0.0, "cpu_s": 0.0, "simulation_s": 0.0, "update_s": 0.0, "evaluation_s": 0.0}
         self.began = time.perf_counter(), time.process_time()
         self.writer: Any = None
@@ -55,12 +56,19 @@ class Course:
             self.env_steps += info["steps"]
             self.rewards.append(reward / info["steps"])
             episode = info.get("episode")
-            if episode is not None and episode["fresh"]:
+            if episode is None:
+                continue
+            self.returns.append(episode["r"])
+            if episode["fresh"]:
                 self.episodes.append((episode["l"], episode["success"]))
 
     def success(self) -> float | None:
         """Share of the latest episodes from the usual start that succeeded; None before the first."""
         return float(np.mean([success for _, success in self.episodes])) if self.episodes else None
+
+    def episode_return(self) -> float | None:
+        """Mean sum of rewards of the latest episodes; None before the first."""
+        return float(np.mean(self.returns)) if self.returns else None
 
     def clocks(self) -> tuple[float, float]:
         """Seconds of wall time and of processor time since the training began, all its runs together."""
@@ -88,7 +96,8 @@ class Course:
         self.curve.append({name: row.get(name) for name in COLUMNS})
         self.write()
         if self.writer is not None:
-            for name, value in {**{f"curve/{k}": v for k, v in row.items()}, **scalars}.items():
+            shown = {**row, "episode_return": self.episode_return()}
+            for name, value in {**{f"curve/{k}": v for k, v in shown.items()}, **scalars}.items():
                 if value is not None and name != "curve/decisions":
                     self.writer.add_scalar(name, value, decisions)
 
@@ -105,6 +114,7 @@ class Course:
             "latest": self.evaluation,
             "rewards": list(self.rewards),
             "episodes": list(self.episodes),
+            "returns": list(self.returns),
             "spent": {**self.spent, "wall_s": wall, "cpu_s": cpu},
         }
 
@@ -113,6 +123,7 @@ class Course:
         self.curve, self.evaluation = state["curve"], state["latest"]
         self.rewards.extend(state["rewards"])
         self.episodes.extend(state["episodes"])
+        self.returns.extend(state.get("returns", []))
         self.spent |= state["spent"]
 
     def close(self) -> None:

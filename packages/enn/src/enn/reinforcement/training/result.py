@@ -35,6 +35,7 @@ class Progress:
     total: int
     # share of the latest training episodes from the usual start that succeeded; None before the first
     success: float | None
+    episode_return: float | None  # mean sum of rewards of the latest training episodes; None before the first
     best_success: float | None  # of the policy kept so far, in its evaluation; None before the first one
     wall_s: float  # since the training began, all its runs together
     remaining_s: float  # estimate to the end of the budget

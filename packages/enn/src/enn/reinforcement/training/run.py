@@ -216,6 +216,7 @@ class TrainingRun:
                 self.decisions,
                 total,
                 self.course.success(),
+                self.course.episode_return(),
                 self.best_policy.success,
                 self.course.clocks()[0],
                 pace * (total - self.decisions),
