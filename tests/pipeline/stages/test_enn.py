@@ -189,7 +189,7 @@ def test_a_tiny_run_leaves_policy_curve_logs_and_tables(pipeline_process, expert
     for name in ("policy.pt", "training.csv", "training.json", "evaluation/deterministic/000.mcap",
                  "evaluation/stochastic/000.mcap", "expert/000.mcap"):  # fmt: skip
         assert (training / name).is_file(), name
-    assert {"curve/reward", "curve/episode_return"} <= set(scalars(training))
+    assert scalars(training)["curve/reward"]
     assert "train/loss" in scalars(folder / "encoders/type_1/joints+image+mask")
     assert not (training / "checkpoint").exists()
     results = json.loads((folder / "results.json").read_text())
