@@ -64,8 +64,8 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         return _missing_choice(str(error.missing_cfg_file))
     if isinstance(error, OverrideParseException):
-        text = f"; a text with such signs in quotes: {_first_line(advice(error.override))}" if "=" in error.override else ""
-        override = _first_line(repr(error.override))
+        override, quoted = _first_line(repr(error.override)), _first_line(advice(error.override))
+        text = f"; a text with such signs in quotes: {quoted}" if "=" in error.override else ""
         return f"cannot read {override}: write key=value, and quote lists for the shell: 'key=[a,b]'{text}"
     if isinstance(error, ConfigCompositionException) and "You must specify 'stage'" in str(error):
         return f"no stage given: add stage=…, one of {', '.join(available_stages())}"

@@ -156,7 +156,7 @@ def _with_inputs(stage: str, run_path: Path, request: RunRequest) -> str:
     settings = [f"stage@{stage}.{word.removeprefix('stage.')}" if word.startswith("stage.") else word
                 for word in effective_overrides(request.overrides)]  # fmt: skip
     words = [*settings, f"name={run_path.name}", *_place(run_path)]
-    return f"`python -m pipeline.chain --inputs {stage} -- {shlex.join(words)}`"
+    return f"`{written('chain')} --inputs {stage} -- {shlex.join(words)}`"
 
 
 def command(stage: str, run_path: Path, overrides: Sequence[str], *, in_sweep: bool) -> str:
