@@ -1,32 +1,72 @@
-"""Vessels are known by the names that segmentations, atlases and modelling tools give them."""
+"""Vessels are known by the names that segmentations, atlases and modelling tools give them, and by whole ones alone."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from cathsim.anatomy.vessel_names import SUPRA_AORTIC, TOTALSEGMENTATOR, vessel_name, vessel_names
+from cathsim.anatomy.mesh.parts.vessel_parts import read_parts
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.vessel_names import (
+    ACCESS,
+    LUMINA,
+    PARENTS,
+    SUPRA_AORTIC,
+    TOTALSEGMENTATOR,
+    is_other,
+    not_taken,
+    vessel_name,
+)
+from cathsim.anatomy.volume.labels.choice import AORTASEG24, choose_labels
 
 KNOWN = {
-    "aorta": ("aorta.nii.gz", "VHF_descending_aorta_b", "aortic arch", "AAo", "Thoracic Aorta"),
-    "bca": ("brachiocephalic_trunk", "VHF_brachiocephalic_artery_a", "Innominate", "bct", "BCA.stl", "co"),
-    "lcca": ("common_carotid_artery_left", "LCCA", "LeftCommonCarotid2", "A. carotis communis sinistra", "L CCA"),
-    "rcca": ("right common carotid artery", "rcca_01"),
-    "lsa": ("subclavian_artery_left", "left subclavian", "LSCA"),
-    "rsa": ("R_SCA", "arteria subclavia dextra", "ARSA"),
-    "vertebral_left": ("left vertebral artery", "LVA"),
-    "internal_carotid_right": ("Right Internal Carotid Artery",),
-    "internal_iliac_left": ("internal_iliac_artery_L",),
-    "true_lumen": ("aorta_true_lumen",),
-    "": (
-        "brachiocephalic_vein_left",
-        "left coronary artery",
-        "pulmonary_artery_R",
-        "aortic valve",
-        "mesh",
-        "",
-        "part 3",
+    "aorta": (
+        "aorta.nii.gz", "VHF_descending_aorta_b", "aortic arch", "AAo", "Thoracic Aorta", "Aorta descendens",
+        "Arcus aortae", "aortic root", "sub-01_aorta", "patient7_aorta_final_v2", "s0011_AscendingAorta",
     ),
-}
+    "bca": (
+        "brachiocephalic_trunk", "VHF_brachiocephalic_artery_a", "Innominate", "bct", "BCA.stl", "co",
+        "Truncus brachiocephalicus", "left brachiocephalic artery",
+    ),
+    "lcca": (
+        "common_carotid_artery_left", "LCCA", "LeftCommonCarotid2", "A. carotis communis sinistra", "L CCA", "VHM_LCCA",
+        "A. carotis communis sin.", "artère carotide commune gauche", "arteria carótida común izquierda",
+        "carotid_l", "lt-carotid",
+    ),
+    "rcca": ("right common carotid artery", "rcca_01", "A. carotis communis dx"),
+    "lsa": ("subclavian_artery_left", "left subclavian", "LSCA", "A. subclavia sin."),
+    "rsa": ("R_SCA", "arteria subclavia dextra", "ARSA", "A. subclavia dex", "aberrant right subclavian artery"),
+    "vertebral_left": ("left vertebral artery", "LVA", "Arteria vertebralis sinistra"),
+    "internal_carotid_right": ("Right Internal Carotid Artery", "internal_carotid_artery_right", "R ICA"),
+    "internal_iliac_left": ("internal_iliac_artery_L",),
+    "external_iliac_left": ("A. iliaca externa sin.",),
+    "iliac_left": ("left iliac artery", "LCIA", "lt_iliac"),
+    "superficial_femoral_right": ("right superficial femoral artery",),
+    "mesenteric": ("superior mesenteric artery",),
+    "inferior_mesenteric": ("inferior mesenteric artery",),
+    "carotid_trunk": ("common carotid trunk", "Truncus bicaroticus"),
+    "true_lumen": ("aorta_true_lumen", "TL"),
+    "false_lumen": ("false lumen of the aorta",),
+    "": (
+        "brachiocephalic_vein_left", "left coronary artery", "pulmonary_artery_R", "aortic valve", "mesh", "", "part 3",
+        # bones
+        "lumbar vertebral column", "vertebral body", "vertebrae_T12", "vertebral L3", "vertebral L",
+        "left iliac crest", "femoral head left", "iliac bone", "vertebrae_body",
+        "zygomatic_arch_left", "vertebral arch",
+        # organs and tissue
+        "iliacus", "renal pelvis", "left kidney", "carotid sheath", "carotid body", "subclavius", "celiac ganglion",
+        "mesenteric fat", "quadriceps_femoris_left", "prevertebral_left", "LEFT KIDNEY AORTA", "myocardial scar",
+        # veins
+        "iliac vein left", "iliac_vena_left", "superior mesenteric vein", "innominate vein", "left brachiocephalic",
+        # of arteries, but no lumen of one
+        "aortic wall", "aorta calcification", "aortic aneurysm thrombus", "stent graft aorta", "false lumen thrombus",
+        "FLT", "aorta plaque", "PVAT_aorta", "periaortic lymph node", "left_coronary_cusp",
+        # of no one vessel, or of no known one
+        "left and right iliac artery", "iliac arteries", "femoral", "RCA", "LCA", "true and false lumen",
+    ),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("text", "name"), [(text, name) for name, texts in KNOWN.items() for text in texts])
@@ -34,6 +74,60 @@ def test_a_vessel_is_known_by_its_name(text: str, name: str):
     assert vessel_name(text) == name
 
 
-def test_only_arteries_are_named():
-    assert vessel_names(["aorta", "inferior vena cava", "LSA"]) == {"aorta": "aorta", "LSA": "lsa"}
-    assert set(SUPRA_AORTIC) < set(TOTALSEGMENTATOR.values())
+def test_the_projects_own_names_mean_themselves():
+    own = {*SUPRA_AORTIC, *ACCESS, *LUMINA, *PARENTS, *TOTALSEGMENTATOR.values(), *AORTASEG24.values()}
+    assert {name: vessel_name(name) for name in own} == {name: name for name in own}
+
+
+def test_names_of_something_else():
+    for text in ("vertebrae_L1", "Ribs", "inferior vena cava", "aortic wall", "left kidney"):
+        assert is_other(text), text
+    for text in ("Segment_1", "lumen", "vessels", "aorta", "", "tree"):
+        assert not is_other(text), text
+
+
+def test_what_is_not_taken_is_listed_with_those_that_resemble_first():
+    note = not_taken(["spleen", *(f"rib_left_{n}" for n in range(1, 9)), "aortic wall", "aorta"], "labels")
+    assert note == (
+        "labels not taken, whose names are no known artery's: aortic wall, spleen, rib_left_1, rib_left_2, rib_left_3, "
+        "rib_left_4, rib_left_5, rib_left_6 and 2 more",
+    )
+    assert not_taken(["aorta"], "labels") == ()
+
+
+def test_a_volumes_bones_and_walls_are_no_lumen():
+    names = {(0, 1): "aorta", (0, 2): "vertebral column", (0, 3): "aortic wall", (0, 4): "left subclavian artery"}
+    choice = choose_labels(dict.fromkeys(names, 100), names, None, "a.nii.gz")
+    assert choice.vessels == {(0, 1): "aorta", (0, 4): "lsa"}
+    assert choice.notes == ("labels not taken, whose names are no known artery's: vertebral column, aortic wall",)
+
+
+@pytest.mark.parametrize("numbers", [(52, 58), (1,)])
+def test_published_numbers_do_not_overrule_names(numbers: tuple[int, ...]):
+    names = dict(zip([(0, number) for number in numbers], ("liver", "spleen"), strict=False))
+    with pytest.raises(MeshRefusedError, match=r"no label that is named after an artery \(liver"):
+        choose_labels(dict.fromkeys(names, 100), names, None, "a.nii.gz")
+
+
+def test_a_scenes_bones_are_no_lumen(tmp_path: Path):
+    import trimesh
+
+    def save(*names: str) -> Path:
+        scene = trimesh.Scene()
+        for at, name in enumerate(names):
+            tube = trimesh.creation.cylinder(
+                0.01, 0.1, transform=trimesh.transformations.translation_matrix([at, 0, 0])
+            )
+            scene.add_geometry(tube, node_name=name, geom_name=name)
+        scene.export(tmp_path / "scene.glb")
+        return tmp_path / "scene.glb"
+
+    parts, _, notes = read_parts(save("aorta", "lsa", "vertebral body", "aortic wall"))
+    assert {part.name for part in parts} == {"aorta", "lsa"}
+    assert any("vertebral body" in note and "aortic wall" in note for note in notes)
+    parts, _, notes = read_parts(save("lumen", "spine"))
+    assert [part.name for part in parts] == [""]
+    assert np.ptp(parts[0].mesh.vertices[:, 0]) < 0.05
+    assert notes == ("parts not taken, whose names are no known artery's: spine",)
+    with pytest.raises(MeshRefusedError, match="no part that is named after an artery"):
+        read_parts(save("spine", "left kidney"))

@@ -1,13 +1,17 @@
 """Names of vessels as files give them (labels, parts of a scene, files of a folder), and what this project calls them.
 
+A name is an artery's where all its words are: one known term, its side, and words that say nothing of what it is. Any
+other word makes it a name that only resembles one ("iliac bone", "aortic wall"), which is none.
+
 Sources: the class list of TotalSegmentator v2 (Wasserthal et al., Radiology: AI 2023); preferred names and synonyms of
-the Foundational Model of Anatomy for the aorta and the arteries of its arch.
+the Foundational Model of Anatomy for the aorta and the arteries of its arch; Terminologia Anatomica for the Latin ones.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+import unicodedata
+from collections.abc import Iterable, Mapping
 
 AORTA = "aorta"
 SUPRA_AORTIC = ("bca", "rsa", "rcca", "lcca", "lsa")  # from the heart on, as in an arch of three branches
@@ -37,85 +41,226 @@ TOTALSEGMENTATOR: dict[int, str] = {
     66: "iliac_right",
 }
 
-_ABBREVIATIONS: dict[str, str] = {
-    **dict.fromkeys(("ao", "aa", "asc", "desc", "dao", "aao", "aoa", "arch"), AORTA),
-    **dict.fromkeys(("bca", "bct", "bcta", "tbc", "innom", "co"), "bca"),
-    **dict.fromkeys(("lcca", "lcc", "lccar", "ccal"), "lcca"),
-    **dict.fromkeys(("rcca", "rcc", "rccar", "ccar"), "rcca"),
-    **dict.fromkeys(("lsa", "lsca", "lscla", "lsub", "lsc", "scal"), "lsa"),
-    **dict.fromkeys(("rsa", "rsca", "rscla", "rsub", "rsc", "arsa", "scar"), "rsa"),
-    **dict.fromkeys(("lva", "lvert"), "vertebral_left"),
-    **dict.fromkeys(("rva", "rvert"), "vertebral_right"),
-    **dict.fromkeys(("lica",), "internal_carotid_left"),
-    **dict.fromkeys(("rica",), "internal_carotid_right"),
-    **dict.fromkeys(("leca",), "external_carotid_left"),
-    **dict.fromkeys(("reca",), "external_carotid_right"),
-}
-_LEFT, _RIGHT = {"left", "l", "lt", "sinistra", "sinister"}, {"right", "r", "rt", "dextra", "dexter"}
-# What a word that begins so says about a name; the first that fits counts, and None says: no artery of interest.
-_STEMS: tuple[tuple[tuple[str, ...], str | None], ...] = (
-    (("vein", "vena", "venous", "sinus", "portal", "atri", "ventric", "valve", "myocard", "heart"), None),
-    (("pulmon", "coronar", "circumflex", "cardiac", "marginal", "diagonal", "lung"), None),
-    (("brachioceph", "innominat", "anonym", "bovine"), "bca"),
-    (("subclav",), "subclavian"),
-    (("vertebral",), "vertebral"),
-    (("axillar",), "axillary"),
-    (("iliac", "iliaca"), "iliac"),
-    (("femoral",), "femoral"),
-    (("renal",), "renal"),
-    (("celiac", "coeliac"), "celiac"),
-    (("mesenteric",), "mesenteric"),
-    (("carotid", "carotis"), "carotid"),
-    (("aort",), AORTA),
+
+def _spelled(words: Mapping[str, str]) -> dict[str, str]:
+    """The word that is meant, by each of its spellings."""
+    return {spelling: word for word, spellings in words.items() for spelling in (word, *spellings.split())}
+
+
+def _these(words: str) -> frozenset[str]:
+    return frozenset(words.split())
+
+
+# English, Latin, and what German, French, Spanish and Italian have of their own, without accents
+_SPELLINGS = _spelled(
+    {
+        "left": "l lt li links linke linker gauche izquierda izquierdo sin sinistra sinister sinistrum sx",
+        "right": "r rt re rechts rechte rechter droite derecha derecho dex dx dextra dexter dextrum destra der",
+        "artery": "arteria arterie artere arterial art",
+        "trunk": "truncus tronc tronco",
+        "aorta": "aortae aorte ao",
+        "aortic": "aortica aortique",
+        "arch": "arcus arco bogen crosse",
+        "root": "bulb bulbus radix",
+        "ascending": "ascendens ascendente ascendante asc",
+        "descending": "descendens descendente descendante desc",
+        "thoracic": "thoracica thoracalis thorakale thoracique toracica",
+        "abdominal": "abdominalis abdominale",
+        "common": "communis commune comune comun",
+        "internal": "interna interne int",
+        "external": "externa externe esterna ext",
+        "superior": "sup superieure",
+        "inferior": "inf inferieure",
+        "superficial": "superficialis",
+        "deep": "profunda profonda",
+        "carotid": "carotis carotide carotida carotidea",
+        "bicarotid": "bicaroticus bicarotideus",
+        "subclavian": "subclavia succlavia sca sub",
+        "brachiocephalic": "brachiocephalicus brachiocephalica brachiocephalique brachiocefalico braquiocefalico",
+        "innominate": "innominata innom anonyma anonima",
+        "vertebral": "vertebralis vertebrale",
+        "axillary": "axillaris axillaire ascellare axilar",
+        "iliac": "iliaca iliaque",
+        "femoral": "femoralis femorale",
+        "renal": "renalis renale",
+        "celiac": "coeliac celiaca coeliaca coeliacus celiaco celiaque",
+        "mesenteric": "mesenterica mesenterique",
+    }
 )
+_PARTS_OF_AORTA = _these(
+    "arch root isthmus ascending descending transverse thoracic abdominal infrarenal suprarenal juxtarenal"
+)
+# Words that do not say which vessel it is: of parts, of what a program makes, endings of files
+_PASSING = _these(
+    "proximal distal part segment section portion lumen lumina vessel blood contrast enhanced main whole the of a b c "
+    "d e f v version final new old edited copy smooth smoothed clean cleaned remeshed closed open cut mask label "
+    "labels seg segmentation surface mesh model object group geometry node roi patient pat case subject scan ct cta "
+    "cect mra mr stl obj ply vtp vtk glb gltf nii gz nrrd nhdr mha mhd dcm"
+)
+# Vessels by the words that name them. Those of the second table are adjectives, of bones and organs as well: they need
+# a side, or the word artery or trunk.
+_NOUNS: dict[str, str] = {
+    "brachiocephalic": "bca",
+    "brachiocephalic trunk": "bca",
+    "innominate": "bca",
+    "innominate trunk": "bca",
+    "bovine": "bca",
+    "bovine trunk": "bca",
+    "carotid": "carotid",
+    "common carotid": "carotid",
+    "internal carotid": "internal_carotid",
+    "external carotid": "external_carotid",
+    "carotid trunk": "carotid_trunk",
+    "common carotid trunk": "carotid_trunk",
+    "bicarotid trunk": "carotid_trunk",
+    "subclavian": "subclavian",
+    "aberrant subclavian": "subclavian",
+    "subclavian trunk": "subclavian_trunk",
+}
+_ADJECTIVES: dict[str, str] = {
+    "vertebral": "vertebral",
+    "axillary": "axillary",
+    "iliac": "iliac",
+    "common iliac": "iliac",
+    "internal iliac": "internal_iliac",
+    "external iliac": "external_iliac",
+    "femoral": "femoral",
+    "common femoral": "femoral",
+    "superficial femoral": "superficial_femoral",
+    "deep femoral": "deep_femoral",
+    "renal": "renal",
+    "celiac": "celiac",
+    "celiac trunk": "celiac",
+    "mesenteric": "mesenteric",
+    "superior mesenteric": "mesenteric",
+    "inferior mesenteric": "inferior_mesenteric",
+}
+_TERMS = {frozenset(term.split()): vessel for term, vessel in (*_NOUNS.items(), *_ADJECTIVES.items())}
+# Abbreviations that are whole names; those of the second table need a side, or have it as their first letter.
+_ABBREVIATIONS: dict[str, str] = {
+    **dict.fromkeys(("aa", "dao", "aao", "aoa", "arch"), AORTA),
+    **dict.fromkeys(("bca", "bct", "bcta", "tbc", "btrunk", "co"), "bca"),
+    **dict.fromkeys(("lccar", "ccal"), "lcca"),
+    **dict.fromkeys(("rccar", "ccar"), "rcca"),
+    **dict.fromkeys(("arsa", "lusoria"), "rsa"),
+    "tl": "true_lumen",
+    "fl": "false_lumen",
+}
+_SIDED: dict[str, str] = {
+    "cca": "carotid",
+    "ica": "internal_carotid",
+    "eca": "external_carotid",
+    **dict.fromkeys(("sa", "sca", "scla", "sub", "sc"), "subclavian"),
+    **dict.fromkeys(("va", "vert"), "vertebral"),
+    "cia": "iliac",
+    "iia": "internal_iliac",
+    "eia": "external_iliac",
+    "cfa": "femoral",
+}
+_ABBREVIATIONS |= {
+    f"{side[0]}{short}": f"{vessel} {side}" for short, vessel in _SIDED.items() for side in ("left", "right")
+}
 _PAIRED = {"carotid": ("lcca", "rcca"), "subclavian": ("lsa", "rsa")}
+_OWN_NAMES = frozenset(
+    {AORTA, *SUPRA_AORTIC, *LUMINA, *PARENTS, *_TERMS.values()}
+    - {"vertebral", "axillary", "iliac", "femoral", "renal"}  # without a side they are no artery's
+)
+# Words of what is no artery of interest, in small letters and the singular.
+_OTHER = _these(
+    "vein vena venous vene veine venae vc ivc svc sinus portal azygos jugular bone os spine spinal column vertebra "
+    "vertebrae body rib costa sternum sacrum femur hip ilium pelvis humerus scapula clavicle clavicula skull mandible "
+    "crest cord disc discs liver kidney spleen stomach pancreas bladder prostate uterus colon bowel intestine "
+    "duodenum esophagus oesophagus trachea bronchus bronchi lung pleura heart cardiac ventricle atrium atrial auricle "
+    "appendage myocardium pericardium valve leaflet cusp coronary pulmonary brain cerebellum thyroid gland adrenal "
+    "muscle gluteus iliopsoas iliacus psoas autochthon fat skin nerve ganglion sheath lymph node tumor tumour cyst "
+    "lesion wall thrombus thrombosis ilt flt pvat clot calcification calcium calcified plaque aneurysm hematoma "
+    "haematoma dissection flap stent graft endograft prosthesis catheter guidewire wire air background tissue table"
+)
+_FEW_NAMES = 8  # in a list
 
 
 def vessel_name(text: str) -> str:
     """The project's name of a vessel that a file calls `text`; empty where it is none of the known arteries.
 
     "aorta", "bca", "rsa", "rcca", "lcca", "lsa", and for others a plain one with its side: "iliac_left",
-    "vertebral_right", "internal_carotid_left"; "true_lumen" and "false_lumen" of a dissected aorta.
+    "vertebral_right", "internal_carotid_left"; "true_lumen" and "false_lumen" of a dissected aorta; "carotid_trunk"
+    and "subclavian_trunk" that both sides share.
     """
-    words = _words(text)
-    joined = " ".join(words)
-    for stems, meaning in _STEMS:
-        if meaning is None and any(word.startswith(stems) for word in words):
+    if text.strip().lower() in _OWN_NAMES:
+        return text.strip().lower()
+    plain = _words(text)
+    words = [_SPELLINGS.get(word, word) for word in plain]
+    side = {"left", "right"}.intersection(words)
+    lumen = {"true", "false"}.intersection(words) if "lumen" in words else set()
+    rest = frozenset(words) - _PASSING - side - lumen - {"artery"}
+    if len(side) > 1 or len(lumen) > 1:
+        return ""
+    if lumen:
+        return f"{lumen.pop()}_lumen" if rest <= {AORTA, "aortic", *_PARTS_OF_AORTA} else ""
+    if AORTA in rest or ("aortic" in rest and _PARTS_OF_AORTA & rest):
+        return AORTA if rest <= {AORTA, "aortic", *_PARTS_OF_AORTA} else ""
+    which = side.pop() if side else ""
+    if vessel := _TERMS.get(rest, ""):
+        sure = {"artery", "trunk"}.intersection(words)
+        if vessel == "bca":
+            return vessel if sure or not which else ""  # those of a side are veins where nothing else is said
+        level = vessel == "vertebral" and not {"left", "right"}.intersection(plain)  # "vertebral L" is a bone
+        if " ".join(sorted(rest)) in _NEED_MORE and not sure and (level or not which):
             return ""
-    side = "left" if _LEFT & set(words) else "right" if _RIGHT & set(words) else ""
-    for lumen in ("true", "false"):
-        if f"{lumen} lumen" in joined:
-            return f"{lumen}_lumen"
-    for stems, meaning in _STEMS:
-        if meaning is not None and any(word.startswith(stems) for word in words):
-            return _sided(meaning, side, words)
-    if "cca" in words and side:
-        return _PAIRED["carotid"][side == "right"]
-    if {"sca", "sa", "sub"} & set(words) and side:
-        return _PAIRED["subclavian"][side == "right"]
-    for word in words:
-        if word in _ABBREVIATIONS:
-            return _ABBREVIATIONS[word]
-    return ""
+        return _with_side(vessel, which)
+    short = frozenset(plain) - _PASSING - {"artery", "arteria"} - {w for w in plain if _SPELLINGS.get(w) == which}
+    if len(short) != 1:
+        return ""
+    word = next(iter(short))
+    if which:
+        return _with_side(_SIDED[word], which) if word in _SIDED else ""
+    return _with_side(*_ABBREVIATIONS.get(word, "").partition(" ")[::2])
 
 
-def vessel_names(texts: Iterable[str]) -> dict[str, str]:
-    """The project's name of every text that is a known artery's."""
-    found = {text: vessel_name(text) for text in texts}
-    return {text: name for text, name in found.items() if name}
+def is_other(text: str) -> bool:
+    """Whether a name is that of something else than a lumen of arteries: a bone, an organ, a vein, a wall."""
+    return not vessel_name(text) and any(word in _OTHER or word.removesuffix("s") in _OTHER for word in _words(text))
 
 
-def _sided(meaning: str, side: str, words: list[str]) -> str:
-    if meaning in ("carotid", "iliac") and (part := next((w for w in words if w in ("internal", "external")), "")):
-        return "_".join(word for word in (part, meaning, side) if word)
-    if meaning in _PAIRED:
-        return _PAIRED[meaning][side == "right"] if side else meaning
-    if meaning in (AORTA, "bca"):
-        return meaning
-    return f"{meaning}_{side}" if side else meaning
+def not_taken(texts: Iterable[str], what: str) -> tuple[str, ...]:
+    """A note on names that are no known artery's, those that resemble one first; none where all are.
+
+    Args:
+        what: things have these names, in the plural.
+    """
+    left = [text for text in texts if text and not vessel_name(text)]
+    left.sort(key=lambda text: not _VESSEL_WORDS.intersection(_SPELLINGS.get(word, word) for word in _words(text)))
+    more = f" and {len(left) - _FEW_NAMES} more" if len(left) > _FEW_NAMES else ""
+    shown = ", ".join(left[:_FEW_NAMES])
+    return (f"{what} not taken, whose names are no known artery's: {shown}{more}",) if left else ()
+
+
+_NEED_MORE = frozenset(" ".join(sorted(term.split())) for term in _ADJECTIVES)
+_VESSEL_WORDS = frozenset(
+    {AORTA, "aortic", "artery", *(word for term in _TERMS for word in term)} - {"common", "internal", "external"}
+)
+
+
+def _with_side(vessel: str, side: str) -> str:
+    if side and vessel in _PAIRED:
+        return _PAIRED[vessel][side == "right"]
+    return f"{vessel}_{side}" if side and not vessel.endswith(("_trunk", "celiac", "mesenteric")) else vessel
 
 
 def _words(text: str) -> list[str]:
-    """Lower-case words; capitals within a word and digits part them, as in "LeftCommonCarotid2"."""
-    parted = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", text)
-    return [word.lower() for word in re.split(r"[^A-Za-z]+", parted) if word]
+    """Words in small letters, without accents and numbers; capitals within a word part it ("LeftCommonCarotid2").
+
+    A letter with a number stays one, for that is a vertebra ("L3"). A first word that is an identifier, in capitals or
+    with a number, is left out where nothing is known of it.
+    """
+    ascii_text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
+    parted = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", ascii_text)
+    raw = [word for word in re.split(r"[^A-Za-z0-9]+", parted) if word]
+    if len(raw) > 2 and raw[0].lower() == "sub" and raw[1].isdecimal():
+        raw = raw[2:]  # a subject, as in "sub-01_aorta"
+    if len(raw) > 1 and (raw[0].isupper() or re.search(r"\d", raw[0])):
+        first = raw[0].lower()
+        if not (first in _SPELLINGS or first in _ABBREVIATIONS or first in _SIDED or first in _OTHER):
+            raw = raw[1:]
+    words = [word if re.fullmatch(r"[a-uw-z]\d+", word) else word.rstrip("0123456789") for word in map(str.lower, raw)]
+    return [word for word in words if word]

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from cathsim.anatomy.mesh.naming import ordered_names, propose_entries, propose_targets, renamed
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
@@ -27,7 +28,7 @@ from cathsim.anatomy.volume.lumen.single import lumen_surface_of
 
 logger = logging.getLogger(__name__)
 
-VOLUME_VERSION = 11  # raise it whenever the same volume gives another phantom
+VOLUME_VERSION = 12  # raise it whenever the same volume gives another phantom
 _VOLUME_KEPT = 0.03  # share of a vessel's volume by which the phantom's may differ without a note
 _LEAST_ML = 1.0  # of a vessel whose volume is compared
 
@@ -78,7 +79,9 @@ def volume_digest(path: Path, labels: tuple | None, names: tuple | None, resolut
         files = [path]
     else:
         raise MeshRefusedError(f"there is no file {path}; give a file in {FORMATS} format, or a folder of them.")
-    settings = {"volume": VOLUME_VERSION, "labels": labels, "names": names, "resolution": resolution}
+    settings: dict[str, Any] = {"volume": VOLUME_VERSION, "labels": labels, "names": names, "resolution": resolution}
+    if path.is_dir():
+        settings["files"] = [file.name for file in volume_files(path)]  # notes say which are not taken
     return content_digest(settings, with_detached_data(files), in_folder=path.is_dir())
 
 

@@ -22,7 +22,7 @@ from cathsim.anatomy.mesh.reading import (
     read_surfaces,
 )
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.vessel_names import ACCESS, AORTA, SUPRA_AORTIC, vessel_name
+from cathsim.anatomy.vessel_names import ACCESS, AORTA, SUPRA_AORTIC, is_other, not_taken, vessel_name
 from cathsim.guarded_reading import UnreadableFileError, call_in_child
 
 Result = TypeVar("Result")
@@ -137,8 +137,17 @@ def _read_parts(path: Path) -> Surface:
         if dropped:
             notes += (
                 f"{len(dropped)} of {len(named)} parts left out, which are no way to head or arms: {_some(dropped)}",
+                *not_taken(dropped, "parts"),
             )
         known = [one for one in known if one[0] in _TAKEN]
+    elif others := [one.name for _, one in known if is_other(one.name)]:
+        if len(others) == len(known):
+            raise MeshRefusedError(
+                f"{path.name} has no part that is named after an artery ({_some(others)}); export the aorta with its "
+                "branches, or name it aorta."
+            )
+        notes += not_taken(others, "parts")
+        known = [one for one in known if one[1].name not in others]
     parts = [Part(vessel, piece) for vessel, one in known for piece in pieces(one.mesh)]
     # of a very fine surface the vertices of each triangle are joined here, where memory is limited
     parts = [Part(one.name, one.mesh.welded()) if len(one.mesh.faces) > MOST_FACES else one for one in parts]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.vessel_names import AORTA, vessel_name
+from cathsim.anatomy.vessel_names import AORTA, not_taken, vessel_name
 from cathsim.anatomy.volume.files import metaimage, nifti, nrrd_file
 from cathsim.anatomy.volume.files.source import VolumeSource
 from cathsim.anatomy.volume.labels.choice import Key, LabelChoice, Labels, choose_labels
@@ -153,6 +153,7 @@ def _folder(path: Path, labels: Labels) -> LabelVolume:
         parts.append((source, LabelChoice(dict.fromkeys(present, vessel), choice.scheme)))
     unused = [stem for key, stem in names.items() if key not in choice.vessels and vessel_name(stem)]
     notes += [f"{stem} is not used" for stem in unused]
+    notes += not_taken((stem for key, stem in names.items() if key not in choice.vessels), "files")
     volume = _box(parts, path.name, dict(total))
     return LabelVolume(**{**vars(volume), "notes": volume.notes + tuple(notes), "named": len(volume.names) > 1})
 

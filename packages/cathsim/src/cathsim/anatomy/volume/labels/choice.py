@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.vessel_names import AORTA, TOTALSEGMENTATOR, vessel_name
+from cathsim.anatomy.vessel_names import AORTA, TOTALSEGMENTATOR, is_other, not_taken, vessel_name
 
 Key = tuple[int, int]  # layer and value of a label
 Labels = Mapping[int | str, str | None] | None
@@ -49,15 +49,6 @@ class LabelChoice:
     notes: tuple[str, ...] = ()
 
 
-def label_name(text: str) -> str:
-    """The project's name of a vessel that a label calls `text`; empty where it is none of the known arteries.
-
-    The common trunks of both carotid and of both subclavian arteries are told from single ones by the word.
-    """
-    name = vessel_name(text)
-    return f"{name}_trunk" if name in ("carotid", "subclavian") and "trunk" in text.lower() else name
-
-
 def choose_labels(
     present: Mapping[Key, int], names: Mapping[Key, str], own: Labels, file: str, misfit: Misfit | None = None
 ) -> LabelChoice:
@@ -79,8 +70,13 @@ def choose_labels(
         raise MeshRefusedError(f"{file} is empty: all its voxels are zero; export the segmentation again.")
     if own:
         return _own_choice(present, names, own, file)
-    if known := {key: label_name(names[key]) for key in present if label_name(names.get(key, ""))}:
+    if known := {key: vessel_name(names[key]) for key in present if vessel_name(names.get(key, ""))}:
         return _checked(_without_lumina(known), "names in the file", present, file, names)
+    if others := {key: count for key, count in present.items() if is_other(names.get(key, ""))}:
+        raise MeshRefusedError(
+            f"{file} has no label that is named after an artery ({_listed(others, names)}); export the aorta with its "
+            "branches, or say which label is the aorta by labels={number: 'aorta'}."
+        )
     values = {value for _, value in present}
     if len(present) == 1:
         return LabelChoice(dict.fromkeys(present, AORTA), "one label", named=False)
@@ -143,8 +139,8 @@ def _own_choice(present: Mapping[Key, int], names: Mapping[Key, str], own: Label
         if not keys:
             raise MeshRefusedError(f"{file} has no label {wanted!r}; it has {_listed(present, names)}.")
         if vessel is not None:
-            chosen |= dict.fromkeys(keys, label_name(str(vessel)) or str(vessel))
-    others = {key: label_name(names.get(key, "")) for key in present if not any(_is(w, key, names) for w in own)}
+            chosen |= dict.fromkeys(keys, vessel_name(str(vessel)) or str(vessel))
+    others = {key: vessel_name(names.get(key, "")) for key in present if not any(_is(w, key, names) for w in own)}
     known = {key: name for key, name in others.items() if name not in ("", *chosen.values())}
     return _checked({**known, **chosen}, "given", present, file, names)
 
@@ -169,7 +165,8 @@ def _checked(
             f"{file} has no label of the aorta ({_listed(present, names)}); say which it is by "
             "labels={number: 'aorta'}, or export it too."
         )
-    return LabelChoice(vessels, scheme, named=len(set(vessels.values())) > 1)
+    left = (names.get(key, "") for key in sorted(present, key=lambda key: -present[key]) if key not in vessels)
+    return LabelChoice(vessels, scheme, named=len(set(vessels.values())) > 1, notes=not_taken(left, "labels"))
 
 
 def _listed(present: Mapping[Key, int], names: Mapping[Key, str]) -> str:
