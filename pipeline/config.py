@@ -53,6 +53,7 @@ class OwnPhantom:
     unit: str | None = None  # of a surface: m, cm, mm or inch; detected when left out
     names: BranchNames = None
     labels: VesselLabels = None
+    transform: str | None = None  # of NIfTI files: sform or qform, which of their affines is taken
     ct: PathText | None = None  # that the file was segmented from: shown by films and X-ray images
     entry: EntryPlace = None  # where wires come in; null: descending
 

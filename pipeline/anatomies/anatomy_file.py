@@ -30,6 +30,7 @@ class AnatomyFile:
         names: of branches: pairs of an automatic name and one's own, or names from the heart on.
         labels: of a label volume: pairs of a label and a vessel's name, or None.
         ct: path of the CT that it was segmented from.
+        transform: of NIfTI files, the CT's too: "sform" or "qform".
     """
 
     path: str
@@ -37,6 +38,7 @@ class AnatomyFile:
     names: tuple[Any, ...] | None = None
     labels: tuple[tuple[int | str, str | None], ...] | None = None
     ct: str | None = None
+    transform: str | None = None
 
     @classmethod
     def of(
@@ -46,6 +48,7 @@ class AnatomyFile:
         names: Any = None,
         labels: Mapping[str, str | None] | None = None,
         ct: str | None = None,
+        transform: str | None = None,
     ) -> AnatomyFile:
         """From a mapping or list of names, and a mapping of labels whose keys are text."""
         pairs = tuple(names.items()) if isinstance(names, Mapping) else names
@@ -60,6 +63,7 @@ class AnatomyFile:
             tuple(pairs) if pairs else None,
             tuple((key(label), vessel) for label, vessel in labels.items()) if labels else None,
             ct,
+            transform,
         )
 
     @property
@@ -104,6 +108,7 @@ def _imported(file: AnatomyFile, resolution: float) -> Phantom:
         unit=file.unit,
         labels=dict(file.labels) if file.labels else None,
         names=names,
+        transform=file.transform,
         resolution=resolution,
     )
     return replace(phantom, name=file.name)
@@ -114,7 +119,7 @@ def _room(file: AnatomyFile) -> XRayScene:
     from cathsim.fluoroscopy import ct_scene
 
     assert file.ct is not None
-    return ct_scene(file.ct, file.load())
+    return ct_scene(file.ct, file.load(), transform=file.transform)
 
 
 def load_anatomy(anatomy: str | AnatomyFile) -> Phantom:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from annotated_types import Len
 
@@ -38,7 +38,7 @@ RANDOM = "random"  # arches like those of most patients
 _LOGGER = logging.getLogger(__name__)
 _LEAST_TIMES, _TIMES = 2.0, 3.0  # of the steps that a way takes at full speed: the fewest of an episode; a long one's
 _ROOM = 0.03  # m of wire beyond the way to the target and what lies in the sheath
-_OF_A_FILE = ("unit", "names", "labels", "ct")
+_OF_A_FILE = ("unit", "names", "labels", "transform", "ct")
 _Coordinates = Annotated[list[float], Len(3, 3)]
 
 
@@ -53,6 +53,7 @@ class FileSettings:
     unit: str | None = None  # of a surface
     names: BranchNames = None  # of its branches: a mapping from automatic names, or a list from the heart on
     labels: VesselLabels = None  # of a label volume: which label is which vessel
+    transform: Literal["sform", "qform"] | None = None  # of NIfTI files: which of their affines is taken
     ct: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # that it was segmented from
     file_name: FolderName | None = None  # filled in, as the next: what its anatomy is called
     file_sha256: str | None = None
@@ -88,7 +89,9 @@ class FileSettings:
     @property
     def anatomy_file(self) -> AnatomyFile | None:
         """The file; None: there is none."""
-        return None if self.file is None else AnatomyFile.of(self.file, self.unit, self.names, self.labels, self.ct)
+        if self.file is None:
+            return None
+        return AnatomyFile.of(self.file, self.unit, self.names, self.labels, self.ct, self.transform)
 
 
 @validated()

@@ -71,6 +71,8 @@ def test_navigation_keeps_what_is_learnt_in_out_of_the_transfer(mesh: Path) -> N
         ({"file": "missing.stl"}, "phantom.file=missing.stl is no file: give the path of a surface"),
         ({"labels": {3: "aorta"}}, "phantom.labels belongs to a file: give phantom.file=PATH too"),
         ({"names": ["bca"]}, "phantom.names belongs to a file"),
+        ({"transform": "qform"}, "phantom.transform belongs to a file: give phantom.file=PATH too"),
+        ({"file": __file__, "transform": "affine"}, "stage.transform"),
         ({"file": __file__, "phantom": "type_1"}, "phantom.file brings the anatomy: leave out phantom.name"),
         ({"target": "bca", "point_mm": [0.0, 0.0, 0.0]}, "stage.point_mm is the target: leave out target"),
         ({"point_mm": [0.0, 1.0]}, "stage.point_mm"),

@@ -39,6 +39,7 @@ def import_anatomy(
     unit: str | None = None,
     labels: Labels = None,
     names: Names = None,
+    transform: str | None = None,
     resolution: float = 1e-3,
     cache_dir: Path | None = None,
 ) -> Phantom:
@@ -49,6 +50,7 @@ def import_anatomy(
         unit: of a surface; a volume's header has its own.
         labels: which label of a volume is which vessel.
         names: names of the user's own, by automatic name or in order along the arch.
+        transform: of a volume in NIfTI files, "sform" or "qform": which of their affines is taken.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
 
@@ -61,21 +63,25 @@ def import_anatomy(
             raise MeshRefusedError(of_no_kind(path))
         if labels:
             raise MeshRefusedError(f"{Path(path).name} is no label volume, it takes no labels; give names instead.")
+        if transform is not None:
+            raise MeshRefusedError(f"{Path(path).name} is no label volume; leave transform={transform!r} out.")
         return import_mesh(path, unit=unit, names=names, resolution=resolution, cache_dir=cache_dir)
     if unit is not None:
         raise MeshRefusedError(f"{Path(path).name} has its unit in its header and takes none; leave unit={unit!r} out.")
-    return import_volume(path, labels=labels, names=names, resolution=resolution, cache_dir=cache_dir)
+    return import_volume(
+        path, labels=labels, names=names, transform=transform, resolution=resolution, cache_dir=cache_dir
+    )
 
 
 def import_digest(source: Mapping[str, Any], resolution: float) -> str:
     """The hash of the phantom that an import gives.
 
     Args:
-        source: what a phantom was imported with: path, unit, names and for a volume labels.
+        source: what a phantom was imported with: path, unit, names and for a volume labels and transform.
     """
     path, names = Path(source["path"]), _tuples(source["names"])
     if is_volume_path(path):
-        return volume_digest(path, _tuples(source.get("labels")), names, resolution)
+        return volume_digest(path, _tuples(source.get("labels")), names, resolution, source.get("transform"))
     return mesh_digest(path, source["unit"], names, resolution)
 
 
@@ -87,6 +93,7 @@ def import_again(source: Mapping[str, Any], resolution: float) -> Phantom:
         unit=source["unit"],
         labels=dict(labels) if labels else None,
         names=names_of(names),
+        transform=source.get("transform"),
         resolution=resolution,
     )
 

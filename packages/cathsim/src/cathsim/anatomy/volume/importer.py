@@ -19,12 +19,14 @@ from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 from cathsim.anatomy.vessel_names import vessel_name
 from cathsim.anatomy.volume.files.detached import with_detached_data
+from cathsim.anatomy.volume.files.nifti import TRANSFORMS
 from cathsim.anatomy.volume.files.reading import FORMATS, LabelVolume, file_stem, read_labels, volume_files
 from cathsim.anatomy.volume.files.repeated import join_repeated
 from cathsim.anatomy.volume.labels.checks import check_labels
 from cathsim.anatomy.volume.labels.choice import Labels
 from cathsim.anatomy.volume.lumen.labelled import LabelledLumen
 from cathsim.anatomy.volume.lumen.single import lumen_surface_of
+from cathsim.guarded_reading import UnreadableFileError, check_regular
 
 logger = logging.getLogger(__name__)
 
@@ -38,6 +40,7 @@ def import_volume(
     *,
     labels: Labels = None,
     names: Names = None,
+    transform: str | None = None,
     resolution: float = 1e-3,
     cache_dir: Path | None = None,
 ) -> Phantom:
@@ -49,6 +52,8 @@ def import_volume(
             ending; None leaves a label out. It overrules names in the file and published numbers.
         names: names of the user's own: a mapping from the names that were found, or a list for the aorta's branches
             from the heart on.
+        transform: of NIfTI files, "sform" or "qform": which of their affines is taken; None: the sform where there is
+            one, with a note where the qform differs.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
 
@@ -58,28 +63,38 @@ def import_volume(
 
     Raises:
         MeshRefusedError: a ValueError with the reason.
-        ValueError: for an impossible resolution.
+        ValueError: for an impossible resolution or transform.
     """
+    if transform not in (None, *TRANSFORMS):
+        raise ValueError(f"transform must be one of {', '.join(TRANSFORMS)}, got {transform!r}.")
     resolution = check_resolution(resolution, "volume")
     path = Path(path).expanduser()
     directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
     chosen = hashable_names(names)
     wanted = None if not labels else tuple(labels.items())
     with ONE_AT_A_TIME:
-        digest = volume_digest(path, wanted, chosen, resolution)
-        return _load(path, digest, wanted, chosen, resolution, directory)
+        digest = volume_digest(path, wanted, chosen, resolution, transform)
+        return _load(path, digest, wanted, chosen, resolution, directory, transform)
 
 
-def volume_digest(path: Path, labels: tuple | None, names: tuple | None, resolution: float) -> str:
+def volume_digest(
+    path: Path, labels: tuple | None, names: tuple | None, resolution: float, transform: str | None = None
+) -> str:
     """The hash of the phantom that an import gives: of the files' content and the settings."""
     if path.is_dir():
         asked = {str(label) for label, _ in labels or ()}
         files = [f for f in volume_files(path) if vessel_name(file_stem(f)) or file_stem(f) in asked]
-    elif path.is_file():
+    elif path.exists():
+        try:
+            check_regular(path)
+        except UnreadableFileError as error:
+            raise MeshRefusedError(str(error)) from None
         files = [path]
     else:
         raise MeshRefusedError(f"there is no file {path}; give a file in {FORMATS} format, or a folder of them.")
     settings: dict[str, Any] = {"volume": VOLUME_VERSION, "labels": labels, "names": names, "resolution": resolution}
+    if transform is not None:
+        settings["transform"] = transform
     if path.is_dir():
         settings["files"] = [file.name for file in volume_files(path)]  # notes say which are not taken
     return content_digest(settings, with_detached_data(files), in_folder=path.is_dir())
@@ -87,22 +102,27 @@ def volume_digest(path: Path, labels: tuple | None, names: tuple | None, resolut
 
 @lru_cache(maxsize=16)
 def _load(
-    path: Path, digest: str, labels: tuple | None, names: tuple | None, resolution: float, directory: Path
-) -> Phantom:
+    path: Path, digest: str, labels: tuple | None, names: tuple | None, resolution: float, directory: Path,
+    transform: str | None,
+) -> Phantom:  # fmt: skip
     cache = PhantomCache(directory)
     phantom = cache.read(file_stem(path), digest, None)
     if phantom is None:
-        phantom = build_volume_phantom(path, digest, dict(labels) if labels else None, names_of(names), resolution)
+        phantom = build_volume_phantom(
+            path, digest, dict(labels) if labels else None, names_of(names), resolution, transform
+        )
         picture = directory / "imports" / f"{file_stem(path)}-{digest[:12]}.png"
         phantom = with_picture_of_doubts(phantom, picture)
         cache.write(phantom)
-    source = {"path": str(path.resolve()), "unit": None, "names": names, "labels": labels}
+    source = {"path": str(path.resolve()), "unit": None, "names": names, "labels": labels, "transform": transform}
     return replace(phantom, source=source)
 
 
-def build_volume_phantom(path: Path, digest: str, labels: Labels, names: Names, resolution: float) -> Phantom:
+def build_volume_phantom(
+    path: Path, digest: str, labels: Labels, names: Names, resolution: float, transform: str | None = None
+) -> Phantom:
     """Builds the phantom of a volume without any cache."""
-    volume = join_repeated(read_labels(path, labels))
+    volume = join_repeated(read_labels(path, labels, transform))
     volume = replace(volume, notes=(*volume.notes, *check_labels(volume)))
     if not volume.named:
         return _of_one_piece(volume, file_stem(path), digest, names, resolution)

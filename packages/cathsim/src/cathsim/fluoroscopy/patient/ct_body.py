@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+import logging
+import math
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -10,12 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
-from cathsim.anatomy.volume.files.reading import open_volume
-from cathsim.anatomy.volume.files.source import VolumeSource
+from cathsim.anatomy.volume.files.reading import in_child, open_volume
+from cathsim.anatomy.volume.files.source import Slab, VolumeSource
 from cathsim.fluoroscopy.body import THORAX, Ellipsoid, MeasuredBody
 from cathsim.fluoroscopy.patient.hounsfield import BONE_FACTOR, WATER
 from cathsim.fluoroscopy.patient.identity import check_patient
 from cathsim.fluoroscopy.scene import SCENES, XRayScene, scene
+
+logger = logging.getLogger(__name__)
 
 BLOOD = 40  # Hounsfield units of blood without contrast
 _WALL = 1.5e-3  # m around the lumen in which the CT's contrast is taken away
@@ -117,7 +123,7 @@ class CTBody(MeasuredBody):
         return depths
 
 
-def ct_body(path: str | Path, phantom: ImportedPhantom) -> CTBody:
+def ct_body(path: str | Path, phantom: ImportedPhantom, transform: str | None = None) -> CTBody:
     """Reads the CT that an imported phantom's labels were drawn on.
 
     The contrast agent in the phantom's lumen is replaced by blood: a contrast run adds its own. A CT that is cut
@@ -126,6 +132,7 @@ def ct_body(path: str | Path, phantom: ImportedPhantom) -> CTBody:
     Args:
         path: of a NIfTI, NRRD or MetaImage file in Hounsfield units.
         phantom: imported from labels, or from a surface in the CT's coordinates.
+        transform: of a NIfTI file, "sform" or "qform": which of its affines is taken.
 
     Raises:
         MeshRefusedError: a ValueError: it is no CT, or that of another patient.
@@ -136,10 +143,9 @@ def ct_body(path: str | Path, phantom: ImportedPhantom) -> CTBody:
         raise MeshRefusedError(
             f"{path.name} has no place: the phantom was not imported from a file; a CT belongs to an imported anatomy."
         )
-    source = open_volume(path)
-    if source.layers != 1 or float(np.prod(source.shape)) > _LARGEST:
-        raise MeshRefusedError(f"{path.name} is too large for a CT ({source.shape} voxels); cut it to the chest.")
-    values = _read(source)
+    source, values = in_child(_read, path, transform, file=path.name)
+    for note in source.notes:
+        logger.warning("%s: %s.", path.name, note)
     found, refusal = None, None
     for affine in _placements(source, report):
         to_index: Array = np.linalg.inv(affine).astype(np.float64)
@@ -162,15 +168,23 @@ def ct_body(path: str | Path, phantom: ImportedPhantom) -> CTBody:
     return CTBody(values, local, beyond=_is_cropped(values))
 
 
-def ct_scene(path: str | Path, phantom: ImportedPhantom, filling: str = "contrast") -> XRayScene:
+def ct_scene(
+    path: str | Path, phantom: ImportedPhantom, filling: str = "contrast", transform: str | None = None
+) -> XRayScene:
     """The X-ray scene of a patient: the CT as the body, the phantom's lumen filled with fluid, contrast or air.
+
+    Args:
+        path: as of `ct_body`, like the phantom and the transform.
+        phantom: imported.
+        filling: of the lumen.
+        transform: of a NIfTI file.
 
     Raises:
         MeshRefusedError: as of `ct_body`.
         ValueError: for an unknown filling.
     """
     patient = SCENES["patient"]
-    body = ct_body(path, phantom)
+    body = ct_body(path, phantom, transform)
     filled = scene("patient", filling).filling
     return XRayScene(
         "ct", (body,), surroundings=patient.surroundings, wall=0.0, wall_thickness=0.0, filling=filled,
@@ -178,7 +192,10 @@ def ct_scene(path: str | Path, phantom: ImportedPhantom, filling: str = "contras
     )  # fmt: skip
 
 
-def _read(source: VolumeSource) -> NDArray[np.int16]:
+def _read(path: Path, transform: str | None) -> tuple[VolumeSource, NDArray[np.int16]]:
+    source = open_volume(path, transform)
+    if source.layers != 1 or math.prod(source.shape) > _LARGEST:
+        raise MeshRefusedError(f"{path.name} is too large for a CT ({source.shape} voxels); cut it to the chest.")
     values = np.empty(source.shape, dtype=np.int16)
     for first, slab in source.slabs():
         if not np.isfinite(slab).all():
@@ -190,7 +207,12 @@ def _read(source: VolumeSource) -> NDArray[np.int16]:
             f"{source.path.name} is no CT in Hounsfield units: its values lie between {low:g} and {high:g}, expected "
             "air near -1000 and bone above 100."
         )
-    return values
+    return replace(source, slabs=_read_already), values
+
+
+def _read_already() -> Iterator[Slab]:
+    """Stands for values that a process of its own has read."""
+    return iter(())
 
 
 def _placements(source: VolumeSource, report: ImportReport) -> list[Array]:

@@ -6,19 +6,20 @@ fields SegmentN_Name, SegmentN_LabelValue and SegmentN_Layer name the labels.
 
 from __future__ import annotations
 
-import bz2
-import gzip
+import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.volume.files.nifti import BROKEN, SLAB_BYTES
+from cathsim.anatomy.volume.files.detached import named_files
 from cathsim.anatomy.volume.files.source import UNIT_METRES, Slab, VolumeSource
+from cathsim.anatomy.volume.files.stream import BROKEN, SLAB_BYTES, ValueStream, in_words
+from cathsim.guarded_reading import UnreadableFileError, referenced_file
 
 SUFFIXES = (".nrrd", ".nhdr")
 _SPACES = {
@@ -49,9 +50,17 @@ def open_nrrd(path: Path) -> VolumeSource:
             header = nrrd.read_header(file)
             start = file.tell()
         sizes = [int(n) for n in header["sizes"]]
+        for key in ("sizes", "kinds", "space directions", "spacings"):
+            if key in header and len(header[key]) != int(header["dimension"]):
+                raise ValueError(f"{len(header[key])} {key} for {header['dimension']} axes")
+        if not sizes or min(sizes) < 1:
+            raise ValueError("sizes below 1")
         kind = _kind(header)
+        data, packing, lines, skipped = _values_place(path, header)
+    except UnreadableFileError:
+        raise
     except (*BROKEN, nrrd.errors.NRRDError) as error:
-        raise MeshRefusedError(f"{path.name} is no sound NRRD file ({error}); export it again.") from None
+        raise MeshRefusedError(f"{path.name} is no sound NRRD file ({in_words(error)}); export it again.") from None
     layer_axis, affine, notes = _axes(path, header, sizes)
     world = _SPACES.get(str(header.get("space", "")).lower(), "")
     if not world:
@@ -65,18 +74,27 @@ def open_nrrd(path: Path) -> VolumeSource:
 
     def slabs() -> Iterator[Slab]:
         try:
-            read = _stream(path, header, start, nrrd)
-            across = int(np.prod(sizes[:-1]))
+            stream = ValueStream(data, start if data == path else 0)
+            stream.skip_lines(lines)
+            total = math.prod(sizes) * kind.itemsize
+            if packing == "text":
+                every = np.array(stream.rest().split(), dtype=kind)
+                if len(every) != math.prod(sizes):
+                    raise ValueError(f"it holds {len(every)} values, its header says {math.prod(sizes)}")
+                stream = ValueStream.of(every.tobytes())
+            else:
+                stream.unpack(packing)
+                stream.skip(stream.size_left() - total if skipped < 0 and not packing else skipped)
+            across = math.prod(sizes[:-1])
             step = max(1, int(SLAB_BYTES // (across * kind.itemsize)))
             for first in range(0, sizes[-1], step):
                 count = min(step, sizes[-1] - first)
-                values = np.frombuffer(read(count * across * kind.itemsize), dtype=kind)
+                values = np.frombuffer(stream.read(count * across * kind.itemsize), dtype=kind)
                 values = values.reshape((*sizes[:-1], count), order="F")
                 yield first, values[None] if layer_axis is None else np.moveaxis(values, layer_axis, 0)
-        except (*BROKEN, nrrd.errors.NRRDError) as error:
-            raise MeshRefusedError(
-                f"{path.name} is damaged: {error or type(error).__name__}; export it again."
-            ) from None
+            stream.finish()
+        except BROKEN as error:
+            raise MeshRefusedError(f"{path.name} is damaged: {in_words(error)}; export it again.") from None
 
     return VolumeSource(path, shape, affine, world, unit, kind.itemsize, slabs, layers, _segments(header), notes)
 
@@ -158,22 +176,29 @@ def _segments(header: dict[str, Any]) -> dict[tuple[int, int], str]:
     return named
 
 
-def _stream(path: Path, header: dict[str, Any], start: int, nrrd: Any) -> Callable[[int], bytes]:
-    """A function that reads so many more bytes of a file's values."""
-    encoding = str(header.get("encoding", "raw")).lower()
-    attached = "data file" not in header and "datafile" not in header
-    skipped = any(int(header.get(key, 0)) for key in ("line skip", "lineskip", "byte skip", "byteskip"))
-    if not attached or skipped or encoding not in ("raw", "gz", "gzip", "bz2", "bzip2"):
-        content = np.asarray(nrrd.read(str(path), index_order="F")[0]).tobytes(order="F")
-        place = [0]
+def _values_place(path: Path, header: dict[str, Any]) -> tuple[Path, str, int, int]:
+    """The file that holds the values, what packs them, lines and bytes that are skipped there; -1: all but the values.
 
-        def held(count: int) -> bytes:
-            place[0] += count
-            return content[place[0] - count : place[0]]
-
-        return held
-    file: BinaryIO = path.open("rb")
-    file.seek(start)
-    if encoding == "raw":
-        return file.read
-    return (gzip.GzipFile(fileobj=file) if encoding.startswith("gz") else bz2.BZ2File(file)).read
+    Raises:
+        ValueError: the header asks for what is not read.
+        UnreadableFileError: it names a file that is not beside it.
+    """
+    encodings = {
+        **dict.fromkeys(("raw",), ""),
+        **dict.fromkeys(("gz", "gzip"), "gzip"),
+        **dict.fromkeys(("bz2", "bzip2"), "bzip2"),
+        **dict.fromkeys(("txt", "text", "ascii"), "text"),
+    }
+    encoding = str(header.get("encoding", "raw")).strip().lower()
+    if encoding not in encodings:
+        raise ValueError(f"values of the encoding {encoding}")
+    lines = int(header.get("line skip", header.get("lineskip", 0)))
+    skipped = int(header.get("byte skip", header.get("byteskip", 0)))
+    if lines < 0 or skipped < -1 or (skipped == -1 and encodings[encoding]):
+        raise ValueError(f"{lines} lines and {skipped} bytes to skip")
+    name = str(header.get("data file", header.get("datafile", "")))
+    if not name:
+        return path, encodings[encoding], lines, skipped
+    if len(named_files(path)) != 1 or name.split()[0].upper() == "LIST":
+        raise ValueError("its values lie in several files")
+    return referenced_file(path, name), encodings[encoding], lines, skipped

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import os
 import re
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +19,10 @@ from numpy.typing import NDArray
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import AORTA, not_taken, vessel_name
 from cathsim.anatomy.volume.files import metaimage, nifti, nrrd_file
-from cathsim.anatomy.volume.files.source import VolumeSource
+from cathsim.anatomy.volume.files.source import VolumeSource, farthest_apart
 from cathsim.anatomy.volume.labels.choice import Key, LabelChoice, Labels, choose_labels
 from cathsim.anatomy.volume.labels.scheme_check import CELL, misfit
+from cathsim.guarded_reading import UnreadableFileError, call_in_child, check_regular
 
 SUFFIXES = (*nifti.SUFFIXES, *nrrd_file.SUFFIXES, *metaimage.SUFFIXES)
 FORMATS = "NIfTI, NRRD or MetaImage"
@@ -25,11 +30,14 @@ _MOST_LITRES = 5.0  # of all vessels together
 _MOST_VOXELS = 2.5e8  # of the box around them
 _MOST_TAKEN = 60_000_000  # voxels of vessels
 _MOST_LABEL = 65_535
+_SAME_LATTICE = 0.5  # of a voxel by which corners of two files of one patient may lie apart
+_SECONDS = 300.0  # that a volume may take to be read
 # Share of neighbouring labelled voxels with the same label: nearly all, but 1 / n in noise of n labels.
 _LEAST_ALIKE = 0.25
 _ENOUGH_PAIRS = 10_000
 
 Array = NDArray[np.float64]
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,39 +80,66 @@ def volume_files(folder: Path) -> list[Path]:
     return sorted(p for p in folder.iterdir() if p.name.lower().endswith(SUFFIXES) and not p.name.startswith("."))
 
 
-def open_volume(path: Path) -> VolumeSource:
+def open_volume(path: Path, transform: str | None = None) -> VolumeSource:
     """Reads a volume's header.
+
+    Args:
+        path: of its file.
+        transform: of a NIfTI file, "sform" or "qform": which of its affines is taken.
 
     Raises:
         MeshRefusedError: it is damaged, or no volume.
     """
-    if not path.is_file():
+    if not path.exists():
         raise MeshRefusedError(f"there is no file {path}; give a file in {FORMATS} format, or a folder of them.")
-    if path.name.lower().endswith(nrrd_file.SUFFIXES):
-        return nrrd_file.open_nrrd(path)
-    if path.name.lower().endswith(metaimage.SUFFIXES):
-        return metaimage.open_metaimage(path)
-    return nifti.open_nifti(path)
+    check_regular(path)
+    name = path.name.lower()
+    if name.endswith((*nrrd_file.SUFFIXES, *metaimage.SUFFIXES)):
+        if transform is not None:
+            raise MeshRefusedError(f"{path.name} has one affine; transform={transform!r} belongs to NIfTI files.")
+        return nrrd_file.open_nrrd(path) if name.endswith(nrrd_file.SUFFIXES) else metaimage.open_metaimage(path)
+    return nifti.open_nifti(path, transform)
 
 
-def read_labels(path: str | Path, labels: Labels = None) -> LabelVolume:
+def in_child(function: Callable[..., Result], *arguments: Any, file: str) -> Result:
+    """What a reader of volumes returns, called in a process of its own, with limits of memory and time.
+
+    Raises:
+        MeshRefusedError: it was refused, crashed or took too much.
+    """
+    for reader in ("nibabel", "nrrd", "SimpleITK"):  # before the process begins, which would import them again
+        with contextlib.suppress(ModuleNotFoundError):
+            importlib.import_module(reader)
+    try:
+        return call_in_child(function, *arguments, subject=file, seconds=_SECONDS)
+    except UnreadableFileError as error:
+        raise MeshRefusedError(str(error)) from None
+
+
+def read_labels(path: str | Path, labels: Labels = None, transform: str | None = None) -> LabelVolume:
     """Reads the vessels of a label volume, or of a folder with one file a vessel.
 
     Args:
         path: of the file or folder.
         labels: vessel's name by label (its number, its name in the file, or the name of a file of a folder); it
             overrules what the file says.
+        transform: of NIfTI files, "sform" or "qform": which of their affines is taken; None: the sform where there is
+            one, with a note where the other differs.
 
     Raises:
         MeshRefusedError: with the reason.
     """
     path = Path(path).expanduser()
+    return in_child(_read_labels, path, labels, transform, file=path.name)
+
+
+def _read_labels(path: Path, labels: Labels, transform: str | None) -> LabelVolume:
     if not path.is_dir():
-        source = open_volume(path)
+        source = open_volume(path, transform)
         present = _count(source)
         choice = choose_labels(present, source.names, labels, path.name, partial(_misfit, source, present))
         return _box([(source, choice)], path.name, present)
-    return _folder(path, labels)
+    return _folder(path, labels, transform)
 
 
 def _misfit(source: VolumeSource, present: dict[Key, int], scheme: str, vessels: dict[Key, str]) -> str:
@@ -125,7 +160,7 @@ def file_stem(path: Path) -> str:
     return re.sub(r"(\.seg)?(\.nii\.gz|\.nii|\.nrrd|\.nhdr|\.mha|\.mhd)$", "", path.name, flags=re.IGNORECASE)
 
 
-def _folder(path: Path, labels: Labels) -> LabelVolume:
+def _folder(path: Path, labels: Labels, transform: str | None) -> LabelVolume:
     files = {file_stem(file): file for file in volume_files(path)}
     if not files:
         raise MeshRefusedError(f"{path} holds no file in {FORMATS} format; give a folder with one file a vessel.")
@@ -142,7 +177,7 @@ def _folder(path: Path, labels: Labels) -> LabelVolume:
     total: Counter[Key] = Counter()
     notes = []
     for key, vessel in choice.vessels.items():
-        source = open_volume(files[names[key]])
+        source = open_volume(files[names[key]], transform)
         present = _count(source)
         if not present:
             if vessel == AORTA:
@@ -282,11 +317,9 @@ def _shift(source: VolumeSource, first: VolumeSource) -> NDArray[np.int64]:
         np.diag([*[source.metres] * 3, 1.0]) @ source.affine
     )
     shift = np.rint(scaled[:3, 3])
-    if (
-        source.world != first.world
-        or np.abs(scaled[:3, :3] - np.eye(3)).max() > 1e-3
-        or (np.abs(scaled[:3, 3] - shift).max() > 0.05)
-    ):
+    moved = np.eye(4)
+    moved[:3, 3] = shift
+    if source.world != first.world or farthest_apart(scaled, moved, source.shape) > _SAME_LATTICE:
         raise MeshRefusedError(
             f"{source.path.name} and {first.path.name} lie on different lattices of voxels; export all vessels of one "
             "patient over the same volume."

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +18,8 @@ UNIT_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "micron": 1e-6, "um": 1e-6}
 _THINNEST, _THICKEST = 2e-5, 2e-2  # m, sides of a voxel
 _LEAST_SIDES = 4  # voxels along every axis
 _MOST_SHEAR = 0.05  # cosine of the angle between two of the volume's axes
+_ROUNDING = 1e-6  # cosine of such an angle that is none
+_NOTED = 0.5  # of a voxel's smallest side by which two headers may place a corner apart without a note
 # the patient's left, posterior and superior axis in a file's world, whose axes are named by letters
 FRAMES = {"RAS": (-1.0, -1.0, 1.0), "LPS": (1.0, 1.0, 1.0), "LAS": (1.0, -1.0, 1.0)}
 
@@ -41,7 +45,12 @@ class VolumeSource:
 
     def __post_init__(self) -> None:
         check_geometry(self.path, self.shape, self.affine, UNIT_METRES[self.unit])
-        size = float(np.prod(self.shape)) * self.layers * self.itemsize
+        straight = straightened(self.affine, self.shape)
+        if apart := disagreement(straight, self.affine, self.shape):
+            note = f"the file's axes are not quite at right angles: they are straightened, corners move by {apart:.2g}"
+            object.__setattr__(self, "notes", (*self.notes, f"{note} {self.unit}"))
+        object.__setattr__(self, "affine", straight)
+        size = float(math.prod(self.shape)) * self.layers * self.itemsize
         if size > LARGEST:
             raise MeshRefusedError(
                 f"{self.path.name} holds {size / 1e9:.1f} GB of values, at most {LARGEST / 1e9:g} GB are read; cut "
@@ -89,6 +98,38 @@ def require_one_volume(path: Path, sizes: Sequence[int], components: int = 1) ->
             f"{path.name} has {components} values a voxel, expected one label; save one of them as its own file."
         )
     return sizes[0], sizes[1], sizes[2]
+
+
+def corners(affine: Array, shape: Sequence[int]) -> Array:
+    """(8, 3) places of a volume's corner voxels in the file's world."""
+    at = np.array(list(itertools.product(*((0, size - 1) for size in shape))), dtype=np.float64)
+    places: Array = at @ affine[:3, :3].T + affine[:3, 3]
+    return places
+
+
+def farthest_apart(one: Array, other: Array, shape: Sequence[int]) -> float:
+    """How far two affines (4, 4) place a corner of a volume apart, in the unit of the file's world."""
+    return float(np.linalg.norm(corners(one, shape) - corners(other, shape), axis=1).max())
+
+
+def disagreement(one: Array, other: Array, shape: Sequence[int]) -> float:
+    """`farthest_apart`, 0 where that is less than half a voxel."""
+    apart = farthest_apart(one, other, shape)
+    return apart if apart > _NOTED * float(np.min(np.linalg.norm(one[:3, :3], axis=0))) else 0.0
+
+
+def straightened(affine: Array, shape: Sequence[int]) -> Array:
+    """The affine (4, 4) with the nearest axes at right angles, of the same lengths, about the volume's middle."""
+    sides = np.linalg.norm(affine[:3, :3], axis=0)
+    axes = affine[:3, :3] / sides
+    if np.abs(axes.T @ axes - np.eye(3)).max() < _ROUNDING:
+        return affine
+    left, _, right = np.linalg.svd(axes)
+    straight = affine.copy()
+    straight[:3, :3] = left @ right * sides
+    middle = (np.array(shape, dtype=np.float64) - 1) / 2
+    straight[:3, 3] += (affine[:3, :3] - straight[:3, :3]) @ middle
+    return straight
 
 
 def check_geometry(path: Path, shape: tuple[int, ...], affine: Array, metres: float) -> None:
