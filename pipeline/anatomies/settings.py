@@ -66,7 +66,7 @@ class FileSettings:
             if not Path(self.file).exists():
                 raise ConfigurationError(
                     f"phantom.file={self.file} is no file: give the path of a surface (STL, VTP, VTK, GLB, …), of a "
-                    "label volume (NIfTI, NRRD, MetaImage), or of a folder with one file a vessel"
+                    "label volume (NIfTI, NRRD, MetaImage, DICOM), or of a folder with one file a vessel"
                 )
             self.file_name = AnatomyFile(self.file).name
             self.file_sha256 = hash_anatomy(Path(self.file))
@@ -80,9 +80,10 @@ class FileSettings:
                 )
             if not getattr(self, self.shows_ct):
                 raise ConfigurationError(f"phantom.ct needs stage.{self.shows_ct}=true: give it, or leave out the CT")
-            if not Path(self.ct).is_file():
+            if not Path(self.ct).exists():
                 raise ConfigurationError(
-                    f"phantom.ct={self.ct} is no file: give the path of the CT (NIfTI, NRRD, MetaImage)"
+                    f"phantom.ct={self.ct} is no file: give the path of the CT (NIfTI, NRRD, MetaImage, or the "
+                    "folder of a DICOM series)"
                 )
             self.ct_sha256 = hash_anatomy(Path(self.ct))
 

@@ -18,6 +18,7 @@ from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 from cathsim.anatomy.vessel_names import vessel_name
+from cathsim.anatomy.volume.dicom.files import dicom_files
 from cathsim.anatomy.volume.files.detached import with_detached_data
 from cathsim.anatomy.volume.files.nifti import TRANSFORMS
 from cathsim.anatomy.volume.files.reading import FORMATS, LabelVolume, file_stem, read_labels, volume_files
@@ -83,7 +84,8 @@ def volume_digest(
     """The hash of the phantom that an import gives: of the files' content and the settings."""
     if path.is_dir():
         asked = {str(label) for label, _ in labels or ()}
-        files = [f for f in volume_files(path) if vessel_name(file_stem(f)) or file_stem(f) in asked]
+        volumes = volume_files(path)
+        files = [f for f in volumes if vessel_name(file_stem(f)) or file_stem(f) in asked] or dicom_files(path)
     elif path.exists():
         try:
             check_regular(path)

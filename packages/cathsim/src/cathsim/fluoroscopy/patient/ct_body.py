@@ -130,7 +130,7 @@ def ct_body(path: str | Path, phantom: ImportedPhantom, transform: str | None = 
     through the body goes on as soft tissue within the thorax of the scene "patient".
 
     Args:
-        path: of a NIfTI, NRRD or MetaImage file in Hounsfield units.
+        path: of a NIfTI, NRRD or MetaImage file in Hounsfield units, or of the folder of a DICOM series.
         phantom: imported from labels, or from a surface in the CT's coordinates.
         transform: of a NIfTI file, "sform" or "qform": which of its affines is taken.
 
@@ -143,7 +143,7 @@ def ct_body(path: str | Path, phantom: ImportedPhantom, transform: str | None = 
         raise MeshRefusedError(
             f"{path.name} has no place: the phantom was not imported from a file; a CT belongs to an imported anatomy."
         )
-    source, values = in_child(_read, path, transform, file=path.name)
+    source, values = in_child(_read, path, transform)
     for note in source.notes:
         logger.warning("%s: %s.", path.name, note)
     found, refusal = None, None
@@ -193,7 +193,7 @@ def ct_scene(
 
 
 def _read(path: Path, transform: str | None) -> tuple[VolumeSource, NDArray[np.int16]]:
-    source = open_volume(path, transform)
+    source = open_volume(path, transform, image=True)
     if source.layers != 1 or math.prod(source.shape) > _LARGEST:
         raise MeshRefusedError(f"{path.name} is too large for a CT ({source.shape} voxels); cut it to the chest.")
     values = np.empty(source.shape, dtype=np.int16)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from cathsim.anatomy.volume.dicom.reading import beside
 from cathsim.guarded_reading import UnreadableFileError, open_regular, referenced_file
 
 HEADERS = (".nhdr", ".mhd")
@@ -61,11 +62,13 @@ def named_files(path: Path) -> list[str]:
 
 
 def with_detached_data(files: Iterable[Path]) -> list[Path]:
-    """The same files, each header followed by the files that it names; without those that are not there."""
+    """The same files, each followed by those that it refers to: a header by its data, contours by their slices."""
     found = []
     for file in files:
         found.append(file)
-        if file.suffix.lower() in HEADERS and file.is_file():
+        if file.suffix.lower() not in HEADERS:
+            found += beside(file)
+        elif file.is_file():
             try:
                 found += [referenced_file(file, name) for name in named_files(file)]
             except UnreadableFileError:

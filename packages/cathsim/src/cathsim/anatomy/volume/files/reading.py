@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import AORTA, not_taken, vessel_name
+from cathsim.anatomy.volume.dicom.files import is_dicom_file, is_dicom_folder
+from cathsim.anatomy.volume.dicom.reading import open_dicom
 from cathsim.anatomy.volume.files import metaimage, nifti, nrrd_file
 from cathsim.anatomy.volume.files.source import VolumeSource, farthest_apart
 from cathsim.anatomy.volume.labels.choice import Key, LabelChoice, Labels, choose_labels
@@ -25,7 +27,7 @@ from cathsim.anatomy.volume.labels.scheme_check import CELL, misfit
 from cathsim.guarded_reading import UnreadableFileError, call_in_child, check_regular
 
 SUFFIXES = (*nifti.SUFFIXES, *nrrd_file.SUFFIXES, *metaimage.SUFFIXES)
-FORMATS = "NIfTI, NRRD or MetaImage"
+FORMATS = "NIfTI, NRRD, MetaImage or DICOM (SEG, RTSTRUCT)"
 _MOST_LITRES = 5.0  # of all vessels together
 _MOST_VOXELS = 2.5e8  # of the box around them
 _MOST_TAKEN = 60_000_000  # voxels of vessels
@@ -72,7 +74,9 @@ class LabelVolume:
 def is_volume_path(path: str | Path) -> bool:
     """Whether a path is that of a volume's file, or of a folder that holds some."""
     path = Path(path).expanduser()
-    return path.name.lower().endswith(SUFFIXES) or (os.path.isdir(path) and bool(volume_files(path)))
+    if path.name.lower().endswith(SUFFIXES) or is_dicom_file(path):
+        return True
+    return os.path.isdir(path) and (bool(volume_files(path)) or is_dicom_folder(path))
 
 
 def volume_files(folder: Path) -> list[Path]:
@@ -80,38 +84,50 @@ def volume_files(folder: Path) -> list[Path]:
     return sorted(p for p in folder.iterdir() if p.name.lower().endswith(SUFFIXES) and not p.name.startswith("."))
 
 
-def open_volume(path: Path, transform: str | None = None) -> VolumeSource:
+def open_volume(path: Path, transform: str | None = None, *, image: bool = False) -> VolumeSource:
     """Reads a volume's header.
 
     Args:
-        path: of its file.
+        path: of its file, or of a folder of DICOM files.
         transform: of a NIfTI file, "sform" or "qform": which of its affines is taken.
+        image: whether of DICOM files the CT is wanted, and not labels.
 
     Raises:
         MeshRefusedError: it is damaged, or no volume.
     """
     if not path.exists():
         raise MeshRefusedError(f"there is no file {path}; give a file in {FORMATS} format, or a folder of them.")
-    check_regular(path)
     name = path.name.lower()
+    if path.is_dir() or is_dicom_file(path):
+        _refuse_transform(path, transform)
+        return open_dicom(path, image=image)
+    check_regular(path)
     if name.endswith((*nrrd_file.SUFFIXES, *metaimage.SUFFIXES)):
-        if transform is not None:
-            raise MeshRefusedError(f"{path.name} has one affine; transform={transform!r} belongs to NIfTI files.")
+        _refuse_transform(path, transform)
         return nrrd_file.open_nrrd(path) if name.endswith(nrrd_file.SUFFIXES) else metaimage.open_metaimage(path)
     return nifti.open_nifti(path, transform)
 
 
-def in_child(function: Callable[..., Result], *arguments: Any, file: str) -> Result:
+def _refuse_transform(path: Path, transform: str | None) -> None:
+    if transform is not None:
+        raise MeshRefusedError(f"{path.name} has one affine; transform={transform!r} belongs to NIfTI files.")
+
+
+def in_child(function: Callable[..., Result], path: Path, *arguments: Any) -> Result:
     """What a reader of volumes returns, called in a process of its own, with limits of memory and time.
 
     Raises:
         MeshRefusedError: it was refused, crashed or took too much.
     """
-    for reader in ("nibabel", "nrrd", "SimpleITK"):  # before the process begins, which would import them again
-        with contextlib.suppress(ModuleNotFoundError):
-            importlib.import_module(reader)
+    name = path.name.lower()
+    kinds = {"nibabel": nifti.SUFFIXES, "nrrd": nrrd_file.SUFFIXES, "SimpleITK": metaimage.SUFFIXES}
+    reader = next((module for module, suffixes in kinds.items() if name.endswith(suffixes)), "")
+    if path.is_dir():
+        reader = "nibabel" if volume_files(path) else "pydicom.pixels"
+    with contextlib.suppress(ModuleNotFoundError):
+        importlib.import_module(reader or "pydicom.pixels")  # before the process begins, which would do it again
     try:
-        return call_in_child(function, *arguments, subject=file, seconds=_SECONDS)
+        return call_in_child(function, path, *arguments, subject=path.name, seconds=_SECONDS)
     except UnreadableFileError as error:
         raise MeshRefusedError(str(error)) from None
 
@@ -130,11 +146,11 @@ def read_labels(path: str | Path, labels: Labels = None, transform: str | None =
         MeshRefusedError: with the reason.
     """
     path = Path(path).expanduser()
-    return in_child(_read_labels, path, labels, transform, file=path.name)
+    return in_child(_read_labels, path, labels, transform)
 
 
 def _read_labels(path: Path, labels: Labels, transform: str | None) -> LabelVolume:
-    if not path.is_dir():
+    if not path.is_dir() or (is_dicom_folder(path) and not volume_files(path)):
         source = open_volume(path, transform)
         present = _count(source)
         choice = choose_labels(present, source.names, labels, path.name, partial(_misfit, source, present))
@@ -157,7 +173,7 @@ def _misfit(source: VolumeSource, present: dict[Key, int], scheme: str, vessels:
 
 def file_stem(path: Path) -> str:
     """A volume file's name without its endings."""
-    return re.sub(r"(\.seg)?(\.nii\.gz|\.nii|\.nrrd|\.nhdr|\.mha|\.mhd)$", "", path.name, flags=re.IGNORECASE)
+    return re.sub(r"(\.seg)?(\.nii\.gz|\.nii|\.nrrd|\.nhdr|\.mha|\.mhd|\.dcm)$", "", path.name, flags=re.IGNORECASE)
 
 
 def _folder(path: Path, labels: Labels, transform: str | None) -> LabelVolume:

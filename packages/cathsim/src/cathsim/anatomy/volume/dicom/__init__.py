@@ -1,0 +1,1 @@
+"""Volumes in DICOM files: series of slices, segmentations, contours of structure sets."""

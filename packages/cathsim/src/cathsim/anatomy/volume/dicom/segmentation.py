@@ -1,0 +1,135 @@
+"""Labels in a DICOM segmentation object: binary, fractional or a map of labels; names from its segments.
+
+Source: DICOM PS3.3, A.51 and C.8.20: functional groups give every frame its place and segment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.vessel_names import is_other, vessel_name
+from cathsim.anatomy.volume.dicom.files import CONVERTERS, Array, attribute, axes_of, numbers, read_dicom
+from cathsim.anatomy.volume.dicom.layers import Layers
+from cathsim.anatomy.volume.files.source import LARGEST, VolumeSource
+from cathsim.anatomy.volume.files.stream import BROKEN, in_words
+
+_OFF_GRID = 0.1  # of the distance between slices by which a frame may lie beside its place
+_MOST_SLICES = 10_000
+
+
+def open_segmentation(path: Path) -> VolumeSource:
+    """Reads a segmentation object.
+
+    Raises:
+        MeshRefusedError: it is damaged, lies on no lattice, or is of a kind that is not read.
+    """
+    header = read_dicom(path, pixels=True)
+    kind = str(header.get("SegmentationType", "")).upper()
+    if kind not in ("BINARY", "FRACTIONAL", "LABELMAP"):
+        raise MeshRefusedError(f"{path.name} is a segmentation of the unknown kind {kind!r}; {CONVERTERS}.")
+    groups = list(header.get("PerFrameFunctionalGroupsSequence", []))
+    shared = (list(header.get("SharedFunctionalGroupsSequence", [])) or [{}])[0]
+    frames, rows, columns = (int(header.get(key, 0)) for key in ("NumberOfFrames", "Rows", "Columns"))
+    if not frames or frames != len(groups) or float(frames) * rows * columns > LARGEST:
+        raise MeshRefusedError(
+            f"{path.name} is damaged, or too large: {frames} frames, {len(groups)} places; {CONVERTERS}."
+        )
+
+    def of_frame(group: Any, sequence: str, *names: str) -> Any:
+        return attribute(path, group if sequence in group else shared, sequence, *names)
+
+    axes = axes_of(
+        path,
+        of_frame(groups[0], "PlaneOrientationSequence", "ImageOrientationPatient"),
+        of_frame(groups[0], "PixelMeasuresSequence", "PixelSpacing"),
+    )
+    places = np.array([numbers(path, of_frame(g, "PlanePositionSequence", "ImagePositionPatient"), 3) for g in groups])
+    measures = (groups[0] if "PixelMeasuresSequence" in groups[0] else shared).get("PixelMeasuresSequence", [{}])[0]
+    told = float(measures.get("SpacingBetweenSlices", 0) or measures.get("SliceThickness", 0) or 0)
+    affine, at = _lattice(path, axes, places, told)
+    layers = Layers((columns, rows, int(at.max()) + 1), path.name)
+    names: dict[tuple[int, int], str] = {}
+    segments = {int(one.SegmentNumber): _name(one) for one in header.get("SegmentSequence", [])}
+    by_segment: dict[int, list[int]] = {}
+    for frame, group in enumerate(groups):
+        number = 0 if kind == "LABELMAP" else int(
+            of_frame(group, "SegmentIdentificationSequence", "ReferencedSegmentNumber")
+        )  # fmt: skip
+        by_segment.setdefault(number, []).append(frame)
+    limit = 0.5 * float(header.get("MaximumFractionalValue", 1)) if kind == "FRACTIONAL" else 0.5
+    for number, some in by_segment.items():
+        images = _frames(path, header, some)
+        if kind == "LABELMAP":
+            maps = {int(at[frame]): image for frame, image in images}
+            for value in np.unique(np.concatenate([np.unique(image) for image in maps.values()])):
+                if value:
+                    names[layers.add(int(value), {k: image == value for k, image in maps.items()}), int(value)] = (
+                        segments.get(int(value), "")
+                    )
+            continue
+        masks: dict[int, NDArray[np.bool_]] = {}
+        for frame, image in images:
+            masks[int(at[frame])] = masks.get(int(at[frame]), False) | (image >= limit)
+        names[layers.add(number, masks), number] = segments.get(number, "")
+    notes = ("the segmentation is fractional: half and more is taken",) if kind == "FRACTIONAL" else ()
+    return VolumeSource(
+        path, layers.shape, affine, "LPS", "mm", 2, layers.slabs, len(layers.volumes), names, notes
+    )  # fmt: skip
+
+
+def _lattice(path: Path, axes: Array, places: Array, told: float) -> tuple[Array, NDArray[np.int64]]:
+    """The affine (4, 4), and the slice of every frame; slices without any segment have no frame."""
+    along = places @ axes[:, 2]
+    first = places[int(np.argmin(along))]
+    apart = np.diff(np.unique(np.round(along, 3)))
+    step = float(apart.min()) if len(apart) else told
+    if (
+        told > 0
+        and len(apart)
+        and np.abs(along / told - along.min() / told - np.rint((along - along.min()) / told)).max() < _OFF_GRID
+    ):
+        step = told
+    if not step > 0 or (along.max() - along.min()) / step > _MOST_SLICES:
+        raise MeshRefusedError(f"{path.name} does not say how far its slices lie apart; {CONVERTERS}.")
+    at = np.rint((along - along.min()) / step)
+    off = places - first - at[:, None] * step * axes[:, 2]
+    if np.abs(off).max() > _OFF_GRID * max(step, float(np.linalg.norm(axes[:, 0]))):
+        raise MeshRefusedError(f"{path.name} has frames that lie on no one lattice of voxels; {CONVERTERS}.")
+    affine = np.eye(4)
+    affine[:3, :2], affine[:3, 2], affine[:3, 3] = axes[:, :2], step * axes[:, 2], first
+    return affine, at.astype(np.int64)
+
+
+def _frames(path: Path, header: Any, some: list[int]) -> Iterator[tuple[int, NDArray]]:
+    """Frames by number, each (columns, rows)."""
+    from pydicom.pixels import iter_pixels
+
+    try:
+        for frame, image in zip(some, iter_pixels(header, indices=some, raw=True), strict=True):
+            yield frame, np.asarray(image).T
+    except (*BROKEN, AttributeError, NotImplementedError, RuntimeError) as error:
+        raise MeshRefusedError(f"{path.name} cannot be read: {in_words(error)}; {CONVERTERS}.") from None
+
+
+def _name(segment: Any) -> str:
+    """What a segment is called: its label, or its coded structure with its side where the label says nothing."""
+    label = str(segment.get("SegmentLabel", "")).strip()
+    if vessel_name(label) or is_other(label):
+        return label
+    for sequence in ("SegmentedPropertyTypeCodeSequence", "AnatomicRegionSequence"):
+        for coded in segment.get(sequence, []):
+            sides = [
+                str(side.get("CodeMeaning", ""))
+                for key in ("SegmentedPropertyTypeModifierCodeSequence", "AnatomicRegionModifierSequence")
+                for side in [*coded.get(key, []), *segment.get(key, [])]
+            ]
+            meaning = " ".join([*dict.fromkeys(sides), str(coded.get("CodeMeaning", ""))])
+            if vessel_name(meaning):
+                return meaning
+    return label

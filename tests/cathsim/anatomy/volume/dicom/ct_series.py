@@ -1,0 +1,88 @@
+"""A small patient in DICOM files: the slices of a CT, and the vessels that segmentations of it hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+SHAPE = (24, 20, 8)
+SPACING = (0.8, 0.9, 2.0)  # mm: along a row, along a column, between slices
+ORIGIN = (40.0, -30.0, 12.0)
+VESSELS = {1: "aorta", 2: "Left subclavian artery"}
+
+
+def axes() -> np.ndarray:
+    """Columns of the volume's axes in the patient's: turned about the third, with the second tipped."""
+    a, b = 0.3, 0.2
+    first = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    return first @ np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+
+
+def masks() -> dict[int, np.ndarray]:
+    """Voxels (nx, ny, nz) of both vessels, which overlap."""
+    aorta, branch = np.zeros(SHAPE, dtype=bool), np.zeros(SHAPE, dtype=bool)
+    aorta[4:12, 5:13] = True
+    branch[10:20, 7:10, 3:6] = True
+    return {1: aorta, 2: branch}
+
+
+def affine(turn: np.ndarray) -> np.ndarray:
+    """(4, 4) from indices to mm."""
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = turn * SPACING, ORIGIN
+    return found
+
+
+def write_series(
+    folder: Path, values: np.ndarray, turn: np.ndarray | None = None, *, series: str = "1.2.3.4", **more: Any
+) -> list[Path]:
+    """Writes slices by pydicom, in files whose names are in no order.
+
+    Args:
+        folder: that takes them.
+        values: (nx, ny, nz) Hounsfield units.
+        turn: (3, 3) columns of the axes; the patient's where it is left out.
+        series: SeriesInstanceUID.
+        more: further attributes of each slice.
+    """
+    from pydicom.dataset import FileDataset, FileMetaDataset
+    from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
+
+    turn = np.eye(3) if turn is None else turn
+    folder.mkdir(exist_ok=True)
+    paths = []
+    for k in range(values.shape[2]):
+        meta = FileMetaDataset()
+        meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = CTImageStorage, f"{series}.{k + 1}"
+        meta.TransferSyntaxUID = ExplicitVRLittleEndian
+        path = folder / f"{(5 * k + 3) % 97:02d}_{series}.dcm"
+        one = FileDataset(str(path), {}, file_meta=meta, preamble=bytes(128))
+        one.SOPClassUID, one.SOPInstanceUID = CTImageStorage, f"{series}.{k + 1}"
+        one.Modality, one.PatientName, one.PatientID = "CT", "Nobody", "0"
+        one.PatientBirthDate, one.PatientSex, one.AccessionNumber, one.ReferringPhysicianName = "", "", "", ""
+        one.StudyInstanceUID, one.SeriesInstanceUID, one.FrameOfReferenceUID = "1.2.3.5", series, "1.2.3.6"
+        one.StudyID, one.StudyDate, one.StudyTime, one.SeriesNumber, one.InstanceNumber = (
+            "1",
+            "20200101",
+            "000000",
+            3,
+            k + 1,
+        )
+        one.SeriesDescription, one.Manufacturer, one.ManufacturerModelName = "THORAX", "None", "None"
+        one.DeviceSerialNumber, one.SoftwareVersions, one.PositionReferenceIndicator = "0", "0", ""
+        one.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
+        one.Rows, one.Columns = values.shape[1], values.shape[0]
+        one.PixelSpacing, one.SliceThickness = [SPACING[1], SPACING[0]], SPACING[2]
+        one.ImageOrientationPatient = [*turn[:, 0], *turn[:, 1]]
+        one.ImagePositionPatient = list(np.array(ORIGIN) + k * SPACING[2] * turn[:, 2])
+        one.SamplesPerPixel, one.PhotometricInterpretation = 1, "MONOCHROME2"
+        one.BitsAllocated, one.BitsStored, one.HighBit, one.PixelRepresentation = 16, 16, 15, 0
+        one.RescaleSlope, one.RescaleIntercept = 0.5, -1024
+        one.PixelData = ((values[:, :, k].T + 1024) / 0.5).astype("<u2").tobytes()
+        for key, value in more.items():
+            setattr(one, key, value)
+        one.save_as(path)
+        paths.append(path)
+    return paths

@@ -1,0 +1,169 @@
+"""DICOM series, segmentations and structure sets, as highdicom, rt-utils, SimpleITK and pydicom write them."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cathsim.anatomy.importing import import_anatomy, import_digest, is_anatomy_path
+from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.volume.files.reading import open_volume, read_labels
+from tests.cathsim.anatomy.volume.dicom.ct_series import SHAPE, affine, axes, masks, write_series
+
+pydicom = pytest.importorskip("pydicom", reason="DICOM files need pydicom")
+
+REFERENCES = Path(__file__).parent / "references"
+
+
+def hounsfield() -> np.ndarray:
+    return np.random.default_rng(0).integers(-900, 900, SHAPE).astype(float)
+
+
+def whole(path: Path, **arguments: Any) -> tuple[dict[str, np.ndarray], Any]:
+    """Voxels of every vessel on the volume's own lattice."""
+    volume = read_labels(path, **arguments)
+    found = {}
+    for number, name in enumerate(volume.names, 1):
+        mask = np.zeros(volume.shape, dtype=bool)
+        window = tuple(slice(a, a + n) for a, n in zip(volume.first, volume.vessels.shape, strict=True))
+        mask[window] = volume.vessels == number
+        found[name] = mask
+    return found, volume
+
+
+def refused(path: Path, match: str, *, image: bool = True) -> None:
+    with pytest.raises(MeshRefusedError, match=match) as caught:
+        list(open_volume(path, image=image).slabs())
+    assert str(caught.value).endswith(".")
+
+
+def test_a_series_in_any_order_has_its_places_and_hounsfield_units(tmp_path: Path) -> None:
+    write_series(tmp_path / "ct", hounsfield(), axes())
+    source = open_volume(tmp_path / "ct", image=True)
+    np.testing.assert_allclose(source.affine, affine(axes()), atol=1e-6)
+    values = np.concatenate([slab[0] for _, slab in source.slabs()], axis=2)
+    np.testing.assert_array_equal(values, hounsfield())
+    assert (source.world, source.unit, source.notes) == ("LPS", "mm", ())
+
+
+def test_a_series_that_simpleitk_wrote(tmp_path: Path) -> None:
+    itk = pytest.importorskip("SimpleITK", reason="the reference writer")
+    image = itk.GetImageFromArray(hounsfield().astype(np.int16).T)
+    image.SetSpacing((0.8, 0.9, 2.0))
+    image.SetOrigin((40.0, -30.0, 12.0))
+    writer = itk.ImageFileWriter()
+    writer.KeepOriginalImageUIDOn()
+    (tmp_path / "ct").mkdir()
+    for k in range(SHAPE[2]):
+        one = image[:, :, k]
+        tags = {
+            "0008|0060": "CT", "0020|000e": "1.2.3.4", "0008|0018": f"1.2.3.4.{k}", "0020|0037": "1\\0\\0\\0\\1\\0",
+            "0020|0032": f"40\\-30\\{12 + 2 * k}", "0020|0013": str(k), "0008|0008": "DERIVED\\SECONDARY",
+        }  # fmt: skip
+        for key, value in tags.items():
+            one.SetMetaData(key, value)
+        writer.SetFileName(str(tmp_path / "ct" / f"{20 - k}.dcm"))
+        writer.Execute(one)
+    source = open_volume(tmp_path / "ct", image=True)
+    np.testing.assert_allclose(source.affine, affine(np.eye(3)), atol=1e-6)
+    np.testing.assert_array_equal(np.concatenate([slab[0] for _, slab in source.slabs()], axis=2), hounsfield())
+
+
+def test_series_that_are_none(tmp_path: Path) -> None:
+    folder = tmp_path / "ct"
+    paths = write_series(folder, hounsfield(), axes())
+    refused(paths[0], "one file of a DICOM series; give the folder")
+    refused(folder, "no labels: segment the vessels first", image=False)
+    refused(paths[0], "of the kind CT, expected a segmentation", image=False)
+    content = paths[4].read_bytes()
+    paths[4].unlink()
+    refused(folder, r"lacks slices: from .* mm there is none, elsewhere they lie 2 mm apart")
+    paths[4].write_bytes(content)
+    (folder / "again.dcm").write_bytes(content)
+    refused(folder, "two slices in one place")
+    (folder / "again.dcm").unlink()
+    paths[4].write_bytes(content[:-200])
+    refused(folder, "cannot be read: .*; export the series without compression, or convert the series to")
+    paths[4].write_bytes(content)
+    write_series(folder, hounsfield(), axes(), series="1.2.3.9")
+    refused(folder, r"holds 2 series of a CT: 3 THORAX \(8 files\), 3 THORAX \(8 files\)")
+
+
+def test_a_tilted_gantry_is_refused(tmp_path: Path) -> None:
+    for k, path in enumerate(write_series(tmp_path / "ct", hounsfield())):
+        one = pydicom.dcmread(path)
+        one.ImagePositionPatient = [40.0, -30.0 + 0.5 * k, 12.0 + 2 * k]
+        one.save_as(path)
+    refused(tmp_path / "ct", "gantry tilted by 14.0 degrees; resample it to right angles, as dcm2niix does")
+
+
+@pytest.mark.parametrize("kind", ["binary", "fractional", "labelmap"])
+def test_segmentations_of_highdicom(kind: str) -> None:
+    path = REFERENCES / f"highdicom_{kind}.dcm"
+    source = open_volume(path)
+    labels = {1: "aorta", 2: "lsa"} if kind != "binary" else None
+    if kind != "binary":  # labels called Segment_1 and Segment_2: the coded structures name them
+        assert sorted(source.names.values()) == ["Aorta", "Subclavian artery"]
+    found, volume = whole(path, labels=labels)
+    expected = masks()
+    if kind == "labelmap":
+        expected[1] &= ~expected[2]
+    low = np.rint(np.linalg.inv(affine(axes())) @ [*source.affine[:3, 3], 1])[:3].astype(int)
+    assert set(found) == {"aorta", "lsa"}
+    np.testing.assert_array_equal(
+        found["lsa"], expected[2][tuple(slice(a, a + n) for a, n in zip(low, volume.shape, strict=True))]
+    )
+    # where both overlap the smaller counts
+    np.testing.assert_array_equal(found["aorta"], (expected[1] & ~expected[2])[..., low[2] : low[2] + volume.shape[2]])
+    np.testing.assert_allclose(source.affine[:3, :3], affine(axes())[:3, :3], atol=1e-5)
+    assert any("fractional" in note for note in volume.notes) == (kind == "fractional")
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_contours_of_rt_utils(tmp_path: Path, beside: bool) -> None:
+    folder = tmp_path / "patient"
+    folder.mkdir()
+    shutil.copy(REFERENCES / "rt_utils.dcm", folder / "structures.dcm")
+    if beside:
+        write_series(folder, hounsfield(), PixelSpacing=[0.8, 0.8])
+    found, volume = whole(folder)
+    assert set(found) == {"aorta", "lsa"}
+    if beside:
+        expected = masks()
+        np.testing.assert_array_equal(found["lsa"], expected[2])
+        np.testing.assert_array_equal(found["aorta"], expected[1] & ~expected[2])
+        assert volume.notes == ()
+    else:
+        assert any("the series of the contours is not beside them" in note for note in volume.notes)
+        ml = found["aorta"].sum() * volume.voxel_volume
+        # contours run through the middles of voxels, which a lattice of their own cannot know: half a voxel is lost
+        assert 0.6 < ml / ((masks()[1] & ~masks()[2]).sum() * 0.8 * 0.8 * 2.0e-9) < 1.05
+
+
+def test_slices_beside_contours_are_part_of_the_hash(tmp_path: Path) -> None:
+    paths = write_series(tmp_path, hounsfield())
+    structures = tmp_path / "structures.dcm"
+    shutil.copy(REFERENCES / "rt_utils.dcm", structures)
+    for path in (structures, tmp_path):
+        assert is_anatomy_path(str(path))
+        source = {"path": path, "unit": None, "names": None}
+        before = import_digest(source, 1e-3)
+        content = paths[3].read_bytes()
+        paths[3].write_bytes(content[:-1] + b"x")
+        assert import_digest(source, 1e-3) != before
+        paths[3].write_bytes(content)
+
+
+def test_damaged_files_are_refused(tmp_path: Path) -> None:
+    for name in ("highdicom_binary.dcm", "highdicom_labelmap.dcm", "rt_utils.dcm"):
+        content = (REFERENCES / name).read_bytes()
+        for share in (0.3, 0.6, 0.9):
+            path = tmp_path / name
+            path.write_bytes(content[: int(share * len(content))])
+            with pytest.raises(MeshRefusedError) as caught:
+                import_anatomy(path, cache_dir=tmp_path / "cache")
+            assert "\n" not in str(caught.value)
