@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from annotated_types import Len
 
@@ -26,6 +26,7 @@ from pipeline.settings.kinds import (
     PathText,
     Seed,
     VesselLabels,
+    one_of,
 )
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_anatomy
@@ -53,7 +54,7 @@ class FileSettings:
     unit: str | None = None  # of a surface
     names: BranchNames = None  # of its branches: a mapping from automatic names, or a list from the heart on
     labels: VesselLabels = None  # of a label volume: which label is which vessel
-    transform: Literal["sform", "qform"] | None = None  # of NIfTI files: which of their affines is taken
+    transform: Annotated[str, one_of("sform", "qform")] | None = None  # of NIfTI files: which of their affines is taken
     ct: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # that it was segmented from
     file_name: FolderName | None = None  # filled in, as the next: what its anatomy is called
     file_sha256: str | None = None

@@ -222,6 +222,8 @@ def test_after_torch_has_computed_in_threads():
 def test_the_child_ends_with_its_parent(number: signal.Signals, tmp_path: Path):
     mark = tmp_path / "mark"
     code = (
+        "import signal\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # which a shell's background job ignores
         "from tests.cathsim.test_guarded_reading import lasting\n"
         "from cathsim.guarded_reading import call_in_child\n"
         f"call_in_child(lasting, {str(mark)!r}, subject='a.stl', seconds=1.0)\n"
@@ -237,11 +239,3 @@ def test_the_child_ends_with_its_parent(number: signal.Signals, tmp_path: Path):
     while _alive(int(mark.read_text())) and time.monotonic() < end:
         time.sleep(0.05)
     assert not _alive(int(mark.read_text()))
-
-
-def test_a_call_costs_little(child: str):
-    call_in_child(within, 0, subject="a.stl")
-    start = time.perf_counter()
-    for _ in range(3):
-        call_in_child(within, 0, subject="a.stl")
-    assert (time.perf_counter() - start) / 3 < (0.3 if child == "forked" else 5.0)

@@ -24,6 +24,16 @@ USES = [
     ("cathsim[metaimage]", "SimpleITK", "import cathsim; cathsim.import_anatomy('labels.mha')"),
     ("cathsim[pictures]", "matplotlib", "from cathsim.figure import new_figure; new_figure()"),
     ("cathsim[pictures]", "PIL", "from cathsim.viewing.film import film_palette; film_palette([], 2, 2)"),
+    (
+        "cathsim[surfaces]",
+        "lz4",
+        "from cathsim.anatomy.mesh.files.vtp import _unpacker; _unpacker('vtkLZ4DataCompressor')",
+    ),
+    (
+        "cathsim[dicom]",
+        "pydicom",
+        "from cathsim.anatomy.volume.dicom.files import read_dicom as r; r(__import__('pathlib').Path('run.dcm'))",
+    ),
     ("cathsim[volumes]", "nibabel", "import cathsim; cathsim.import_anatomy('labels.nii.gz')"),
     ("cathsim[volumes]", "nrrd", "import cathsim; cathsim.import_anatomy('labels.nrrd')"),
     ("guide3d[dicom]", "pydicom", "from guide3d.dicom import read_xray; read_xray('run.dcm')"),

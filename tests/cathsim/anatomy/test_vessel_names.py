@@ -122,10 +122,12 @@ def test_a_scenes_bones_are_no_lumen(tmp_path: Path):
         scene.export(tmp_path / "scene.glb")
         return tmp_path / "scene.glb"
 
-    parts, _, notes = read_parts(save("aorta", "lsa", "vertebral body", "aortic wall"))
+    surface = read_parts(save("aorta", "lsa", "vertebral body", "aortic wall"))
+    parts, notes = surface.parts, surface.notes
     assert {part.name for part in parts} == {"aorta", "lsa"}
     assert any("vertebral body" in note and "aortic wall" in note for note in notes)
-    parts, _, notes = read_parts(save("lumen", "spine"))
+    surface = read_parts(save("lumen", "spine"))
+    parts, notes = surface.parts, surface.notes
     assert [part.name for part in parts] == [""]
     assert np.ptp(parts[0].mesh.vertices[:, 0]) < 0.05
     assert notes == ("parts not taken, whose names are no known artery's: spine",)

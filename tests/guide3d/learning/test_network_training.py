@@ -67,7 +67,7 @@ def test_shape_network_learns_and_is_kept(data: Dataset, tmp_path: Path, form: s
         again.predict([np.zeros((64, 64), np.uint8)])
     with pytest.raises(ValueError, match="expected at least one image"):
         again.predict([])
-    with pytest.raises(ValueError, match="a network of kind shape, expected fgrn"):
+    with pytest.raises(ValueError, match="a network of kind 'shape', expected fgrn"):
         FGRNPredictor.load(tmp_path / "shape.pt")
 
 

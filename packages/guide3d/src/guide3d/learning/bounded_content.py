@@ -17,7 +17,8 @@ import torch
 from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 
-_STORAGES = ("Float", "Double", "Half", "BFloat16", "Byte", "Char", "Short", "Int", "Long", "Bool")
+_REAL = ("Float", "Double", "Half", "BFloat16", "Byte", "Char", "Short", "Int", "Long", "Bool")
+_STORAGES = (*_REAL, "ComplexFloat", "ComplexDouble")
 _KNOWN = {
     "collections OrderedDict",
     "torch._utils _rebuild_tensor_v2",

@@ -224,7 +224,7 @@ def test_folders(tmp_path: Path) -> None:
 
 def test_files_of_no_kind_that_is_read(tmp_path: Path) -> None:
     (tmp_path / "series").mkdir()
-    for path in (tmp_path / "series" / "1.dcm", tmp_path / "aorta.vtk"):
+    for path in (tmp_path / "series" / "1.dcm", tmp_path / "aorta.step"):
         path.write_text("x")
         for load in (import_anatomy, load_phantom):
             with pytest.raises(MeshRefusedError, match=f"{path.name} is no file of a kind .*: surfaces are STL"):
@@ -247,8 +247,8 @@ def test_a_reader_that_is_not_installed(tmp_path: Path, monkeypatch: pytest.Monk
     paths = save_nifti(tmp_path / "a.nii.gz", tubes(), AFFINE), save_slicer(tmp_path / "a.nrrd", tubes(), AFFINE, {})
     monkeypatch.setattr(builtins, "__import__", without)
     for path in paths:
-        with pytest.raises(MeshRefusedError, match=r"install cathsim\[volumes\]"):
+        with pytest.raises(MeshRefusedError, match=r"install 'endonav-cathsim\[volumes\]'"):
             read_labels(path)
     (tmp_path / "a.mha").write_text("x")
-    with pytest.raises(MeshRefusedError, match=r"install cathsim\[metaimage\]"):
+    with pytest.raises(MeshRefusedError, match=r"install 'endonav-cathsim\[metaimage\]'"):
         read_labels(tmp_path / "a.mha")

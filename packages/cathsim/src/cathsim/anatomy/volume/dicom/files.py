@@ -58,7 +58,7 @@ def read_dicom(path: Path, pixels: bool = False) -> Any:
     try:
         import pydicom
     except ModuleNotFoundError:
-        raise MeshRefusedError(f"{path.name} needs pydicom to be read: install cathsim[dicom], or pydicom.") from None
+        raise MeshRefusedError(f"{path.name} needs pydicom: pip install 'endonav-cathsim[dicom]'.") from None
     try:
         check_regular(path)
         return pydicom.dcmread(path, stop_before_pixels=not pixels)
