@@ -155,7 +155,7 @@ class RunFolder(FinishedItems):
 
     def _commits(self) -> list[str]:
         path = self._place / _COMMITS
-        words = path.read_text(encoding="utf-8").split() if path.is_file() else []
+        words = path.read_text("utf-8", "replace").split() if path.is_file() else []
         return [word for word in words if _COMMIT.fullmatch(word)]
 
     def _remove_links(self) -> None:

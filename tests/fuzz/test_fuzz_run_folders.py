@@ -46,7 +46,7 @@ def right(path: Path) -> bool:
     return all(file.is_file() and file.read_bytes() == name.encode() * 100 for name, file in contents.items())
 
 
-@fuzz(92, 1110, 1118, 1148, 1150, 1328)
+@fuzz(92, 1110, 1118, 1148, 1150, 1328, 138574)
 def test_run_folders(rng: random.Random, folder: Path) -> str:
     """A stage's folder counts as up to date only when every output is as it was written."""
     whole = "finished" if rng.random() < 0.6 else "unfinished"

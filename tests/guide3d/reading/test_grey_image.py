@@ -52,12 +52,14 @@ def test_what_cannot_be_read_is_one_sentence(image: np.ndarray, message: str) ->
     assert "\n" not in str(caught.value)
 
 
-def test_large_images_are_read_smaller_and_points_go_both_ways() -> None:
-    grey = grey_image(RNG.integers(0, 255, (2048, 1800), dtype=np.uint8))
-    assert grey.pixels.shape == (1024, 900)
+@pytest.mark.parametrize(("side", "shape"), [(1024, (1024, 901)), (512, (512, 451)), (2049, (2049, 1803))])
+def test_images_are_resampled_and_points_go_both_ways(side: int, shape: tuple[int, int]) -> None:
+    grey = grey_image(RNG.integers(0, 255, (2049, 1803), dtype=np.uint8)).resampled(side)
+    assert grey.pixels.shape == grey.outside.shape == shape
     points = RNG.uniform(0, 900, (5, 2))
     assert np.allclose(grey.from_given(grey.to_given(points)), points)
-    assert np.allclose(grey.to_given(np.zeros((1, 2))), 0.5)  # middle of the first two by two pixels
+    corners = np.array([[-0.5, -0.5], [shape[1] - 0.5, shape[0] - 0.5]])  # the border of the image stays its border
+    assert np.allclose(grey.to_given(corners), [[-0.5, -0.5], [1802.5, 2048.5]])
 
 
 def test_the_black_rim_is_not_exposed() -> None:

@@ -37,7 +37,7 @@ def test_other_kinds_of_image_give_the_same_curve(kind: str) -> None:
     elif kind == "colour channels":
         image = np.repeat(image[..., None], 3, axis=2)
     else:
-        image, scale, said = np.kron(image, np.ones((2, 2), np.uint8)), 2.0, "1/2 of its size"
+        image, scale, said = np.kron(image, np.ones((2, 2), np.uint8)), 2.0, "was read at 1024 x 1024 px"
     reading = read(image, READER)
     assert within(reading.points_px, (MAPS.points_px + 0.5) * scale - 0.5, 4.0 * scale) > 0.99
     assert any(said in message for message in reading.messages)

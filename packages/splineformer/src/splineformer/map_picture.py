@@ -1,7 +1,8 @@
 """Pictures of maps: what guide3d's reader makes of an X-ray image, for networks that read dark lines.
 
 At a quarter of its size an image has lost a wire of 1 to 2 px, or it cannot be told from the walls around it. The
-reader looks at the full size: its maps are drawn as dark lines on white, which stay visible when they are made small.
+reader looks at the full size, up to 1024 px: its maps are drawn as dark lines on white, which stay visible when they
+are made small.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from guide3d.opencv import cv2
-from guide3d.reading.grey_image import grey_image
+from guide3d.reading.grey_image import READ_PX, grey_image
 from guide3d.reading.image_reading import MapReader
 from splineformer.image_input import Picture
 
@@ -63,6 +64,7 @@ def picture_by_reader(image: ArrayLike, size_px: int, reader: MapReader) -> Pict
     """
     grey = grey_image(image)
     warnings = list(grey.messages)
+    grey = grey.resampled(min(max(grey.pixels.shape), READ_PX))
     picture, inverted = _read(grey.pixels, size_px, reader), False
     seen = wire_seen(picture)
     faint = _FAINT * size_px

@@ -1,4 +1,4 @@
-"""An image as readers take it: 8 bits of grey, of a size that was trained on, and what is not exposed in it."""
+"""An image as readers take it: 8 bits of grey, at the scales that were trained on, and what is not exposed in it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from guide3d.opencv import cv2
 
 SMALLEST_PX = 128  # of a side: a wire and what is around it
-LARGEST_PX = 1536  # of the longer side; larger images are read at half or a third of their size
+READ_PX = 1024  # of the longer side: in images of that size the reader knows wires 1 to 4.5 px wide
+_SMALL_PX = 512  # of the longer side, below which a wire may be too thin to be seen
 _COLOUR = 12  # grey levels between the channels of a pixel that is coloured
 _COARSE = 8
 
@@ -20,27 +21,49 @@ class GreyImage:
     """An image that can be read.
 
     pixels: (h, w) uint8
-    scale: px of the image given per px of `pixels`
+    scales: (2,) px of the image given per px of `pixels`, in x and y
     outside: (h, w) pixels that were not exposed: the black rim of a round field
     messages: what had to be done to the image, as sentences
     """
 
     pixels: NDArray[np.uint8]
-    scale: float
+    scales: NDArray[np.float64]
     outside: NDArray[np.bool_]
     messages: list[str]
 
+    @property
+    def scale(self) -> float:
+        """Px of the image given per px of `pixels`, mean of x and y."""
+        return float(self.scales.mean())
+
+    def resampled(self, side_px: int) -> GreyImage:
+        """The image with a longer side of `side_px`."""
+        height, width = self.pixels.shape
+        longer = max(height, width)
+        if longer == side_px:
+            return self
+        size = tuple(max(1, round(side * side_px / longer)) for side in (width, height))
+        way = cv2.INTER_AREA if longer > side_px else cv2.INTER_CUBIC
+        pixels = np.asarray(cv2.resize(self.pixels, size, interpolation=way), np.uint8)
+        return GreyImage(pixels, self.scales * (width / size[0], height / size[1]), not_exposed(pixels), self.messages)
+
+    def at_known_scales(self) -> list[GreyImage]:
+        """The image as it is, or made smaller where it is large; and enlarged, too, where it is small."""
+        longer = max(self.pixels.shape)
+        scales = [self.resampled(min(longer, READ_PX))]
+        return [*scales, self.resampled(READ_PX)] if longer < _SMALL_PX else scales
+
     def to_given(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Takes (n, 2) px of `pixels` to those of the image given."""
-        return (points + 0.5) * self.scale - 0.5
+        return (points + 0.5) * self.scales - 0.5
 
     def from_given(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Takes (n, 2) px of the image given to those of `pixels`."""
-        return (points + 0.5) / self.scale - 0.5
+        return (points + 0.5) / self.scales - 0.5
 
 
 def grey_image(image: ArrayLike) -> GreyImage:
-    """Checks an image and brings it to 8 bits.
+    """Checks an image and brings it to 8 bits, at its own scale.
 
     Args:
         image: (h, w), or (h, w, 3) without colours; bytes, 16 bits, or real numbers, in any range.
@@ -66,12 +89,7 @@ def grey_image(image: ArrayLike) -> GreyImage:
     if high - low < 1e-3 * max(abs(high), abs(low), 1e-9) or (values.dtype == np.uint8 and high - low < 3.0):
         raise ValueError(f"the image has no contrast: its grey values are {low:g} to {high:g}")
     pixels = values if values.dtype == np.uint8 else _eight_bits(values, messages)
-    factor = -(-max(height, width) // LARGEST_PX)
-    if factor > 1:
-        size = (-(-width // factor), -(-height // factor))
-        messages.append(f"the image of {width} x {height} px was read at 1/{factor} of its size")
-        pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA).astype(np.uint8)
-    return GreyImage(np.ascontiguousarray(pixels), float(factor), not_exposed(pixels), messages)
+    return GreyImage(np.ascontiguousarray(pixels), np.ones(2), not_exposed(pixels), messages)
 
 
 def not_exposed(pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -115,26 +116,34 @@ def read(
         ValueError: no image, a coloured or a tiny one, or one without any contrast.
     """
     grey = grey_image(image)
+    scales = grey.at_known_scales()
     network = reader or shipped_reader()
     notes = list(grey.messages)
-    before = None if prior is None else Prior(grey.from_given(prior.points_px))
-    found = _curves(network, grey, before, settings)
+    seen, found = _best(network, scales, prior, settings)
     if _score(found) < _FAINT_PX:
-        negative = replace(grey, pixels=255 - grey.pixels, outside=np.zeros_like(grey.outside))
-        other = _curves(network, negative, before, settings)
-        if _score(other) > 2.0 * max(_score(found), 0.0) + _NEGATIVE_SHARE * min(grey.pixels.shape):
-            found = other
+        negatives = [replace(one, pixels=255 - one.pixels, outside=np.zeros_like(one.outside)) for one in scales]
+        seen_inverted, other = _best(network, negatives, prior, settings)
+        if _score(other) > 2.0 * max(_score(found), 0.0) + _NEGATIVE_SHARE * min(seen_inverted.pixels.shape):
+            seen, found = seen_inverted, other
             notes.append("the image looks like a negative (wire brighter than its surroundings) and was inverted")
-    candidates = [_given(grey, curve) for curve in found.candidates]
-    others = [_given(grey, curve) for curve in found.others]
+    if seen.pixels.shape != grey.pixels.shape:
+        of, at = (" x ".join(str(side) for side in one.pixels.shape[::-1]) for one in (grey, seen))
+        notes.append(f"the image of {of} px was read at {at} px")
+    candidates = [_given(seen, curve) for curve in found.candidates]
+    others = [_given(seen, curve) for curve in found.others]
     return _reading(candidates, others, 0, notes)
 
 
-def _curves(
-    network: MapReader, grey: GreyImage, prior: Prior | None, settings: CurveReadingSettings | None
-) -> CurvesOfImage:
-    maps = network.maps(grey.pixels)
-    return read_curves(maps.wire, maps.tip, maps.catheter, grey.outside, prior, settings)
+def _best(
+    network: MapReader, scales: Sequence[GreyImage], prior: Prior | None, settings: CurveReadingSettings | None
+) -> tuple[GreyImage, CurvesOfImage]:
+    """The scale at which most certain wire is read, by its share of the image's side, and what is read there."""
+    readings = []
+    for grey in scales:
+        before = None if prior is None else Prior(grey.from_given(prior.points_px))
+        maps = network.maps(grey.pixels)
+        readings.append((grey, read_curves(maps.wire, maps.tip, maps.catheter, grey.outside, before, settings)))
+    return max(readings, key=lambda reading: _score(reading[1]) / max(reading[0].pixels.shape))
 
 
 def _score(curves: CurvesOfImage) -> float:
@@ -142,8 +151,6 @@ def _score(curves: CurvesOfImage) -> float:
 
 
 def _given(grey: GreyImage, curve: ImageCurve) -> ImageCurve:
-    if grey.scale == 1.0:
-        return curve
     return replace(curve, points_px=grey.to_given(curve.points_px), sd_px=curve.sd_px * grey.scale)
 
 

@@ -108,7 +108,8 @@ def _unpacker(compressor: str) -> Callable[[bytes, int], bytes] | None:
         try:
             import lz4.block  # type: ignore[import-untyped]
         except ModuleNotFoundError as error:
-            raise ValueError("it is compressed by LZ4: pip install 'endonav-cathsim[surfaces]', or write it with zlib") from error
+            what = "it is compressed by LZ4: pip install 'endonav-cathsim[surfaces]', or write it with zlib"
+            raise ValueError(what) from error
         return lambda data, size: lz4.block.decompress(data, uncompressed_size=size)
     raise ValueError(f"it is compressed by {compressor}, expected zlib, LZMA, LZ4 or none")
 
