@@ -23,7 +23,6 @@ IN_THE_WAY = {
     "stage folder is a file": ("runs/desk/report", A_FILE, "a file lies where a folder is needed"),
     "hydra folder is a file": ("runs/desk/.hydra", A_FILE, "a file lies where a folder is needed"),
     "manifest is a folder": ("runs/desk/report/manifest.json", A_FOLDER, "is a directory"),
-    "lock is a folder": ("runs/desk/report/.lock", A_FOLDER, "is a directory"),
     "log is a folder": ("runs/desk/.hydra/report/endonav.log", A_FOLDER, "is a directory"),
 }
 REFUSED_RUNS = {

@@ -92,6 +92,6 @@ def test_wrong_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     text = tmp_path / "text.stl"
     text.write_text("no mesh at all\n" * 20)
     assert main(["stage=phantoms", f"phantom.mesh={text}", f"runs_dir={tmp_path / 'runs'}"]) == 2
-    assert "text.stl holds no surface" in capsys.readouterr().err
+    assert "text.stl cannot be read as a mesh: it begins as no STL file" in capsys.readouterr().err
     assert main(["stage=phantoms", f"phantom.mesh={text}", "phantom.unit=foot", f"runs_dir={tmp_path / 'runs'}"]) == 2
     assert "unknown unit 'foot'; choose from m, cm, mm, inch" in capsys.readouterr().err
