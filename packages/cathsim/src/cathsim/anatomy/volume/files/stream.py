@@ -125,6 +125,6 @@ class ValueStream:
 
 
 def in_words(error: BaseException) -> str:
-    """The first line of an error's message, for a sentence."""
+    """The beginning of an error's message, for a sentence: libraries quote whole values."""
     text = str(error).strip()
-    return text.splitlines()[0].rstrip(".") if text else type(error).__name__
+    return text.splitlines()[0][:200].rstrip(".") if text else type(error).__name__
