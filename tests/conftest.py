@@ -30,7 +30,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(autouse=True)
 def logging_as_before() -> Iterator[None]:
-    """Undoes what a command line run in this process sets: levels, handlers, and loggers that are switched off."""
+    """Undoes what a command line run in this process sets: levels, handlers, and loggers that are switched off.
+
+    Handlers made before are kept from Hydra, which closes all that logging knows: absl's would close pytest's capture.
+    """
+    logging._handlerList.clear()
     root, manager = logging.getLogger(), logging.root.manager
     level, handlers, threshold = root.level, root.handlers[:], manager.disable
     known = {

@@ -151,8 +151,6 @@ def test_a_crash_a_hang_and_a_bomb_are_one_sentence(child: str, tmp_path: Path, 
     assert time.monotonic() - start < 5
     assert not _alive(int((tmp_path / "mark").read_text()))
     assert capfd.readouterr() == ("", "")
-    with pytest.raises(ChildProcessError):  # no zombie
-        os.waitpid(-1, os.WNOHANG)
 
 
 def _alive(process: int) -> bool:
