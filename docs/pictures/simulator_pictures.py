@@ -9,33 +9,10 @@ from PIL import Image, ImageDraw
 
 from cathsim import PHANTOMS, NavigateEnv, load_phantom
 from cathsim.blood.flow import picture as blood_picture
-from cathsim.observations.fluoroscopes import Fluoroscope
-from cathsim.planning.sampling import SamplingExpert
 from cathsim.viewing.camera_view import View
 
 FOLDER = Path(__file__).parent
 SIZE = 360
-
-
-def overview() -> None:
-    """An expert's episode into the BCA: fluoroscopy above, 3-D below, at four moments."""
-    environment = NavigateEnv("type_1", "bca", observation="tip")
-    expert = SamplingExpert(environment, seed=0)
-    fluoroscope = Fluoroscope(environment.simulation, SIZE)
-    view = View(environment.phantom, width=SIZE, height=SIZE)
-    goal = environment.task.goal(environment.phantom)
-    columns = []
-    environment.reset(seed=0)
-    done = False
-    while not done:
-        done = any(environment.step(expert.action())[2:4])
-        if environment.steps in (30, 60, 76) or done:
-            fluoroscope.update()
-            grey = np.repeat(fluoroscope.image()[:, :, None], 3, axis=2)
-            columns.append(np.concatenate((grey, view.render(environment.simulation, goal))))
-    expert.close()
-    view.close()
-    save(np.concatenate(columns, axis=1), "episode.png")
 
 
 def phantoms() -> None:
@@ -98,7 +75,6 @@ def save(picture: np.ndarray, name: str) -> None:
 
 
 if __name__ == "__main__":
-    overview()
     phantoms()
     blood()
     robot()

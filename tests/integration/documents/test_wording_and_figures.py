@@ -84,8 +84,8 @@ def test_the_thesis_is_cited() -> None:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if page.parent.name == "results"], ids=relative)
-def test_measured_figures_have_a_command(page: Path) -> None:
-    said = re.compile(r"^```|ot recorded|Command:", re.MULTILINE)
+def test_measured_figures_have_a_command_or_a_commit(page: Path) -> None:
+    said = re.compile(r"^```|ot recorded|ommits? (?:as|before|above)|`[0-9a-f]{7,8}`", re.MULTILINE)
     introduction, *sections = re.split(r"^## ", read(page), flags=re.MULTILINE)
     if not said.search(introduction):
         assert sections
