@@ -1,6 +1,6 @@
 """Import of anatomies from files: what is found in them, how long it takes, how much memory it needs.
 
-    python benchmarks/anatomy_import.py PATH|FOLDER [--quick] [--resolution MM] [--pictures FOLDER]
+    python benchmarks/anatomy/imports.py PATH|FOLDER [--quick] [--resolution MM] [--pictures FOLDER]
 
 Imports every surface (STL, OBJ, PLY, VTP, GLB), every label volume and every folder of one file a vessel, each in a
 process of its own and without any cache. Prints a table and, as its last line, one JSON object:
@@ -28,10 +28,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from cathsim.anatomy import MeshRefusedError, import_anatomy
-from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.mesh.parts.vessel_parts import is_folder_of_parts
 from cathsim.anatomy.mesh.reading import SUFFIXES
 from cathsim.anatomy.volume.files.reading import SUFFIXES as VOLUMES
+from tests.cathsim.anatomy.lumen_report import check_lumen
 
 QUICK_SECONDS, SECONDS = 60.0, 600.0
 LEAST_RADIUS = 6e-4  # m: a wire of 0.89 mm passes

@@ -1,15 +1,14 @@
-"""A wire in a catheter: statics against theory, stability under random motions, speed, forces of the expert.
+"""A wire in a catheter: stability under random motions, speed, forces of the expert.
 
-    python benchmarks/devices/catheter.py [--quick] [--parts A,B] [--seeds N] [--first-seed N] [--steps N]
+    python benchmarks/cathsim/catheter.py [--quick] [--parts A,B] [--seeds N] [--first-seed N] [--steps N]
         [--wire NAME] [--catheters A,B]
 
-Prints tables and, as its last line, one JSON object: cantilever_pct, the largest error of ten coverages; two_rods_deg,
-the largest angle between the ends of the composite rod and of two rods on one centreline; penetration_p99_mm, the
-largest of the catheters' 99th percentiles of the deepest penetration after each substep; nan, the number of runs that
-became invalid; speed_ratio, steps a second of processor time with the vertebral catheter over those of the bare wire
-(`accurate`, in turns, median), both devices fed together; speed_ahead_ratio, with the wire ahead; force_mean_n and
-force_sd_n, of the readings of a load cell under the phantom (ATI Mini40, SI-20-1, low-pass of 2 Hz) over the steps of
-the sampling expert with the vertebral catheter in Type I.
+Prints tables and, as its last line, one JSON object: penetration_p99_mm, the largest of the catheters' 99th percentiles
+of the deepest penetration after each substep; nan, the number of runs that became invalid; speed_ratio, steps a second
+of processor time with the vertebral catheter over those of the bare wire (`accurate`, in turns, median), both devices
+fed together; speed_ahead_ratio, with the wire ahead; force_mean_n and force_sd_n, of the readings of a load cell under
+the phantom (ATI Mini40, SI-20-1, low-pass of 2 Hz) over the steps of the sampling expert with the vertebral catheter in
+Type I.
 --wire and --catheters choose the devices of the random motions. --quick takes one seed, few steps and a small budget of
 the search, below 60 s.
 """
@@ -33,7 +32,6 @@ from cathsim.devices.shelf import SHAPES, load_catheter
 from cathsim.devices.simulation import DualSimulation
 from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP
 from cathsim.metrics.load_cell import MINI40, step_forces
-from cathsim.physics_checks.two_devices import cantilever_cases, coaxial_error_deg, default_pair
 from cathsim.physics_checks.unguided import steps_per_second
 from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
 from cathsim.planning.sampling import SamplingExpert
@@ -51,23 +49,11 @@ RESTART = 500  # control steps after which a run begins again in the sheath
 SPREAD = 0.4  # of a motion about that mean, in shares of a full step
 AHEAD = 0.5  # share of the wire's speed at which the catheter follows it
 AHEAD_STEPS = 240
-PARTS = ("theory", "stability", "speed", "forces")
+PARTS = ("stability", "speed", "forces")
 QUICK_EXPERT = ExpertSettings(samples=8, elites=3, rounds=1, primitives=True)
 ROUNDS, QUICK_ROUNDS = 9, 3
 SPEED_STEPS = 300
 DEEPEST = 0.5  # mm, the aim
-
-
-def theory() -> dict[str, float]:
-    """Cantilevers at ten coverages, and two coaxial rods."""
-    pair = default_pair()
-    print(f"{'cantilever':<16} {'measured':>10} {'theory':>10} {'error %':>8}")
-    cases = cantilever_cases(pair)
-    for case in cases:
-        print(f"{case.name:<16} {case.measured:10.5f} {case.theory:10.5f} {case.error_pct:+8.3f}")
-    apart = coaxial_error_deg(pair)
-    print(f"two coaxial rods, ends apart by at most {apart:.4f} deg")
-    return {"cantilever_pct": max(abs(case.error_pct) for case in cases), "two_rods_deg": apart}
 
 
 def random_motions(steps: int, generator: np.random.Generator) -> Array:
@@ -208,8 +194,6 @@ def main() -> None:
     if arguments.first_seed is not None:
         motions = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
     figures: dict[str, float] = {}
-    if "theory" in parts:
-        figures |= theory()
     if "stability" in parts:
         steps, seeds = (300, range(1)) if quick else (arguments.steps, motions)
         figures |= stability(steps, seeds, arguments.wire, arguments.catheters.split(","))

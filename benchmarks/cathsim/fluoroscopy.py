@@ -1,6 +1,6 @@
 """Bi-planar fluoroscopy: time to render, and how exactly image, mask and projected wire agree.
 
-    python benchmarks/fluoroscopy/speed.py [--quick] [--frames N]
+    python benchmarks/cathsim/fluoroscopy.py [--quick] [--frames N]
 
 The wire for registration is a curve given in closed form, no spline: it is sampled every 2 mm for the renderer, and
 every 0.05 mm for the truth, which goes through the exported matrix P and the distortion and never through the renderer.

@@ -5,7 +5,7 @@
     python benchmarks/enn/arch_variety.py --among FILE FILE FILE --draw
 
 One episode in each of so many arches of the test seeds a type, of which nothing was trained on; episode k of a type
-begins with seed k, as the sampling expert's in `benchmarks/cathsim/arch_variety.py` do. With `--steep`, that
+begins with seed k. With `--steep`, that
 policy steers with its own devices where the ostium of the target's branch is set back by --steep-from mm or more, which
 the scan tells beforehand. With `--attempt-steps` devices that have not arrived after so many steps are drawn back and
 try again, within the same episode. With `--exchange-after` what has not arrived after so many steps is drawn out, which

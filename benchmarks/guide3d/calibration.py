@@ -16,34 +16,9 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
-
 from guide3d.calibration.cube_calibration import calibrate_folder
 from guide3d.calibration.report import figures
-from guide3d.calibration.synthetic_xray import SyntheticDetector, cube_points_mm, draw_cube, draw_sheet
-from guide3d.geometry.camera import Camera
-from guide3d.image_file import write_png
-
-
-def draw_folder(folder: Path, seed: int = 0) -> None:
-    """Draw a sheet and a cube for two detectors into a folder."""
-    rng = np.random.default_rng(seed)
-    points = cube_points_mm()
-    marked = {"circle": 21, "double": 25, "single": 38}
-    for name, azimuth, focal, distance, swirl in (("A", 0.4, 5100.0, 1150.0, 0.03), ("B", 1.99, 4450.0, 900.0, -0.02)):
-        detector = SyntheticDetector(swirl=swirl)
-        z = np.array([np.cos(azimuth), np.sin(azimuth), 0.06])
-        z /= np.linalg.norm(z)
-        x = np.cross([0.0, 0.0, -1.0], z)
-        x /= np.linalg.norm(x)
-        R = np.array([x, np.cross(z, x), z])
-        K = np.array([[focal, 9.0, 500.0], [0.0, 0.995 * focal, 530.0], [0.0, 0.0, 1.0]])
-        camera = Camera(K, R, -R @ (points.mean(axis=0) - distance * z), 1024, 1024)
-        write_png(draw_sheet(detector, rng, irregular=0.1)[0], folder / f"undistort_{name}.png")
-        write_png(draw_cube(detector, camera, points, rng, marked)[0], folder / f"drawn_{name}.png")
-    rows = "\n".join(",".join(f"{value:g}" for value in row) for row in points / 10)
-    (folder / "framespec_cm.csv").write_text(f"x,y,z\n{rows}\n")
-    (folder / "marks.ref").write_text("".join(f"{bead + 1} {kind}\n" for kind, bead in marked.items()))
+from tests.guide3d.calibration.drawn_cube import write_folder
 
 
 def main() -> int:
@@ -56,7 +31,7 @@ def main() -> int:
         parser.error("expected a folder of images, or --quick")
     with tempfile.TemporaryDirectory() as drawn:
         if chosen.folder is None:
-            draw_folder(Path(drawn))
+            write_folder(Path(drawn))
         start = time.process_time()
         try:
             calibration = calibrate_folder(chosen.folder or drawn, chosen.swirl)

@@ -1,6 +1,6 @@
 """Real X-ray images: how well the wire in them is read, against annotated curves, in the image and in space.
 
-    python benchmarks/real_xray.py FOLDER CURVES --cameras DIR [--reader FILE] [--overlays FOLDER]
+    python benchmarks/guide3d/real_xray.py FOLDER CURVES --cameras DIR [--reader FILE] [--overlays FOLDER]
 
 FOLDER holds the images. CURVES is a JSON file of either kind, points tip first, px of the images as recorded:
 

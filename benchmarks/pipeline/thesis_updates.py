@@ -31,7 +31,6 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO, SAC
 
-from benchmarks.enn.blank_environment import Blank
 from enn.networks.features import MultimodalExtractor, modality_keys
 from enn.reinforcement.training.settings import THESIS_PPO, THESIS_SAC
 from guide3d.learning.build import SEGMENTER_SIZES, SEGMENTERS, SHAPE_SIZES, build_segmenter, build_shape_network
@@ -54,6 +53,22 @@ ROWS: dict[str, tuple[tuple[str, ...], int, str]] = {
 NUMBERS = {"joints": 336, "internal": 2352}
 CHANNELS = {"image": 1, "mask": 1, "sequential": 3}
 ACTIONS = {"enn": 2, "baselines": 21}
+
+
+class Blank(gymnasium.Env[Any, Any]):
+    """Gives one random observation of a space, for ever; takes actions of any number of values in [-1, 1]."""
+
+    def __init__(self, observation_space: gymnasium.spaces.Space[Any], actions: int) -> None:
+        self.action_space = gymnasium.spaces.Box(-1, 1, (actions,), np.float32)
+        self.observation_space = observation_space
+        self._observation = observation_space.sample()
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        return self._observation, {}
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        return self._observation, 0.0, False, False, {}
 
 
 def spaces_of(keys: tuple[str, ...], image_px: int) -> gymnasium.spaces.Dict:

@@ -32,7 +32,6 @@ RECORDS = {
     *(
         "anatomy.distance_grid:LatticeField",
         "anatomy.distance_grid:SignedDistanceGrid",
-        "anatomy.lumen_report:LumenReport",
         "anatomy.measurement.sections:Sections",
     ),
     *("lattice.node_blocks:NodeBlocks", "lattice.node_set:NodeSet"),
@@ -73,7 +72,6 @@ RECORDS = {
     "metrics.load_cell:StepForces",
     *("metrics.forces:ForceComparison", "physics_checks.contact:Helix", "physics_checks.rig:TheoryCheck"),
     *("physics_checks.statics:Column", "planning.scripted_motions:Script", "planning.manoeuvres:Manoeuvre"),
-    *("planning.state_search:FoundStates", "planning.state_search:_Cell"),
     *("statics.ensemble_summary:ContactForces", "statics.ensemble_summary:Estimate", "statics.feeder:Feeder"),
     *("statics.observed_curve:ObservedCurve", "statics.resting_contacts:RestingContacts"),
     *("statics.uncertainty:Deviation", "statics.drawn_errors:DrawnErrors"),

@@ -12,7 +12,6 @@ import pytest
 
 import guide3d
 from guide3d.calibration.pinhole_fit import IntrinsicPrior
-from guide3d.calibration.synthetic_xray import SyntheticDetector
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.distortion import Distortion
 from guide3d.learning import training
@@ -48,7 +47,6 @@ EVERYTHING: dict[Any, str] = {
     MatchingSettings(): "length_per_mm=0 tip_reach_px=0 uneven_per_px=0",
     curve_fitting.CurveFitSettings(): "",
     ReconstructionSettings(): "annotation_px=0 outside_px=0",
-    SyntheticDetector(): "pincushion=0 swirl=-1 swirl=0",
     Preprocessing(64): "flat_px=0 line_px=0",
     SphericalForm(1.7, WORLD, 0.0, 1.5): "axes=-1 azimuth=-1 azimuth=0 polar=-1 polar=0",
     ShapeSize(stem=(8, 8)): "dropout=0 kept=0",

@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("fastapi", reason="the extra cathsim[console] is not installed")
 pytest.importorskip("websockets", reason="the extra cathsim[console] is not installed")
 
-from benchmarks.cathsim.headless_browser import Tab, find_browser, running_console, wait_until
+from tests.headless_browser import Tab, find_browser, running_console, wait_until
 
 pytestmark = pytest.mark.skipif(
     find_browser() is None, reason="no Chromium is installed (Debian: apt install chromium)"

@@ -16,7 +16,7 @@ import numpy as np
 from cathsim import ACCURACY, NavigateEnv, load_guidewire
 from cathsim.anatomy import Branch, Phantom, SignedDistanceGrid, VesselTree
 from cathsim.anatomy.entry import locate_entries
-from cathsim.anatomy.lumen_report import check_lumen
+from tests.cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.phantom import Target
 from cathsim.anatomy.phantom_cache import PhantomCache
 from cathsim.blood.field import blood_field

@@ -8,7 +8,7 @@ import pytest
 from cathsim.anatomy import SignedDistanceGrid
 from cathsim.anatomy.generator.random_arch import sample_parameters
 from cathsim.anatomy.library import NAMED, build_phantom
-from cathsim.anatomy.lumen_report import check_lumen
+from tests.cathsim.anatomy.lumen_report import check_lumen
 
 
 def _changed(phantom, change):

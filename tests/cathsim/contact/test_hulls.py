@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.cathsim.wall_fit import chords, wall_fit
 from cathsim import Phantom, Simulation
 from cathsim.anatomy.surface import open_ends
 from cathsim.contact import hulls as hulls_module
 from cathsim.contact.hull_vessel import BORE_SIDES, HullVessel, hull_vessel
 from cathsim.contact.hulls import Decomposition, Hull, wall_hulls
 from cathsim.contact.sdf import SHEATH_NAME
+from tests.cathsim.contact.wall_fit import chords, wall_fit
 
 MakeSimulation = Callable[..., Simulation]
 QUICK = Decomposition(threshold=0.12, lattice=3e-3, search=15)

@@ -130,7 +130,7 @@ def test_noise_has_the_size_and_grain_it_should(fluoroscope):
     part = np.s_[:, 350:450, 180:330]
     assert frames[part].mean() == pytest.approx(clean[part[1:]].mean(), abs=0.1)
     rest = frames[part] - frames[part].mean(axis=0)
-    assert 1.2 < rest.std() < 1.6  # real images of 512 px: 1.1 and 1.2 (docs/results/fluoroscopy.md)
+    assert 1.2 < rest.std() < 1.6  # real images of 512 px: 1.1 and 1.2 (docs/results/simulator.md)
     # half the size: half the screen's blur in px, so that neighbours correlate little
     beside = (rest[:, :, 1:] * rest[:, :, :-1]).mean() / rest.var()
     assert 0.02 < beside < 0.3

@@ -34,7 +34,7 @@ def test_observations_are_noisy_images_and_a_contrast_run_alone() -> None:
     # the noise is another one in every step, and the lumen is not filled while the wire moves
     images.append(env.step(0 * FORWARD)[0]["image"].astype(float))
     lit = images[0] > 40
-    # as much of one image as real ones of this size have, and half as much again (docs/results/fluoroscopy.md)
+    # as much of one image as real ones of this size have, and half as much again (docs/results/simulator.md)
     assert 0.35 < np.std((images[0] - images[1])[lit]) / np.sqrt(2) < 0.7
     plain, contrast = contrast_run(env.phantom, 96, env.simulation.wire.radius)
     filled = plain.astype(float) - contrast

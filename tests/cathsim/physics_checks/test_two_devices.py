@@ -7,7 +7,7 @@ import pytest
 
 from cathsim.devices.catheter import Catheter
 from cathsim.physics_checks.rig import TheoryCheck
-from cathsim.physics_checks.two_devices import (
+from tests.cathsim.physics_checks.two_device_theory import (
     cantilever_cases,
     coaxial_error_deg,
     default_pair,

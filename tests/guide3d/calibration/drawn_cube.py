@@ -8,9 +8,9 @@ import numpy as np
 from PIL import Image
 from scipy.spatial import cKDTree
 
-from guide3d.calibration.synthetic_xray import SyntheticDetector, cube_points_mm, draw_cube, draw_sheet
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.distortion import Distortion
+from tests.guide3d.calibration.synthetic_xray import SyntheticDetector, cube_points_mm, draw_cube, draw_sheet
 
 MARKED = {"circle": 21, "double": 25, "single": 38}
 DETECTORS = {

@@ -11,7 +11,6 @@ from guide3d.calibration.bead_cube import attenuation, find_beads, measure_beads
 from guide3d.calibration.cube_orientation import candidates, decide
 from guide3d.calibration.lattice_camera import CubeLattice, recognise_lattice
 from guide3d.calibration.pinhole_fit import IntrinsicPrior
-from guide3d.calibration.synthetic_xray import draw_cube
 from guide3d.calibration.wire_marks import WireMark, find_marks
 from guide3d.geometry.camera import Camera
 from tests.guide3d.calibration.drawn_cube import (
@@ -23,6 +22,7 @@ from tests.guide3d.calibration.drawn_cube import (
     looking_camera,
     turned_cube,
 )
+from tests.guide3d.calibration.synthetic_xray import draw_cube
 
 LATTICE = CubeLattice.of(POINTS_MM)
 

@@ -18,7 +18,7 @@ REAL = next(
 def test_the_benchmark_of_real_images_stays_near_its_figures() -> None:
     if REAL is None or not (REAL / "xray_wires").is_dir():
         pytest.skip("the real X-ray images (shared/real/xray_wires beside the project) are not here")
-    words = ["benchmarks/real_xray.py", str(REAL / "xray_wires"), str(REAL / "stereo_pairs.json")]
+    words = ["benchmarks/guide3d/real_xray.py", str(REAL / "xray_wires"), str(REAL / "stereo_pairs.json")]
     done = subprocess.run(
         [sys.executable, *words, "--cameras", str(REAL / "xray_calibration")],
         cwd=ROOT, capture_output=True, text=True, check=True,

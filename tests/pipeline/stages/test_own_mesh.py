@@ -10,10 +10,10 @@ import pytest
 import trimesh
 
 from cathsim.anatomy import load_phantom
-from cathsim.anatomy.volume.rasterising import rasterise, save_nifti
 from pipeline.launch import main
 from pipeline.stages.phantoms import PhantomsSettings
 from pipeline.store.errors import ConfigurationError
+from tests.cathsim.anatomy.volume.rasterising import rasterise, save_nifti
 
 
 @pytest.fixture

@@ -46,7 +46,7 @@ class Accuracy:
 
 
 # The motion is quasi-static, so more than the wire's mass changes forces little and keeps contacts stiff at long steps.
-# With a catheter fewer repetitions come nearly as near to `reference` (benchmarks/devices/time_steps.py).
+# With a catheter fewer repetitions come nearly as near to `reference` (docs/results/two_devices.md).
 ACCURACY: dict[str, Accuracy] = {
     "reference": Accuracy(timestep=0.001, refinement=4),
     "accurate": Accuracy(

@@ -12,12 +12,12 @@ import trimesh
 
 from cathsim.anatomy import ImportReport, MeshRefusedError, Phantom, import_mesh, load_phantom
 from cathsim.anatomy.library import phantom_described, phantom_description
-from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.mesh import importer
 from cathsim.anatomy.mesh.reading import Triangles, clean_triangles
 from cathsim.anatomy.mesh.samples import sample_surface
 from cathsim.anatomy.surface import _cut, open_ends
 from cathsim.anatomy.vessel_tree import nearest_on_branch
+from tests.cathsim.anatomy.lumen_report import check_lumen
 
 COARSE = 2e-3
 REAL = Path(__file__).resolve().parents[5] / "shared" / "real" / "phantoms" / "low_tortuosity.stl"

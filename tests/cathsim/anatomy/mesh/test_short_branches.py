@@ -10,10 +10,10 @@ import pytest
 
 from cathsim.anatomy import Branch, MeshRefusedError, Phantom, VesselTree, import_mesh
 from cathsim.anatomy.lumen import build_lumen
-from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.surface import lumen_surface
 from cathsim.anatomy.vessel_tree import nearest_on_branch
 from tests.cathsim.anatomy.generator.drawn_arch import BOW, LIMB, WIDTH, arch_mesh, arch_tree
+from tests.cathsim.anatomy.lumen_report import check_lumen
 
 REAL = Path(__file__).resolve().parents[5] / "shared" / "real" / "aortas"
 COARSE = 2e-3

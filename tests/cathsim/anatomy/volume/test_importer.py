@@ -9,15 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.anatomy.volume_variants import write_volume_variant
 from cathsim.anatomy import Phantom, import_anatomy, load_phantom
 from cathsim.anatomy.library import phantom_described, phantom_description
-from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.surface import open_ends
 from cathsim.anatomy.vessel_tree import nearest_on_branch
 from cathsim.anatomy.volume.importer import _volume_notes
-from cathsim.anatomy.volume.rasterising import IDS, rasterise, save_nifti, save_slicer
+from tests.cathsim.anatomy.lumen_report import check_lumen
+from tests.cathsim.anatomy.volume.rasterising import IDS, rasterise, save_nifti, save_slicer
 
 nibabel = pytest.importorskip("nibabel", reason="label volumes need nibabel")
 pytest.importorskip("nrrd", reason="label volumes need pynrrd")
@@ -113,10 +112,12 @@ def test_steps_of_slices_are_not_felt(imported: Phantom, phantom: Phantom) -> No
 def test_finer_copies_of_voxels_and_axes_upside_down_give_the_same_vessels(
     tmp_path: Path, thick: Path, imported: Phantom, cache: Path
 ) -> None:
-    fine = write_volume_variant(thick, "subdivided", tmp_path, 0)
-    image = nibabel.load(fine)
-    turned = np.diag([1.0, -1.0, -1.0, 1.0]) @ image.affine  # half a turn about the axis from right to left
-    nibabel.save(nibabel.Nifti1Image(np.asarray(image.dataobj), turned), fine)
+    fine, image = tmp_path / thick.name, nibabel.load(thick)
+    halves = image.affine @ np.diag([0.5, 0.5, 0.5, 1.0])
+    halves[:, 3] = image.affine @ [-0.25, -0.25, -0.25, 1.0]
+    turned = np.diag([1.0, -1.0, -1.0, 1.0]) @ halves  # half a turn about the axis from right to left
+    twice = np.asarray(image.dataobj).repeat(2, 0).repeat(2, 1).repeat(2, 2)
+    nibabel.save(nibabel.Nifti1Image(twice, turned, image.header), fine)
     found = import_anatomy(fine, resolution=COARSE, cache_dir=cache)
     assert found.imported is not None
     notes = "; ".join(found.imported.notes)

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("websockets", reason="the extra cathsim[console] is not installed")
 
-from benchmarks.cathsim.headless_browser import Tab, find_browser, wait_until
+from tests.headless_browser import Tab, find_browser, wait_until
 from tests.pipeline.report.full_run import add_full_run
 from tests.pipeline.stages.test_report import run_report
 

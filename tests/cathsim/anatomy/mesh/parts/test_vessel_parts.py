@@ -12,12 +12,12 @@ from skimage.measure import marching_cubes
 
 from cathsim.anatomy import Branch, MeshRefusedError, VesselTree, import_mesh
 from cathsim.anatomy.lumen import build_lumen
-from cathsim.anatomy.lumen_report import check_lumen
 from cathsim.anatomy.mesh.parts.vessel_parts import is_folder_of_parts, pieces, read_parts
 from cathsim.anatomy.mesh.reading import Triangles
 from cathsim.anatomy.surface import lumen_surface
 from cathsim.anatomy.vessel_tree import nearest_on_branch
 from tests.cathsim.anatomy.generator.drawn_arch import arch_tree
+from tests.cathsim.anatomy.lumen_report import check_lumen
 
 COARSE = 2e-3
 FILES = {"aorta": "aorta.stl", "bca": "brachiocephalic_trunk.stl", "lcca": "left_common_carotid.obj", "lsa": "LSA.ply"}

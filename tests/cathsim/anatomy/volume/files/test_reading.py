@@ -14,7 +14,7 @@ from cathsim.anatomy.importing import import_anatomy, is_anatomy_path
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.files.reading import open_volume, read_labels
 from cathsim.anatomy.volume.labels.choice import AORTASEG24, choose_labels
-from cathsim.anatomy.volume.rasterising import save_nifti, save_slicer
+from tests.cathsim.anatomy.volume.rasterising import save_nifti, save_slicer
 
 nibabel = pytest.importorskip("nibabel", reason="label volumes need nibabel")
 nrrd = pytest.importorskip("nrrd", reason="label volumes need pynrrd")

@@ -12,7 +12,7 @@ from cathsim.anatomy import Phantom, import_anatomy
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.files.reading import read_labels
 from cathsim.anatomy.volume.labels.checks import check_labels
-from cathsim.anatomy.volume.rasterising import rasterise, save_nifti
+from tests.cathsim.anatomy.volume.rasterising import rasterise, save_nifti
 
 pytest.importorskip("nibabel", reason="label volumes need nibabel")
 

@@ -12,7 +12,7 @@ from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_tree import nearest_on_branch
 from cathsim.anatomy.volume.files.reading import LabelVolume, read_labels
 from cathsim.anatomy.volume.labels.choice import choose_labels
-from cathsim.anatomy.volume.rasterising import IDS, rasterise, save_nifti
+from tests.cathsim.anatomy.volume.rasterising import IDS, rasterise, save_nifti
 
 pytest.importorskip("nibabel", reason="label volumes need nibabel")
 
