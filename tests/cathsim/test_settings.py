@@ -32,7 +32,6 @@ RECORDS = {
     *(
         "anatomy.distance_grid:LatticeField",
         "anatomy.distance_grid:SignedDistanceGrid",
-        "anatomy.measurement.sections:Sections",
     ),
     *("lattice.node_blocks:NodeBlocks", "lattice.node_set:NodeSet"),
     *("anatomy.entry:Entry", "anatomy.phantom:Phantom", "anatomy.phantom:Target"),

@@ -15,10 +15,10 @@ def smooth(tube: VesselTree):
 
 def wall(grid, tube: VesselTree) -> np.ndarray:
     """Distance of the grid's wall from the axis of the tube, on many rays, m."""
-    from cathsim.anatomy.measurement.sections import wall_radii
-
-    points = tube.root.points[8:-8]
-    return wall_radii(grid, points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), 0.02)
+    angle, reach = np.arange(48) * 2 * np.pi / 48, np.arange(0.0, 0.02, 1e-4)
+    rays = np.stack((np.cos(angle), np.sin(angle), np.zeros(48)), axis=1)
+    along = grid.sample(tube.root.points[8:-8, None, None] + reach[:, None] * rays[:, None])
+    return reach[np.argmax(along <= 0, axis=-1)]
 
 
 def test_height_is_that_of_the_relief(smooth, tube: VesselTree) -> None:
