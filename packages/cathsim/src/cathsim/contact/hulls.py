@@ -31,7 +31,7 @@ logger = logging.getLogger(__name__)
 
 DECOMPOSITION_VERSION = 1  # raise it whenever the same settings give other hulls
 CONTACTS = ("sdf", "hulls")  # backends for contact between wire and wall
-# CoACD's search, made three times as fast as by default at the same fit (docs/results/simulator.md)
+# CoACD's search, made three times as fast as by default at the same fit
 SAMPLES, CUTS, DEPTH = 1000, 10, 2
 
 

@@ -1,1 +1,1 @@
-"""Measures of a phantom's shape, as an anatomist takes them from a scan."""
+"""How far branches' ostia are set back, as it decides which devices get in."""
