@@ -10,6 +10,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from enn.reinforcement.free_memory import available_bytes
 from pipeline.config import RunConfig, anatomy_not_taken
 from pipeline.jobs.costs import OWN_PROCESS, CostMeter, keep_cost
 from pipeline.jobs.engines.choice import chosen_engine
@@ -65,7 +66,7 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
         started, meter = time.monotonic(), CostMeter()
         context = _context(config, folder, run_path, {name: path for name, (path, _) in inputs.items()})
         try:
-            with chosen_engine(config.engine):
+            with chosen_engine(config.engine, available_bytes):
                 stage.run(config.stage, context)
         except ModuleNotFoundError as error:  # packages import their heavier dependencies where they need them
             raise missing_module(stage.name, error) from error

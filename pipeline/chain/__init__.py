@@ -1,1 +1,1 @@
-"""Several stages of a run: in which order, beside each other or not, and how long they take."""
+"""Several stages of a run: in which order, and beside each other or not."""

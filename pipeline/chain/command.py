@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
-from pipeline.chain.durations import minutes_here
 from pipeline.chain.running import run
-from pipeline.chain.steps import after_inputs, chosen_value, concerns, steps_of
-from pipeline.config import BUDGETS
+from pipeline.chain.steps import after_inputs, concerns, steps_of
 from pipeline.printing import say, written
 from pipeline.stages import available_stages
 
 _USAGE = """\
-{command} [--estimate] [--seeds N] [--beside N] all|[--inputs] STAGE ... -- [OVERRIDE ...]
+{command} [--seeds N] [--beside N] all|[--inputs] STAGE ... -- [OVERRIDE ...]
 
-Runs all stages, or some, one after the other, and says how long the rest will take.
+Runs all stages, or some, one after the other, and says how far it is.
 
   --inputs     the stages after those that they read
   --seeds N    stages whose figures depend on the seed run with seeds 0 to N - 1; the report shows means and intervals
   --beside N   up to N stages that do not need each other run at the same time and share cores, memory and GPUs
-  --estimate   only estimates time and memory on 1, 8 and 64 machines, from the times of jobs
 
 Overrides go to every stage, e.g. budget=desk name=desk engine=ray, stage.KEY=VALUE to those that have the setting, e.g.
 stage.device=cuda, and stage@NAME.KEY=VALUE to one. It ends with the first stage that fails; the same command goes on
 from there.
 """
-_EXIT_USAGE, _EXIT_INTERRUPTED = 2, 130
-_ALL, _INPUTS, _ESTIMATE, _SEEDS = "all", "--inputs", "--estimate", "--seeds"
-_BESIDE = "--beside"
+_EXIT_USAGE = 2
+_ALL, _INPUTS, _SEEDS, _BESIDE = "all", "--inputs", "--seeds", "--beside"
 _MOST_SEEDS = 20  # that pipeline.seeds has ranges for
 _MOST_BESIDE = 64
-_WORTH_SAYING = 0.1  # difference of this machine's pace from that of the known minutes
 
 
 def main(arguments: list[str]) -> int:
@@ -48,8 +40,8 @@ def main(arguments: list[str]) -> int:
     except ValueError as error:
         say(str(error), error=True)
         return _EXIT_USAGE
-    with_inputs, only_estimate = _INPUTS in stages, _ESTIMATE in stages
-    stages = [name for name in stages if name not in (_INPUTS, _ESTIMATE)]
+    with_inputs = _INPUTS in stages
+    stages = [name for name in stages if name != _INPUTS]
     stages = list(available_stages()) if stages == [_ALL] else stages
     unknown = [name for name in stages if name not in available_stages()]
     if unknown or not stages:
@@ -62,16 +54,7 @@ def main(arguments: list[str]) -> int:
     if foreign:
         say(f"no stage of the chain has the setting {foreign[0]!r}: name its stage, or leave it out", error=True)
         return _EXIT_USAGE
-    steps = steps_of(stages, seeds)
-    if only_estimate:
-        return _estimate([step.stage for step in steps], overrides)
-    try:
-        known, pace = minutes_here([step.stage for step in steps], overrides)
-    except KeyboardInterrupt:  # no stage has begun
-        return _EXIT_INTERRUPTED
-    if abs(pace - 1) > _WORTH_SAYING:
-        say(f"== this machine takes {pace:.1f} times as long as the one whose minutes are known")
-    return run(steps, overrides, known, beside)
+    return run(steps_of(stages, seeds), overrides, beside)
 
 
 def _taken(words: list[str], option: str, largest: int) -> int:
@@ -84,16 +67,3 @@ def _taken(words: list[str], option: str, largest: int) -> int:
     if not number.isdecimal() or not 1 <= int(number) <= largest:
         raise ValueError(f"{option} needs a whole number from 1 to {largest}, got {number or 'nothing'!r}")
     return int(number)
-
-
-def _estimate(stages: Sequence[str], overrides: Sequence[str]) -> int:
-    """Prints the estimate of a chain; the exit code."""
-    from pipeline.chain.estimate import report
-
-    budget = chosen_value(overrides, "budget", "desk")
-    if budget not in BUDGETS:
-        say(f"unknown budget {budget!r}: choose one of {', '.join(BUDGETS)}", error=True)
-        return _EXIT_USAGE
-    run_path = Path(chosen_value(overrides, "runs_dir", "runs")) / chosen_value(overrides, "name", budget)
-    say(report(stages, budget, run_path))
-    return 0

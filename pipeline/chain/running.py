@@ -1,7 +1,7 @@
 """Runs the steps of a chain, each in a process of its own, as if called by itself.
 
 One after the other, a stage has the terminal, with its own progress. Beside each other, stages that do not need one
-another share the machine (`pipeline.jobs.engines.shared_machine`), and each line begins with the step's name.
+another share the machine (`pipeline.jobs.machine`), and each line begins with the step's name.
 """
 
 from __future__ import annotations
@@ -12,16 +12,15 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from types import FrameType
 from typing import IO, Any
 
 from enn.reinforcement.free_memory import available_bytes
-from pipeline.chain.durations import minutes_left, worded
-from pipeline.chain.steps import Step, concerns, minutes_to_the_end, waits_for
+from pipeline.chain.steps import Step, concerns, steps_to_the_end, waits_for
 from pipeline.jobs.engines.local import available_workers
-from pipeline.jobs.engines.shared_machine import shared_machine
+from pipeline.jobs.machine import shared_machine
 from pipeline.printing import say
 
 _SECONDS_BETWEEN_LOOKS = 0.1
@@ -34,15 +33,14 @@ class _Running:
 
     place: int
     process: subprocess.Popen[str]
-    minutes: float = 0.0  # of the machine: half of those in which one other step ran, too
+    began: float = field(default_factory=time.monotonic)
     readers: list[threading.Thread] = field(default_factory=list)
 
 
-def run(steps: Sequence[Step], overrides: Sequence[str], known: Mapping[str, float], beside: int = 1) -> int:
+def run(steps: Sequence[Step], overrides: Sequence[str], beside: int = 1) -> int:
     """Runs the steps; it ends with the first that fails, and asks those beside that one to stop.
 
     Args:
-        known: minutes of stages, for the estimate of the end.
         beside: steps at the same time.
 
     Returns:
@@ -50,31 +48,28 @@ def run(steps: Sequence[Step], overrides: Sequence[str], known: Mapping[str, flo
     """
     room = shared_machine(available_workers(), available_bytes() / _GB) if beside > 1 else contextlib.nullcontext()
     with room, _Processes() as processes:
-        return _Chain(steps, overrides, known, beside, processes).run()
+        return _Chain(steps, overrides, beside, processes).run()
 
 
 class _Chain:
     """Which steps are done, which are under way, and which wait."""
 
     def __init__(
-        self, steps: Sequence[Step], overrides: Sequence[str], known: Mapping[str, float], beside: int,
-        processes: _Processes,
+        self, steps: Sequence[Step], overrides: Sequence[str], beside: int, processes: _Processes
     ) -> None:  # fmt: skip
-        self._steps, self._overrides, self._known, self._beside = steps, overrides, known, beside
-        self._processes = processes
+        self._steps, self._overrides, self._beside, self._processes = steps, overrides, beside, processes
         self._waiting = list(range(len(steps)))
         # one after the other they are in order anyway, and a stage that is missing says so itself
         self._needs = [waits_for(steps, place) if beside > 1 else [] for place in self._waiting]
         if beside > 1:  # what the most waits for comes first, or the last stages would run alone
-            minutes = minutes_to_the_end(steps, known)
-            self._waiting.sort(key=lambda place: -minutes[place])
+            count = steps_to_the_end(steps)
+            self._waiting.sort(key=lambda place: -count[place])
         self._done: set[int] = set()
-        self._spent: list[tuple[str, float]] = []
-        self._started = 0
+        self._spent: dict[str, float] = {}  # minutes of each stage
+        self._started, self._began = 0, time.monotonic()
 
     def run(self) -> int:
-        began, code = time.monotonic(), 0
-        looked = began
+        code = 0
         under_way = self._processes.under_way
         while True:
             while not code and (place := self._next()) is not None:
@@ -82,10 +77,6 @@ class _Chain:
             code = code or self._processes.code
             if not under_way:
                 break
-            now = time.monotonic()
-            for running in under_way:
-                running.minutes += (now - looked) / 60 / len(under_way)
-            looked = now
             for running in [one for one in under_way if one.process.poll() is not None]:
                 failed = self._end(running)
                 if failed and not code:  # those that are stopped fail, too
@@ -94,11 +85,13 @@ class _Chain:
             time.sleep(_SECONDS_BETWEEN_LOOKS)
         if code:
             return code
-        each = {name: sum(minutes for other, minutes in self._spent if other == name) for name, _ in self._spent}
-        longest = sorted(each, key=lambda name: -each[name])[:3]
-        parts = ", ".join(f"{name} {worded(each[name])}" for name in longest)
-        say(f"== all {len(self._steps)} stages in {worded((time.monotonic() - began) / 60)}: most of it {parts}")
+        longest = sorted(self._spent, key=lambda name: -self._spent[name])[:3]
+        parts = ", ".join(f"{name} {worded(self._spent[name])}" for name in longest)
+        say(f"== all {len(self._steps)} stages in {self._so_far()}: most of it {parts}")
         return 0
+
+    def _so_far(self) -> str:
+        return worded((time.monotonic() - self._began) / 60)
 
     def _next(self) -> int | None:
         """The first step that may start now."""
@@ -108,10 +101,8 @@ class _Chain:
 
     def _start(self, place: int) -> None:
         step = self._steps[place]
-        under_way = [(self._steps[one.place].stage, one.minutes) for one in self._processes.under_way]
-        left = minutes_left([self._steps[later].stage for later in self._waiting], under_way, self._spent, self._known)
         self._started += 1
-        told = "" if left is None else f"; about {worded(left)} left in all"
+        told = f"; {len(self._done)} done in {self._so_far()}" if self._done else ""
         say(f"== stage {self._started} of {len(self._steps)}: {step}{told}")
         own = [w.replace(f"stage@{step.stage}.", "stage.", 1) for w in self._overrides if concerns(w, step.stage)]
         own += [] if step.seed is None else [f"seed={step.seed}"]
@@ -128,7 +119,8 @@ class _Chain:
         if code:
             return int(code) if code > 0 else 128 - int(code)
         self._done.add(running.place)
-        self._spent.append((self._steps[running.place].stage, running.minutes))
+        stage = self._steps[running.place].stage
+        self._spent[stage] = self._spent.get(stage, 0.0) + (time.monotonic() - running.began) / 60
         return 0
 
 
@@ -189,3 +181,11 @@ class _Processes:
 def _tell(lines: IO[str], name: str, error: bool) -> None:
     for line in lines:
         say(f"{name} | {line}", error=error)
+
+
+def worded(minutes: float) -> str:
+    """For example ``40 s``, ``12 min`` or ``2 h 05 min``."""
+    if minutes < 1:
+        return f"{60 * minutes:.0f} s"
+    hours, rest = divmod(round(minutes), 60)
+    return f"{hours} h {rest:02d} min" if hours else f"{rest} min"

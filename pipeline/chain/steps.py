@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 from pipeline.settings.quoting import unquoted
@@ -35,18 +35,13 @@ def waits_for(steps: Sequence[Step], place: int) -> list[int]:
     ]
 
 
-def minutes_to_the_end(steps: Sequence[Step], known: Mapping[str, float]) -> list[float]:
-    """How long the longest chain of steps is that begins with each: the step, one that waits for it, and so on.
-
-    Args:
-        known: minutes of stages; others count as nothing.
-    """
-    needs = [waits_for(steps, place) for place in range(len(steps))]
-    minutes = [0.0] * len(steps)
+def steps_to_the_end(steps: Sequence[Step]) -> list[int]:
+    """How many steps the longest chain has that begins with each: the step, one that waits for it, and so on."""
+    count = [1] * len(steps)
     for place in reversed(range(len(steps))):
-        later = max((minutes[k] for k in range(place + 1, len(steps)) if place in needs[k]), default=0.0)
-        minutes[place] = known.get(steps[place].stage, 0.0) + later
-    return minutes
+        for earlier in waits_for(steps, place):
+            count[earlier] = max(count[earlier], count[place] + 1)
+    return count
 
 
 def chosen_value(overrides: Sequence[str], key: str, default: str) -> str:

@@ -1,4 +1,4 @@
-"""GPUs: the one place that knows what `stage.device` means, which GPUs there are, and which job computes on which.
+"""GPUs: what `stage.device` means, and which GPUs there are.
 
 `auto` is `cuda` where there is a GPU and `cpu` where there is none; `cuda` shares the jobs out among all GPUs that
 torch sees, `cuda:1` takes the second one alone. A job's process sees its own GPU and no other, as `cuda`.
@@ -10,7 +10,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from pipeline.store.errors import ConfigurationError, StageError
@@ -18,7 +18,6 @@ from pipeline.store.errors import ConfigurationError, StageError
 CPU, CUDA, AUTO = "cpu", "cuda", "auto"
 VISIBLE = "CUDA_VISIBLE_DEVICES"
 CUDA_CONTEXT_BYTES = 650_000_000  # that a process uses of a GPU before it has any tensor there: on an H100
-_GB = 1e9
 _SECONDS_TO_LOOK = 120.0
 # In a process of its own, which ends: whoever asks a GPU for its memory keeps some of it for as long as it lives.
 _LOOK = """
@@ -58,7 +57,7 @@ def find_gpus() -> list[Gpu]:
     ]
 
 
-def check_device(device: str) -> None:
+def check_device(device: str, find: Callable[[], Sequence[Gpu]] = find_gpus) -> None:
     """Refuses a GPU that there is not.
 
     Raises:
@@ -66,9 +65,7 @@ def check_device(device: str) -> None:
     """
     if device in (CPU, AUTO):
         return
-    import torch
-
-    count = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    count = len(find())
     if count == 0:
         raise ConfigurationError(
             f"stage.device={device}, but torch finds no GPU: install a build of torch for its CUDA "
@@ -90,69 +87,3 @@ def gpus_of(device: str, found: Sequence[Gpu]) -> list[Gpu]:
 
 def _index(device: str) -> int:
     return int(device.partition(":")[2] or 0)
-
-
-class GpuShare:
-    """Which job computes on which GPUs, and how much of their memory is promised."""
-
-    def __init__(self, gpus: Sequence[Gpu]) -> None:
-        self.gpus = list(gpus)
-        self._promised: dict[str, tuple[tuple[int, ...], float]] = {}  # key to GPUs and bytes on each
-
-    def require_room(self, key: str, gigabytes: float, count: int = 1) -> None:
-        """Refuses a job that would wait for ever.
-
-        Args:
-            gigabytes: of memory that it needs on each GPU.
-
-        Raises:
-            StageError: there are fewer GPUs, or they have less memory free.
-        """
-        wide = sum(gpu.free_bytes >= gigabytes * _GB for gpu in self.gpus)
-        if wide >= count:
-            return
-        most = max(gpu.free_bytes for gpu in self.gpus) / _GB
-        raise StageError(
-            f"{key} needs {count} GPU{'s' if count > 1 else ''} with about {gigabytes:.1f} GB free, of "
-            f"{len(self.gpus)} {wide} have so much, {most:.1f} GB the most: free memory there, or set stage.device=cpu"
-        )
-
-    def take(
-        self, key: str, gigabytes: float, count: int = 1, elsewhere: Mapping[str, float] | None = None
-    ) -> tuple[Gpu, ...] | None:
-        """Promises a job memory on the GPUs with the most room.
-
-        Args:
-            gigabytes: on each.
-            elsewhere: bytes of GPUs that jobs of other stages were promised, by `Gpu.visible`.
-
-        Returns:
-            The GPUs; None while there is no room.
-        """
-        others = elsewhere or {}
-        room = [self.room(index) - others.get(gpu.visible, 0.0) for index, gpu in enumerate(self.gpus)]
-        chosen = tuple(sorted(range(len(room)), key=lambda index: (-room[index], index))[:count])
-        if len(chosen) < count or any(room[index] < gigabytes * _GB for index in chosen):
-            return None
-        self._promised[key] = chosen, gigabytes * _GB
-        return tuple(self.gpus[index] for index in chosen)
-
-    def measured(self, key: str, bytes_used: int) -> None:
-        """Takes note of what a job really uses of each GPU, where that is more than it was promised."""
-        chosen, promised = self._promised[key]
-        self._promised[key] = chosen, max(promised, float(bytes_used))
-
-    def promised(self, key: str) -> dict[str, float]:
-        """Bytes of each of a job's GPUs, by `Gpu.visible`; none for a job that has none."""
-        chosen, promised = self._promised.get(key, ((), 0.0))
-        return {self.gpus[index].visible: promised for index in chosen}
-
-    def give_back(self, key: str) -> None:
-        """A job has ended."""
-        self._promised.pop(key, None)
-
-    def room(self, index: int) -> float:
-        """Bytes of a GPU that are promised to nobody."""
-        return self.gpus[index].free_bytes - sum(
-            promised for chosen, promised in self._promised.values() if index in chosen
-        )

@@ -19,17 +19,14 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
-from enn.reinforcement.free_memory import available_bytes
 from pipeline.jobs.costs import keep_cost
 from pipeline.jobs.display import JobDisplay, JobState
 from pipeline.jobs.engines.choice import make_engine
-from pipeline.jobs.engines.interface import AGAIN, ENDED, STARTED, Engine, Notes
 from pipeline.jobs.gpus import CPU, Gpu, find_gpus
 from pipeline.jobs.job import Job
-from pipeline.jobs.worker import Message, Report
+from pipeline.jobs.worker import AGAIN, ENDED, STARTED, Message, Report
 from pipeline.store.errors import StageError
 from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.run_folder import RunFolder
@@ -38,19 +35,9 @@ __all__ = ["Job", "Report", "run_jobs"]
 
 SECONDS_TO_STOP = 60.0  # that a job may take to write its checkpoint
 _SECONDS_BETWEEN_LOOKS = 0.25
+_NAMED = 5  # failed jobs in the sentence
 
 _LOGGER = logging.getLogger(__name__)
-
-
-@dataclass
-class _Taken:
-    """A job that the engine has taken."""
-
-    job: Job
-    state: JobState
-    failure: str | None = None
-    result: Any = None
-    answered: bool = False
 
 
 def run_jobs(
@@ -62,7 +49,7 @@ def run_jobs(
     preload: Sequence[str] = (),
     device: str = CPU,
     find: Callable[[], Sequence[Gpu]] = find_gpus,
-    available: Callable[[], int] = available_bytes,
+    available: Callable[[], int] | None = None,
 ) -> dict[str, Any]:
     """Runs the jobs that are not done yet, several beside each other, by the engine that was chosen.
 
@@ -75,7 +62,7 @@ def run_jobs(
         preload: modules that every job needs; on one machine they are imported once, and the jobs' processes start with
             them.
         find: lists the GPUs of this machine.
-        available: counts the bytes of memory that may still be taken.
+        available: counts the bytes of memory that may still be taken; None: as `chosen_engine` says.
 
     Returns:
         Key to what each job returned, also those of an earlier, interrupted run.
@@ -84,18 +71,27 @@ def run_jobs(
         StageError: jobs failed or were killed; it names them, and the others are done.
         ValueError: two jobs have the same key, or one waits for a job that there is not.
     """
-    _check_order(jobs)
+    for number, job in enumerate(jobs):
+        if missing := set(job.after).difference(earlier.key for earlier in jobs[:number]):
+            raise ValueError(f"job {job.key} waits for {', '.join(sorted(missing))}: list those before it")
     todo = _to_do(folder, jobs)
-    failures: dict[str, str] = {}
     if todo:
         engine = make_engine(folder, workers=workers, preload=preload, device=device, find=find, available=available)
-        with engine:
-            engine.check(todo)
+        try:
+            for job in todo:
+                engine.check(job)
             states = [JobState(job.key, job.weight, done=job not in todo) for job in jobs]
             with JobDisplay(label, states, workers=engine.capacity) as display:
                 failures = _Pool(folder, todo, display, engine).run()
-    if failures:
-        raise StageError(_sentence(label, failures, len(jobs)))
+        finally:
+            engine.close()
+        if failures:
+            named = "; ".join(f"{key} ({reason})" for key, reason in list(failures.items())[:_NAMED])
+            more = f"; and {len(failures) - _NAMED} more" if len(failures) > _NAMED else ""
+            raise StageError(
+                f"{len(failures)} of {len(jobs)} {label} failed: {named}{more}. The others are kept; the same command "
+                "tries these again"
+            )
     return {job.key: folder.result_of(job.key) for job in jobs}
 
 
@@ -109,30 +105,13 @@ def _to_do(folder: RunFolder, jobs: Sequence[Job]) -> list[Job]:
     return [job for job in jobs if job.key in todo]
 
 
-def _check_order(jobs: Sequence[Job]) -> None:
-    seen: set[str] = set()
-    for job in jobs:
-        missing = [key for key in job.after if key not in seen]
-        if missing:
-            raise ValueError(f"job {job.key} waits for {', '.join(missing)}: list those before it")
-        seen.add(job.key)
-
-
-def _sentence(label: str, failures: dict[str, str], total: int) -> str:
-    named = "; ".join(f"{key} ({reason})" for key, reason in list(failures.items())[:5])
-    more = f"; and {len(failures) - 5} more" if len(failures) > 5 else ""
-    return (
-        f"{len(failures)} of {total} {label} failed: {named}{more}. The others are kept; the same command tries "
-        "these again"
-    )
-
-
 class _Pool:
     """The jobs of a stage: which may start, which are under way, which have failed."""
 
-    def __init__(self, folder: RunFolder, todo: Sequence[Job], display: JobDisplay, engine: Engine) -> None:
+    def __init__(self, folder: RunFolder, todo: Sequence[Job], display: JobDisplay, engine: Any) -> None:
         self._folder, self._waiting, self._display, self._engine = folder, list(todo), display, engine
-        self._taken: dict[str, _Taken] = {}
+        self._taken: dict[str, Job] = {}
+        self._answers: dict[str, Message] = {}
         self._failures: dict[str, str] = {}
         self._unknown: set[str] = set()  # jobs that have to run
         self._messages: deque[tuple[str, Message]] = deque()  # an interruption in the middle loses none
@@ -143,11 +122,15 @@ class _Pool:
         try:
             while self._waiting or self._taken:
                 self._submit_what_can()
-                self._listen(_SECONDS_BETWEEN_LOOKS)
+                self._listen()
                 self._display.show()
                 stop_if_interrupted()
-        finally:
-            self._stop()
+        finally:  # jobs under way write their checkpoints; a second Ctrl-C waits no more
+            self._stopping = True
+            self._engine.stop()
+            deadline = time.monotonic() + SECONDS_TO_STOP
+            while self._taken and time.monotonic() < deadline:
+                self._listen()
         return self._failures
 
     def _submit_what_can(self) -> None:
@@ -156,14 +139,14 @@ class _Pool:
             if broken:
                 self._waiting.remove(job)
                 self._fail(job.key, f"it needs {broken[0]}")
-            elif not self._is_ready(job):
+            elif any(self._folder.result_of(key) is None for key in job.after):
                 continue
             elif self._is_known(job):
                 self._waiting.remove(job)
                 self._display.states[job.key].leave_out()
-            elif self._engine.submit(job, Notes.of(self._folder, job)):
+            elif self._engine.submit(job):
                 self._waiting.remove(job)
-                self._taken[job.key] = _Taken(job, self._display.states[job.key])
+                self._taken[job.key] = job
 
     def _is_known(self, job: Job) -> bool:
         """Whether a job need not run; then its result is kept. Asked once, as what it rests on is there."""
@@ -176,61 +159,41 @@ class _Pool:
         self._folder.mark_done(job.key, result)
         return True
 
-    def _is_ready(self, job: Job) -> bool:
-        return all(self._folder.result_of(key) is not None for key in job.after)
-
-    def _listen(self, timeout_s: float) -> None:
+    def _listen(self) -> None:
         if not self._messages:
-            self._messages.extend(self._engine.listen(timeout_s))
+            self._messages.extend(self._engine.listen(_SECONDS_BETWEEN_LOOKS))
         while self._messages:
-            key, message = self._messages.popleft()
-            self._take(self._taken[key], message)
+            self._take(*self._messages.popleft())
 
-    def _take(self, taken: _Taken, message: Message) -> None:
-        key = taken.job.key
+    def _take(self, key: str, message: Message) -> None:
+        state = self._display.states[key]
         if message.cost is not None:
-            keep_cost(self._folder.path, key, message.cost, taken.job.after)
+            keep_cost(self._folder.path, key, message.cost, self._taken[key].after)
         if message.kind == STARTED:
-            taken.state.start()
+            state.start()
         elif message.kind == AGAIN:
-            taken.state.wait()
+            state.wait()
             _LOGGER.warning("%s: %s", key, message.text)
         elif message.kind == "progress":
-            taken.state.update(message.fraction, message.text)
+            state.update(message.fraction, message.text)
         elif message.kind == "log":
             _LOGGER.log(message.level, "%s: %s", key, message.text)
-        elif message.kind == "failed":
-            taken.answered, taken.failure = True, message.text
+        elif message.kind in ("done", "failed"):
+            self._answers[key] = message
             if message.traceback:
                 _LOGGER.error("%s failed:\n%s", key, message.traceback.rstrip())
-        elif message.kind == "done":
-            taken.answered, taken.result = True, message.result
         elif message.kind == ENDED:
-            self._ended(taken, message.text)
+            self._ended(key, self._answers.get(key, message))
 
-    def _ended(self, taken: _Taken, how: str) -> None:
-        key = taken.job.key
+    def _ended(self, key: str, answer: Message) -> None:
         del self._taken[key]
-        if taken.answered and taken.failure is None:
-            self._folder.mark_done(key, taken.result)
-            taken.state.finish()
-        elif self._stopping:
-            return  # what is left unfinished is finished by the next run
-        else:
-            self._fail(key, taken.failure or "unknown error" if taken.answered else how)
+        if answer.kind == "done":
+            self._folder.mark_done(key, answer.result)
+            self._display.states[key].finish()
+        elif not self._stopping:  # then what is left unfinished is finished by the next run
+            self._fail(key, answer.text or "unknown error")
 
     def _fail(self, key: str, reason: str) -> None:
         self._failures[key] = reason
         self._display.states[key].fail()
         _LOGGER.warning("%s failed: %s", key, reason)
-
-    def _stop(self) -> None:
-        """Asks the jobs under way to stop, and waits for their checkpoints; a second Ctrl-C waits no more.
-
-        One that was just done counts as done.
-        """
-        self._stopping = True
-        self._engine.stop()
-        deadline = time.monotonic() + SECONDS_TO_STOP
-        while self._taken and time.monotonic() < deadline:
-            self._listen(_SECONDS_BETWEEN_LOOKS)

@@ -29,11 +29,16 @@ from pipeline.store.written_files import noted
 _SECONDS_BETWEEN_MESSAGES = 0.5
 _SECONDS_BETWEEN_TRIMS = 60.0
 _EXIT_LEFT_ALONE = 1
+STARTED, ENDED, AGAIN, LOST = "started", "ended", "again", "lost"
 
 
 @dataclass(frozen=True)
 class Message:
-    """What a job's process sends to the stage: "progress", "log", "failed" or "done"."""
+    """What the stage is told of a job: "started", "progress", "log", "done" or "failed", and at the end "ended".
+
+    The text of "ended" is the reason where the job has not answered. "again": its machine was lost, and it will start
+    once more. "lost" ends the messages of a machine of a cluster where a job did not end by itself.
+    """
 
     kind: str
     text: str = ""

@@ -6,12 +6,12 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pipeline.anatomies.settings import settle
-from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job
 from pipeline.recording.trials import Origin
 from pipeline.report.learning.tables import log_summary
 from pipeline.report.results import write_results
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.gpu_memory import policy_gb
 from pipeline.stages.learning.expert_episodes import require_demonstrations
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.learning.path_following import ROW, PathJob, follow

@@ -1,1 +1,1 @@
-"""Where jobs run: processes of this machine, or a cluster."""
+"""Where jobs run: processes of this machine, or tasks of a cluster."""

@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
-from pathlib import Path
 
-from pipeline.jobs.engines.cluster import Cluster
-from pipeline.jobs.engines.interface import Engine
+from pipeline.jobs.engines.cluster import ClusterEngine
 from pipeline.jobs.engines.local import LocalEngine, available_workers
 from pipeline.jobs.engines.settings import EngineSettings, RaySettings, SlurmSettings
 from pipeline.jobs.engines.shared_files import JOBS
-from pipeline.jobs.engines.shared_machine import SharedMachine
-from pipeline.jobs.gpus import CPU, Gpu, GpuShare, gpus_of
+from pipeline.jobs.gpus import Gpu
+from pipeline.jobs.machine import Machine
 from pipeline.store.run_folder import RunFolder
 
-_GB = 1e9
-_CHOSEN: ContextVar[EngineSettings | None] = ContextVar("engine", default=None)
+Available = Callable[[], int]
+_CHOSEN: ContextVar[tuple[EngineSettings | None, Available]] = ContextVar("engine", default=(None, lambda: sys.maxsize))
 
 
 @contextlib.contextmanager
-def chosen_engine(settings: EngineSettings | None) -> Iterator[None]:
-    """Has the jobs of a stage run by an engine while the body runs."""
-    token = _CHOSEN.set(settings)
+def chosen_engine(settings: EngineSettings | None, available: Available = lambda: sys.maxsize) -> Iterator[None]:
+    """Has the jobs of a stage run by an engine while the body runs.
+
+    Args:
+        settings: None: processes of this machine.
+        available: counts the bytes of memory of this machine that may still be taken.
+    """
+    token = _CHOSEN.set((settings, available))
     try:
         yield
     finally:
@@ -37,8 +41,8 @@ def make_engine(
     preload: Sequence[str],
     device: str,
     find: Callable[[], Sequence[Gpu]],
-    available: Callable[[], int],
-) -> Engine:
+    available: Available | None,
+) -> LocalEngine | ClusterEngine:
     """The chosen engine, the local one where none was chosen.
 
     Args:
@@ -46,31 +50,17 @@ def make_engine(
 
     See `pipeline.jobs.pool.run_jobs` for the others.
     """
-    settings = _CHOSEN.get()
-    if isinstance(settings, RaySettings | SlurmSettings):
-        return _remote(folder.path, settings, device, workers)
-    machine = SharedMachine.of_environment()
-    found = [] if device == CPU else find() if machine is None else machine.gpus(find)
-    share = GpuShare(gpus_of(device, found))
-    return LocalEngine(workers or available_workers(), preload, share, available() / _GB, machine)
-
-
-def _remote(stage: Path, settings: RaySettings | SlurmSettings, device: str, workers: int) -> Engine:
-    from pipeline.jobs.engines.remote import RemoteEngine
-
-    place = stage.absolute() / JOBS
+    settings, room = _CHOSEN.get()
+    if not isinstance(settings, RaySettings | SlurmSettings):
+        workers = workers or available_workers()
+        return LocalEngine(folder, Machine.here(workers, available or room, device, find), workers, preload)
+    place = folder.path.absolute() / JOBS
     place.mkdir(parents=True, exist_ok=True)
     if isinstance(settings, SlurmSettings):
-        from pipeline.jobs.engines.slurm import SlurmCluster
+        from pipeline.jobs.engines.slurm import SlurmExecutor
 
-        cluster: Cluster = SlurmCluster(settings, place)
         workers = min(workers or settings.jobs, settings.jobs or workers)
-    else:
-        from pipeline.jobs.engines.ray_cluster import RayCluster
+        return ClusterEngine(folder, SlurmExecutor(settings, place), settings, device=device, at_once=workers)
+    from pipeline.jobs.engines.ray_cluster import RayExecutor
 
-        cluster = RayCluster(settings, place)
-    try:
-        return RemoteEngine(stage, cluster, settings, device=device, at_once=workers)
-    except BaseException:
-        cluster.close()
-        raise
+    return ClusterEngine(folder, RayExecutor(settings), settings, device=device, at_once=workers)

@@ -7,33 +7,27 @@ import os
 import signal
 import socket
 from collections.abc import Iterator
-from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
-from pipeline.jobs.engines import sending
-from pipeline.jobs.engines.cluster import Cluster, Needs
-from pipeline.jobs.engines.sending import Errand
+from pipeline.jobs.engines import task as task_module
+from pipeline.jobs.engines.cluster import Executor, Needs
 from pipeline.jobs.engines.settings import RaySettings
+from pipeline.jobs.engines.task import Task
 from pipeline.printing import installing
 from pipeline.store.errors import StageError
 
 ADDRESS = "RAY_ADDRESS"
 _GB = 1e9
 _SECONDS_TO_CONNECT = 5.0
-_SECONDS_TO_PROBE = 120.0
 _START = "start one with `ray start --head`, or name another by engine.address=HOST:PORT or RAY_ADDRESS"
 
 
-class RayCluster(Cluster):
+class RayExecutor(Executor):
     """A cluster that is running already."""
 
-    def __init__(self, settings: RaySettings, shared: Path) -> None:
-        """Args:
-        shared: folder that all machines must see.
-
-        Raises:
-            StageError: Ray is not installed, there is no cluster at the address, or a machine does not see the folder.
+    def __init__(self, settings: RaySettings) -> None:
+        """Raises:
+        StageError: Ray is not installed, or there is no cluster at the address.
         """
         try:
             import ray
@@ -49,15 +43,10 @@ class RayCluster(Cluster):
             worker.print_to_stdstream = _say_nothing
         self._connect(settings.address or os.environ.get(ADDRESS))
         # The function goes to the machines by value: what one of them lacks is then named by it, not by Ray.
-        ray.cloudpickle.register_pickle_by_value(sending)
-        self._run: Any = ray.remote(max_retries=0)(sending.run_errand)
+        ray.cloudpickle.register_pickle_by_value(task_module)
+        self._run: Any = ray.remote(max_retries=0)(task_module.run_task)
         total = ray.cluster_resources()
         self.capacity, self.has_gpus = max(int(total.get("CPU", 1)), 1), total.get("GPU", 0) > 0
-        try:
-            self.require_shared(shared)
-        except BaseException:
-            self.close()
-            raise
 
     def _connect(self, address: str | None) -> None:
         if address is not None and address not in ("auto", "local"):
@@ -75,52 +64,22 @@ class RayCluster(Cluster):
             reason = " ".join(str(error).split())
             raise StageError(f"the Ray cluster cannot be used ({reason}): {_START}") from error
 
-    def require_shared(self, *shared: Path) -> None:
-        """Refuses a cluster where a machine does not see some folders.
-
-        Raises:
-            StageError: naming one, and what it does not see.
-        """
-        from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
-
-        paths = [str(path) for path in shared]
-        look: Any = self._ray.remote(num_cpus=0, max_retries=0)(sending.unseen)
-        asked = {
-            look.options(scheduling_strategy=NodeAffinitySchedulingStrategy(node["NodeID"], soft=True)).remote(
-                *paths
-            ): node["NodeManagerHostname"]
-            for node in self._alive()
-        }
-        ready, _ = self._ray.wait(list(asked), num_returns=len(asked), timeout=_SECONDS_TO_PROBE)
-        for answer in ready:
-            try:
-                missing = self._ray.get(answer)
-            except self._ray.exceptions.RayError:  # lost in this moment; its jobs would be, too
-                continue
-            if missing is not None:
-                raise StageError(
-                    f"machine {asked[answer]} of the Ray cluster does not see {missing}: put the project, its "
-                    "environment and runs_dir on a file system that all machines share"
-                )
-
-    def _alive(self) -> list[dict[str, Any]]:
-        return [node for node in self._ray.nodes() if node["Alive"]]
-
     def fits(self, needs: Needs) -> bool:
         """Whether a machine has so much in all."""
         return any(
             node["Resources"].get("CPU", 0) >= needs.cpus
             and node["Resources"].get("GPU", 0) >= needs.gpus
             and node["Resources"].get("memory", 0) >= needs.memory_gb * _GB
-            for node in self._alive()
+            for node in self._ray.nodes()
+            if node["Alive"]
         )
 
-    def submit(self, name: str, errand: Errand, needs: Needs) -> Any:
+    def submit(self, name: str, task: Task, needs: Needs) -> Any:
         """Submits a task; Ray starts it when a machine has room for it."""
-        task = self._run.options(name=name, num_cpus=needs.cpus, num_gpus=needs.gpus, memory=int(needs.memory_gb * _GB))
-        return task.remote(**asdict(errand))
+        memory = int(needs.memory_gb * _GB)
+        return self._run.options(name=name, num_cpus=needs.cpus, num_gpus=needs.gpus, memory=memory).remote(task)
 
-    def ended(self, handle: Any) -> str | None:
+    def result(self, handle: Any) -> str | None:
         """How a task has ended; Ray says so of one whose machine or process is gone, too."""
         ready, _ = self._ray.wait([handle], timeout=0)
         if not ready:

@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from pipeline.jobs.engines.cluster import Cluster, Needs
+from pipeline.jobs.engines.cluster import Executor, Needs
 from pipeline.jobs.engines.local import available_workers
-from pipeline.jobs.engines.sending import Errand, run_errand
 from pipeline.jobs.engines.settings import LOCAL, SLURM, SlurmSettings
+from pipeline.jobs.engines.task import Task, run_task
 from pipeline.store.errors import StageError
 
 _MINUTES_AN_HOUR = 60
 
 
-class SlurmCluster(Cluster):
+class SlurmExecutor(Executor):
     """The queue of a Slurm cluster, or with `engine.manager=local` processes of this machine."""
 
     def __init__(self, settings: SlurmSettings, shared: Path) -> None:
         """Args:
-        shared: folder of the stage's jobs, where submitit keeps its own files, too.
+        shared: folder of the stage's jobs, where submitit keeps its own files.
 
         Raises:
             StageError: there is no Slurm here.
@@ -38,10 +37,6 @@ class SlurmCluster(Cluster):
         self._executor = submitit.AutoExecutor(folder=str(shared / "submitit" / "%j"), cluster=settings.manager)
         self.capacity = available_workers() if settings.manager == LOCAL else settings.jobs or 1
         self.has_gpus = settings.gpus
-
-    def fits(self, needs: Needs) -> bool:
-        """Leaves it to Slurm, which refuses at once what no machine of the partition has."""
-        return True
 
     def parameters(self, name: str, needs: Needs) -> dict[str, Any]:
         """What a job is submitted with, in submitit's words."""
@@ -60,7 +55,7 @@ class SlurmCluster(Cluster):
             "slurm_additional_parameters": {"no_requeue": True}
         }  # fmt: skip
 
-    def submit(self, name: str, errand: Errand, needs: Needs) -> Any:
+    def submit(self, name: str, task: Task, needs: Needs) -> Any:
         """Submits a job.
 
         Raises:
@@ -68,12 +63,12 @@ class SlurmCluster(Cluster):
         """
         self._executor.update_parameters(**self.parameters(name, needs))
         try:
-            return self._executor.submit(run_errand, **asdict(errand))
+            return self._executor.submit(run_task, task)
         except Exception as error:  # submitit raises what sbatch says as an error of its own
             raise StageError(f"Slurm refuses a job ({' '.join(str(error).split())}): see engine.partition, "
                              "engine.account, engine.hours and engine.memory_gb") from error  # fmt: skip
 
-    def ended(self, handle: Any) -> str | None:
+    def result(self, handle: Any) -> str | None:
         """How a job has ended, as far as submitit and Slurm's accounts tell."""
         if not handle.done():
             return None

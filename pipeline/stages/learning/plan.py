@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.settings import check_anatomies
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.jobs.training_memory import training_gb, training_gpu_gb
 from pipeline.recording.trials import Origin
 from pipeline.report.aids import training_note
 from pipeline.report.results import write_notes
@@ -18,6 +17,7 @@ from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.stages import StageContext
 from pipeline.stages.learning.encoders import ENCODERS, EncodersJob, encoder_file, fit_encoders
 from pipeline.stages.learning.expert_episodes import require_demonstrations
+from pipeline.stages.learning.memory import training_gb, training_gpu_gb
 from pipeline.stages.learning.settings import LearningSettings
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.learning.training import (

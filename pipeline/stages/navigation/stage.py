@@ -7,7 +7,6 @@ from typing import Any
 
 from pipeline.anatomies.known import require_known_phantoms, require_known_targets
 from pipeline.anatomies.settings import check_anatomies, settle
-from pipeline.jobs.gpu_memory import LEARNT_BATCH, network_gb, policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.human import FOLDER as HUMAN
 from pipeline.recording.human import SUFFIX
@@ -16,6 +15,7 @@ from pipeline.report.aids import navigation_note
 from pipeline.report.results import write_figures, write_notes, write_results
 from pipeline.seeds import perception_arches, training_arches, unseen_arches
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.gpu_memory import LEARNT_BATCH, network_gb, policy_gb
 from pipeline.stages.learning.expert_episodes import (
     expert_folder,
     expert_logs,

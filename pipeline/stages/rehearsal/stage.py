@@ -14,12 +14,12 @@ from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.anatomies.device_trials import Tried
 from pipeline.anatomies.settings import check_anatomies, fitted_steps, fitted_task, settle
 from pipeline.anatomies.take_offs import with_catheter_where_steep
-from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import POLICY, Origin
 from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.gpu_memory import policy_gb
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.rehearsal.copies import COPIES, PRELOAD, SCAN, RehearsalJob
 from pipeline.stages.rehearsal.demonstrations import PARTS, nothing_to_record, record_demonstrations

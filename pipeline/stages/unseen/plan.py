@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-from pipeline.jobs.gpu_memory import policy_gb
 from pipeline.jobs.pool import Job
 from pipeline.recording.trials import Origin
 from pipeline.seeds import unseen_arches
+from pipeline.stages.gpu_memory import policy_gb
 from pipeline.stages.unseen.arches import arches_of
 from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, DemonstrationsJob, record_demonstrations
 from pipeline.stages.unseen.held_out import cluttered, misregistered, test_sets

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.chain.steps import Step, concerns, minutes_to_the_end, steps_of, waits_for
+from pipeline.chain.steps import Step, concerns, steps_of, steps_to_the_end, waits_for
 from pipeline.stages import available_stages
 
 
@@ -39,8 +39,6 @@ def test_a_step_waits_for_what_it_reads_and_the_report_for_all() -> None:
 
 def test_the_longest_chain_of_steps_that_wait_for_each_other() -> None:
     steps = [Step("phantoms"), Step("expert"), Step("enn"), Step("guide3d"), Step("shape"), Step("report")]
-    known = {"phantoms": 1.0, "expert": 4.0, "enn": 20.0, "guide3d": 6.0, "shape": 12.0, "report": 0.5}
-    assert minutes_to_the_end(steps, known) == [25.5, 24.5, 20.5, 18.5, 12.5, 0.5]
-    assert minutes_to_the_end(steps, {}) == [0.0] * 6
+    assert steps_to_the_end(steps) == [4, 3, 2, 3, 2, 1]
     # the same stage with other seeds is not waited for
-    assert minutes_to_the_end([Step("shape"), Step("shape", 1)], known) == [12.0, 12.0]
+    assert steps_to_the_end([Step("shape"), Step("shape", 1)]) == [1, 1]

@@ -8,12 +8,13 @@ from typing import Any
 
 import pytest
 
-from pipeline.jobs.gpu_memory import CONTEXT_GB, network_gb, policy_gb
-from pipeline.jobs.gpus import Gpu, GpuShare, check_device, find_gpus, gpus_of
+from pipeline.jobs.gpus import Gpu, check_device, find_gpus, gpus_of
+from pipeline.jobs.machine import Machine
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Message, Report
 from pipeline.settings.checks import settings_that_matter
 from pipeline.stages import available_stages, load_stage
+from pipeline.stages.gpu_memory import CONTEXT_GB, network_gb, policy_gb
 from pipeline.stages.learning.settings import BaselinesSettings
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.run_folder import Identity, RunFolder
@@ -76,30 +77,37 @@ def test_a_job_that_fits_nowhere_is_named_before_anything_runs(folder: RunFolder
             run_jobs(folder, jobs, workers=1, device="cuda", find=lambda: [gpu("0", 8)])
         assert folder.result_of("small") is None
     with pytest.raises(StageError, match="both needs 2 GPUs"):
-        GpuShare([gpu("0", 8)]).require_room("both", 1.0, 2)
+        Machine(1, 8.0, [gpu("0", 8)]).check(Job("both", where, gpu_gb=1.0, gpus=2))
 
 
 def test_a_training_of_two_processes_has_two_gpus() -> None:
-    share = GpuShare([gpu("a", 8), gpu("b", 10), gpu("c", 9)])
-    taken = share.take("pair", 7.0, 2)
+    machine = Machine(9, 8.0, [gpu("a", 8), gpu("b", 10), gpu("c", 9)])
+    one, other = (Job(key, where, gpu_gb=7.0, gpus=2) for key in ("one", "other"))
+    taken = machine.take(one)
     assert taken is not None
-    assert [one.visible for one in taken] == ["b", "c"]
-    assert share.take("pair2", 7.0, 2) is None
-    share.give_back("pair")
-    assert share.take("pair2", 7.0, 2) is not None
+    assert [found.visible for found in taken] == ["b", "c"]
+    assert machine.take(other) is None
+    machine.free("one")
+    assert machine.take(other) is not None
 
 
 def test_what_a_job_really_uses_counts_where_it_is_more() -> None:
-    share = GpuShare([gpu("0", 10)])
-    assert share.take("first", 2.0) is not None
-    share.measured("first", 1 * GB)
-    assert share.room(0) == 8 * GB
-    share.measured("first", 7 * GB)
-    assert share.take("second", 4.0) is None
-    assert share.take("third", 3.0) is not None
-    share.give_back("first")
-    share.give_back("first")
-    assert share.room(0) == 7 * GB
+    machine = Machine(9, 8.0, [gpu("0", 10)])
+
+    def fits(gpu_gb: float) -> bool:
+        taken = machine.take(Job(f"{gpu_gb}", where, gpu_gb=gpu_gb)) is not None
+        machine.free(f"{gpu_gb}")
+        return taken
+
+    assert machine.take(Job("first", where, gpu_gb=2.0))
+    machine.measured("first", 1 * GB)
+    assert fits(8.0)
+    machine.measured("first", 7 * GB)
+    assert fits(3.0)
+    assert not fits(3.1)
+    machine.free("first")
+    machine.free("first")
+    assert fits(10.0)
 
 
 def test_reports_tell_no_memory_without_a_gpu() -> None:
@@ -123,17 +131,14 @@ def test_one_gpu_of_several() -> None:
         (2, "cuda:2", r"stage\.device=cuda:2, but torch finds 2 GPUs: the last is cuda:1"),
     ],
 )
-def test_a_gpu_that_there_is_not_is_refused(
-    count: int, device: str, message: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import torch
+def test_a_gpu_that_there_is_not_is_refused(count: int, device: str, message: str) -> None:
+    def find() -> list[Gpu]:
+        return [gpu(str(k), 8) for k in range(count)]
 
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: count > 0)
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: count)
     with pytest.raises(ConfigurationError, match=message):
-        check_device(device)
+        check_device(device, find)
     for fine in ("cpu", "auto", *(f"cuda:{k}" for k in range(count))):
-        check_device(fine)
+        check_device(fine, find)
 
 
 @pytest.mark.parametrize("device", ["tpu", "cuda:", "cuda:-1", "cuda:x", "CUDA", ""])
@@ -184,7 +189,7 @@ def test_jobs_wait_for_the_processors_memory(folder: RunFolder) -> None:
 def test_every_training_of_the_thesis_fits_16_gb() -> None:
     from enn.networks.features import modality_keys
     from enn.reinforcement.training import THESIS_PPO, THESIS_SAC
-    from pipeline.jobs.training_memory import PROCESS_GB, training_gb
+    from pipeline.stages.learning.memory import PROCESS_GB, training_gb
     from pipeline.stages.learning.task import LearningTask
     from pipeline.task import Task
 

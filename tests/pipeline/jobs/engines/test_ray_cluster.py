@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from pipeline.jobs.engines.choice import chosen_engine
-from pipeline.jobs.engines.ray_cluster import RayCluster
+from pipeline.jobs.engines.ray_cluster import RayExecutor
 from pipeline.jobs.engines.settings import RaySettings
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.store.errors import StageError
@@ -41,10 +41,8 @@ def two_nodes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
 
 
 def test_a_node_that_dies_has_its_jobs_done_by_the_other(two_nodes: Any, tmp_path: Path, caplog) -> None:
-    connected = RayCluster(RaySettings(), tmp_path)
+    connected = RayExecutor(RaySettings())
     assert connected.capacity == 2
-    with pytest.raises(StageError, match=r"machine \S+ of the Ray cluster does not see /no/such/folder: put the proj"):
-        connected.require_shared(Path("/no/such/folder"))
     connected.close()
     folder = RunFolder(tmp_path / "stage", Identity("c", {}, 1))
     toys = {name: Toy(folder.path / name, steps=60, seconds_a_step=0.1) for name in "ab"}
@@ -81,13 +79,13 @@ def test_a_node_that_dies_has_its_jobs_done_by_the_other(two_nodes: Any, tmp_pat
         ("nonsense", "'nonsense' is no address of a Ray cluster, HOST:PORT such as"),
     ],
 )
-def test_an_address_without_a_cluster_is_one_sentence(address: str, words: str, tmp_path: Path) -> None:
+def test_an_address_without_a_cluster_is_one_sentence(address: str, words: str) -> None:
     pytest.importorskip("ray", reason=NO_RAY)
     with pytest.raises(StageError, match=words.replace("(", r"\(")):
-        RayCluster(RaySettings(address=address), tmp_path)
+        RayExecutor(RaySettings(address=address))
 
 
-def test_no_ray_at_all_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_ray_at_all_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     imported = builtins.__import__
 
     def without_ray(name: str, *arguments: Any, **more: Any) -> Any:
@@ -98,4 +96,4 @@ def test_no_ray_at_all_is_one_sentence(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr(builtins, "__import__", without_ray)
     monkeypatch.delitem(sys.modules, "ray", raising=False)
     with pytest.raises(StageError, match="engine=ray needs Ray, which is not installed: run `make ray`"):
-        RayCluster(RaySettings(), tmp_path)
+        RayExecutor(RaySettings())

@@ -10,7 +10,7 @@ import pytest
 from pipeline.jobs.engines.choice import chosen_engine
 from pipeline.jobs.engines.cluster import Needs
 from pipeline.jobs.engines.settings import SlurmSettings
-from pipeline.jobs.engines.slurm import SlurmCluster
+from pipeline.jobs.engines.slurm import SlurmExecutor
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import Identity, RunFolder
@@ -36,7 +36,7 @@ def test_jobs_by_submitit_leave_their_results_and_fail_with_a_sentence(folder: R
 def test_where_there_is_no_slurm_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda name: None)
     with pytest.raises(StageError, match="there is no sbatch on this machine"):
-        SlurmCluster(SlurmSettings(), tmp_path)
+        SlurmExecutor(SlurmSettings(), tmp_path)
 
 
 def test_a_job_is_submitted_with_what_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,7 +44,7 @@ def test_a_job_is_submitted_with_what_it_needs(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
     settings = SlurmSettings(partition="long", account="lab", hours=1.5)
-    cluster = SlurmCluster(settings, tmp_path)
+    cluster = SlurmExecutor(settings, tmp_path)
     cluster._executor.update_parameters(**cluster.parameters("enn type_1/bca", Needs(2, 1, 4.0)))
     script = _make_sbatch_string(command="true", folder=tmp_path, **cluster._executor._executor.parameters)
     for line in (

@@ -12,16 +12,17 @@ import pytest
 
 from pipeline.jobs import pool
 from pipeline.jobs.costs import kept_costs
-from pipeline.jobs.engines.remote import RemoteEngine
+from pipeline.jobs.engines.cluster import ClusterEngine
 from pipeline.jobs.engines.settings import RaySettings
-from pipeline.jobs.engines.shared_files import ENDED_FILE, JOBS, end_earlier_jobs
+from pipeline.jobs.engines.shared_files import JOBS, end_earlier_jobs
+from pipeline.jobs.engines.task import Task, run_task
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import Identity, RunFolder
-from tests.pipeline.jobs.engines.process_cluster import ProcessCluster
+from tests.pipeline.jobs.engines.process_executor import ProcessExecutor
 from tests.pipeline.jobs.toy_training import Toy, square, train
 
-Made = Callable[..., ProcessCluster]
+Made = Callable[..., ProcessExecutor]
 
 
 @pytest.fixture
@@ -33,12 +34,12 @@ def folder(tmp_path: Path) -> RunFolder:
 def on_cluster(monkeypatch: pytest.MonkeyPatch) -> Made:
     """Has jobs run on a cluster of processes."""
 
-    def choose(*, retries: int = 2, **arguments: object) -> ProcessCluster:
-        cluster = ProcessCluster(**arguments)
+    def choose(*, retries: int = 2, **arguments: object) -> ProcessExecutor:
+        cluster = ProcessExecutor(**arguments)
 
-        def make(folder: RunFolder, *, workers: int, device: str, **unused: object) -> RemoteEngine:
+        def make(folder: RunFolder, *, workers: int, device: str, **unused: object) -> ClusterEngine:
             settings = RaySettings(retries=retries, lease_s=20.0)
-            return RemoteEngine(folder.path, cluster, settings, device=device, at_once=workers)
+            return ClusterEngine(folder, cluster, settings, device=device, at_once=workers)
 
         monkeypatch.setattr(pool, "make_engine", make)
         return cluster
@@ -60,7 +61,7 @@ def test_jobs_on_a_cluster_leave_what_they_leave_on_one_machine(folder: RunFolde
     assert {results["a"]["count"], results["b"]["count"]} == {3}
     assert {results["a"]["threads"], results["b"]["threads"]} == {"1"}
     assert again == results  # nothing was done twice
-    assert len(cluster.errands) == 3
+    assert len(cluster.tasks) == 3
     assert {key: cost["outcome"] for key, cost in costs.items()} == {"a": "ok", "b": "ok", "c": "ok"}
     assert any("toys 3/3" in record.getMessage() for record in caplog.records)
     assert cluster.closed
@@ -89,7 +90,7 @@ def test_a_failing_or_killed_job_stops_no_other_and_is_not_done_again(
         assert words in str(raised.value)
     assert folder.result_of("good")["count"] == 3
     assert "in train" in caplog.text
-    assert len(cluster.errands) == 4
+    assert len(cluster.tasks) == 4
 
 
 def wait_for_file(path: Path) -> None:
@@ -125,7 +126,7 @@ def test_a_job_whose_machine_is_lost_goes_on_elsewhere(
         else:
             with pytest.raises(StageError, match=r"a \(it was lost 1 times, at last because what started it is gone\)"):
                 run_jobs(folder, [Job("a", train, toy)])
-    assert len(cluster.errands) == 1 + retries
+    assert len(cluster.tasks) == 1 + retries
 
 
 def test_a_stopped_stage_lets_its_jobs_write_their_checkpoints(
@@ -153,38 +154,33 @@ def test_a_stopped_stage_lets_its_jobs_write_their_checkpoints(
 
 
 def test_a_new_driver_ends_the_jobs_of_one_that_is_gone(folder: RunFolder, tmp_path: Path) -> None:
-    from pipeline.jobs.engines.interface import Notes
-
-    cluster = ProcessCluster()
+    cluster = ProcessExecutor()
     toy = Toy(tmp_path / "toy", steps=10_000, seconds_a_step=0.01)
     with folder.locked():
         folder.prepare()
-        engine = RemoteEngine(folder.path, cluster, RaySettings(lease_s=30.0))
+        engine = ClusterEngine(folder, cluster, RaySettings(lease_s=30.0))
         job = Job("a", train, toy)
-        assert engine.submit(job, Notes.of(folder, job))
+        assert engine.submit(job)
         wait_for_file(toy.folder / "checkpoint.json")
         engine._driver.close()  # as if it had been killed; its job works on
         began = time.monotonic()
         end_earlier_jobs(folder.path)
         assert time.monotonic() - began < 25  # at once, not when the lease is over
-        (ended,) = (folder.path / JOBS).glob(f"*/{ENDED_FILE}")
         left = (toy.folder / "checkpoint.json").read_text()
         time.sleep(0.3)
         assert (toy.folder / "checkpoint.json").read_text() == left
-        assert "another driver works in its folder" in (ended.parent / "messages.jsonl").read_text()
+        assert "another driver works in its folder" in next((folder.path / JOBS).glob("*/messages.jsonl")).read_text()
     cluster.close()
 
 
 def test_a_job_without_a_sign_of_its_driver_ends(folder: RunFolder, tmp_path: Path) -> None:
-    from pipeline.jobs.engines.interface import Notes
-
-    cluster = ProcessCluster()
+    cluster = ProcessExecutor()
     toy = Toy(tmp_path / "toy", steps=10_000, seconds_a_step=0.01)
     with folder.locked():
         folder.prepare()
-        engine = RemoteEngine(folder.path, cluster, RaySettings(lease_s=5.0))
+        engine = ClusterEngine(folder, cluster, RaySettings(lease_s=5.0))
         job = Job("a", train, toy)
-        engine.submit(job, Notes.of(folder, job))
+        engine.submit(job)
         wait_for_file(toy.folder / "checkpoint.json")
         engine._driver.close()
         cluster.processes[0].join(60)
@@ -202,7 +198,7 @@ def test_what_no_machine_can_do_is_refused(folder: RunFolder, on_cluster: Made) 
             run_jobs(folder, [Job("huge", square, 2, memory_gb=9.0)])
         with pytest.raises(StageError, match=r"stage\.device=cuda:1 names a GPU of one machine"):
             run_jobs(folder, [Job("a", square, 2)], device="cuda:1")
-    assert not cluster.errands
+    assert not cluster.tasks
 
 
 def test_needs_are_named(folder: RunFolder, on_cluster: Made) -> None:
@@ -211,15 +207,12 @@ def test_needs_are_named(folder: RunFolder, on_cluster: Made) -> None:
         folder.prepare()
         assert run_jobs(folder, [Job("a", square, 2, memory_gb=3.0, gpu_gb=1.0, cpus=2)], device="auto") == {"a": 4}
         assert run_jobs(folder, [Job("b", square, 3, gpu_gb=1.0)], device="cpu") == {"b": 9}
-    assert [str(needs) for _, _, needs in cluster.errands] == [
+    assert [str(needs) for _, _, needs in cluster.tasks] == [
         "2 CPUs, 1 GPU and 3.0 GB of memory", "1 CPU and 2.0 GB of memory"
     ]  # fmt: skip
 
 
-def test_a_machine_that_does_not_see_the_folder_is_named(folder: RunFolder, on_cluster: Made) -> None:
-    from pipeline.jobs.engines.sending import run_errand, unseen
-
-    reason = run_errand("/no/such/folder", "/no/python", "/", {}, b"")
+def test_a_machine_that_does_not_see_the_folder_is_named() -> None:
+    reason = run_task(Task("/no/such/folder", "", 5.0, "/no/python", "/", {}, b""))
     assert reason is not None
     assert "does not see /no/such/folder: put the project, its environment and runs_dir on a file system" in reason
-    assert unseen("/", "/tmp") is None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.jobs.gpu_memory import policy_gb
+from pipeline.stages.gpu_memory import policy_gb
 from pipeline.stages.learning.task import LearningTask
 from pipeline.task import DESCENDING
 

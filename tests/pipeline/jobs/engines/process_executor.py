@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import multiprocessing
-from dataclasses import asdict
 from typing import Any
 
-from pipeline.jobs.engines.cluster import Cluster, Needs
-from pipeline.jobs.engines.sending import Errand, run_errand
+from pipeline.jobs.engines.cluster import Executor, Needs
+from pipeline.jobs.engines.task import Task, run_task
 
 
-class ProcessCluster(Cluster):
-    """Starts as many errands beside each other as it has machines; the others wait."""
+class ProcessExecutor(Executor):
+    """Starts as many tasks beside each other as it has machines; the others wait."""
 
     def __init__(self, machines: int = 2, memory_gb: float = 8.0, has_gpus: bool = False) -> None:
         self.capacity, self.memory_gb, self.has_gpus = machines, memory_gb, has_gpus
-        self.errands: list[tuple[str, Errand, Needs]] = []
+        self.tasks: list[tuple[str, Task, Needs]] = []
         self.processes: dict[int, Any] = {}
         self.cancelled: set[int] = set()
         self.closed = False
@@ -23,21 +22,21 @@ class ProcessCluster(Cluster):
     def fits(self, needs: Needs) -> bool:
         return needs.memory_gb <= self.memory_gb
 
-    def submit(self, name: str, errand: Errand, needs: Needs) -> int:
-        self.errands.append((name, errand, needs))
+    def submit(self, name: str, task: Task, needs: Needs) -> int:
+        self.tasks.append((name, task, needs))
         self._start()
-        return len(self.errands) - 1
+        return len(self.tasks) - 1
 
     def _start(self) -> None:
         context = multiprocessing.get_context("fork")
-        for number, (_, errand, _) in enumerate(self.errands):
+        for number, (_, task, _) in enumerate(self.tasks):
             running = sum(process.is_alive() for process in self.processes.values())
             if number not in self.processes and number not in self.cancelled and running < self.capacity:
-                process = context.Process(target=run_errand, kwargs=asdict(errand))
+                process = context.Process(target=run_task, args=(task,))
                 process.start()
                 self.processes[number] = process
 
-    def ended(self, handle: int) -> str | None:
+    def result(self, handle: int) -> str | None:
         self._start()
         if handle in self.cancelled:
             return "it was cancelled"

@@ -1,0 +1,174 @@
+"""Which job has which cores, memory and GPUs of this machine: those of one stage, or of the stages of a chain.
+
+A chain names a folder in the environment of its stages; what their jobs have is in a file there. What a stage had is
+free once its process has ended, however it ended.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from pipeline.jobs.gpus import CPU, Gpu, gpus_of
+from pipeline.jobs.job import Job
+from pipeline.store.errors import StageError
+
+FOLDER = "ENDONAV_SHARED_MACHINE"  # variable of the environment that names the folder
+_STATE = "machine.json"
+_GB = 1e9
+
+
+class Machine:
+    """What jobs share."""
+
+    def __init__(
+        self, cores: int, room_gb: float, gpus: Sequence[Gpu] = (), shared: Path | None = None
+    ) -> None:  # fmt: skip
+        """Args:
+        cores: jobs at the same time.
+        room_gb: memory that jobs may take.
+        gpus: those that this stage may use.
+        shared: folder of the chain whose stages share the machine.
+        """
+        self.room_gb, self.gpus, self._shared = room_gb, list(gpus), shared
+        self._state: dict[str, Any] = {"cores": cores, "jobs": [], "waiting": {}}
+
+    @classmethod
+    def here(cls, cores: int, available: Callable[[], int], device: str, find: Callable[[], Sequence[Gpu]]) -> Machine:
+        """That of the chain to which this process belongs; a stage that runs alone has all.
+
+        Args:
+            available: bytes of memory that jobs of a stage alone may take.
+            find: looks for GPUs, once a chain; asked only where `device` may be one.
+        """
+        folder = os.environ.get(FOLDER)
+        if not folder or not Path(folder, _STATE).is_file():
+            return cls(cores, available() / _GB, gpus_of(device, find() if device != CPU else ()))
+        machine = cls(cores, 0.0, shared=Path(folder))
+        with machine._locked() as state:
+            machine.room_gb = state["room_gb"]
+            if device != CPU:
+                if state["gpus"] is None:
+                    state["gpus"] = [asdict(gpu) for gpu in find()]
+                machine.gpus = gpus_of(device, [Gpu(**gpu) for gpu in state["gpus"]])
+        return machine
+
+    def check(self, job: Job) -> None:
+        """Refuses a job that would wait for ever.
+
+        Raises:
+            StageError: there are fewer GPUs, or there is less memory.
+        """
+        wide = sum(gpu.free_bytes >= job.gpu_gb * _GB for gpu in self.gpus)
+        if self.gpus and wide < job.gpus:
+            most = max(gpu.free_bytes for gpu in self.gpus) / _GB
+            raise StageError(
+                f"{job.key} needs {job.gpus} GPU{'s' if job.gpus > 1 else ''} with about {job.gpu_gb:.1f} GB free, of "
+                f"{len(self.gpus)} {wide} have so much, {most:.1f} GB the most: free memory there, or set "
+                "stage.device=cpu"
+            )
+        if job.memory_gb > self.room_gb:
+            raise StageError(
+                f"{job.key} needs about {job.memory_gb:.1f} GB of memory, {self.room_gb:.1f} GB are available: "
+                "end other programs, or make it smaller (stage.decisions or the side of the images, for a training)"
+            )
+
+    def take(self, job: Job) -> tuple[Gpu, ...] | None:
+        """Gives a job a core, its memory, and the GPUs with the most room.
+
+        Returns:
+            The GPUs, () where it needs none; None while something is missing, or another stage comes first.
+        """
+        with self._locked() as state:
+            others, own = state["jobs"], str(os.getpid())
+            left_gb = self.room_gb - sum(other["memory_gb"] for other in others)
+            has_memory, has_core = job.memory_gb <= left_gb, len(others) < state["cores"]
+            may_start = has_memory and has_core and not self._another_comes_first(state, left_gb)
+            state["waiting"].pop(own, None)
+            if not may_start:
+                if has_memory:
+                    state["waiting"][own] = job.memory_gb
+                return None
+            gpus = self._with_room(job, others)
+            if gpus is not None:
+                promised = {gpu.visible: job.gpu_gb * _GB for gpu in gpus}
+                others.append({"owner": own, "key": job.key, "memory_gb": job.memory_gb, "gpu_bytes": promised})
+            return gpus
+
+    @staticmethod
+    def _another_comes_first(state: dict[str, Any], left_gb: float) -> bool:
+        """Whether a stage with fewer jobs under way waits for a core, and has the memory."""
+        owners = [job["owner"] for job in state["jobs"]]
+        mine = owners.count(str(os.getpid()))
+        return any(owners.count(owner) < mine and gb <= left_gb for owner, gb in state["waiting"].items())
+
+    def _with_room(self, job: Job, others: Sequence[dict[str, Any]]) -> tuple[Gpu, ...] | None:
+        if not (self.gpus and job.gpu_gb):
+            return ()
+        room = {
+            gpu: gpu.free_bytes - sum(other["gpu_bytes"].get(gpu.visible, 0.0) for other in others) for gpu in self.gpus
+        }
+        chosen = sorted(self.gpus, key=lambda gpu: -room[gpu])[: job.gpus]
+        enough = len(chosen) == job.gpus and all(room[gpu] >= job.gpu_gb * _GB for gpu in chosen)
+        return tuple(chosen) if enough else None
+
+    def measured(self, key: str, bytes_used: int) -> None:
+        """Takes note of what a job really uses of each of its GPUs, where that is more than it was promised."""
+        with self._locked() as state:
+            for job in self._of(state, key):
+                job["gpu_bytes"] = {name: max(promised, bytes_used) for name, promised in job["gpu_bytes"].items()}
+
+    def free(self, key: str) -> None:
+        """A job has ended."""
+        with self._locked() as state:
+            for job in self._of(state, key):
+                state["jobs"].remove(job)
+
+    @staticmethod
+    def _of(state: dict[str, Any], key: str) -> list[dict[str, Any]]:
+        return [job for job in state["jobs"] if (job["owner"], job["key"]) == (str(os.getpid()), key)]
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[dict[str, Any]]:
+        """What jobs have, to be read and changed while no other stage does."""
+        if self._shared is None:
+            yield self._state
+            return
+        with (self._shared / "lock").open("a") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            text = (self._shared / _STATE).read_text("utf-8")
+            state = json.loads(text)
+            state["jobs"] = [job for job in state["jobs"] if _lives(job["owner"])]
+            state["waiting"] = {owner: gb for owner, gb in state["waiting"].items() if _lives(owner)}
+            yield state
+            if (changed := json.dumps(state)) != text:
+                (self._shared / "new").write_text(changed, "utf-8")
+                os.replace(self._shared / "new", self._shared / _STATE)
+
+
+def _lives(owner: str) -> bool:
+    try:
+        os.kill(int(owner), 0)
+    except OSError:
+        return False
+    return True
+
+
+@contextlib.contextmanager
+def shared_machine(cores: int, room_gb: float) -> Iterator[None]:
+    """Has the stages that are started while the body runs share so many cores, so much memory, and the GPUs."""
+    with tempfile.TemporaryDirectory(prefix="endonav-machine-") as name:
+        state: dict[str, Any] = {"cores": cores, "room_gb": room_gb, "gpus": None, "jobs": [], "waiting": {}}
+        Path(name, _STATE).write_text(json.dumps(state), "utf-8")
+        os.environ[FOLDER] = name
+        try:
+            yield
+        finally:
+            del os.environ[FOLDER]

@@ -1,0 +1,167 @@
+"""A machine that stages share: a job a core, no more memory than there is, nothing left of a stage that has ended."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from pipeline.jobs.gpus import Gpu
+from pipeline.jobs.job import Job
+from pipeline.jobs.machine import FOLDER, Machine, shared_machine
+from tests.pipeline.jobs.toy_training import square
+
+GB = 1_000_000_000
+ALIVE, ALSO_ALIVE = os.getpid(), os.getppid()  # owners of jobs must be processes that there are
+
+
+def here(*gpus: Gpu) -> Machine:
+    """The chain's machine, as one of its stages sees it."""
+    return Machine.here(99, lambda: pytest.fail("the chain has counted"), "cuda" if gpus else "cpu", lambda: gpus)
+
+
+def takes(machine: Machine, key: str, memory_gb: float, gpu_gb: float = 0.0) -> bool:
+    return machine.take(Job(key, square, memory_gb=memory_gb, gpu_gb=gpu_gb)) is not None
+
+
+def test_there_are_as_many_jobs_as_cores_and_no_more_memory_than_there_is() -> None:
+    with shared_machine(3, 4.0):
+        one, other = here(), here()
+        assert one.room_gb == 4.0
+        assert takes(one, "large", 3.0)
+        assert not takes(other, "too large", 1.5)
+        assert takes(other, "a", 0.5)
+        assert takes(one, "b", 0.1)
+        assert not takes(other, "c", 0.1)  # no core
+        one.free("large")
+        assert takes(one, "again", 2.9)
+    assert FOLDER not in os.environ
+
+
+def test_what_a_killed_stage_had_is_free() -> None:
+    hold = (
+        "import time\n"
+        "from tests.pipeline.jobs.test_machine import here, takes\n"
+        "print(takes(here(), 'a', 0.5), flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    with shared_machine(1, 1.0):
+        with subprocess.Popen([sys.executable, "-c", hold], stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "True\n"
+            assert not takes(here(), "b", 0.1)
+            process.kill()
+        assert takes(here(), "b", 0.1)
+
+
+def test_a_folder_that_is_gone_means_no_sharing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(FOLDER, str(tmp_path / "gone"))
+    assert Machine.here(2, lambda: 3 * GB, "cpu", list).room_gb == 3.0
+    with shared_machine(1, 1.0):
+        folder = Path(os.environ[FOLDER])
+        assert folder.is_dir()
+    assert not folder.exists()
+
+
+def test_a_stage_without_a_job_comes_before_one_that_has_some(monkeypatch: pytest.MonkeyPatch) -> None:
+    with shared_machine(2, 8.0):
+        machine = here()
+
+        def act(stage: int, key: str, memory_gb: float) -> bool:
+            monkeypatch.setattr(os, "getpid", lambda: stage)
+            return takes(machine, key, memory_gb)
+
+        def free(stage: int, key: str) -> None:
+            monkeypatch.setattr(os, "getpid", lambda: stage)
+            machine.free(key)
+
+        one, other = ALIVE, ALSO_ALIVE
+        assert act(one, "a", 1.0)
+        assert act(one, "b", 1.0)
+        assert not act(other, "c", 3.0)
+        free(one, "a")
+        assert not act(one, "a", 1.0)  # the other one is due
+        assert act(other, "c", 3.0)
+        free(one, "b")
+        assert act(one, "b", 1.0)  # one each: nobody waits
+        assert not act(other, "d", 7.0)  # a stage whose job has no memory waits for no core
+        free(other, "c")
+        assert not act(other, "c", 7.5)
+        assert act(one, "a", 1.0)
+
+
+def gpu(visible: str, free_gb: int) -> Gpu:
+    return Gpu(visible, "drawn", free_gb * GB, 24 * GB)
+
+
+def test_gpus_are_looked_for_once_a_chain() -> None:
+    with shared_machine(1, 1.0):
+        found = [here(gpu("0", 10), gpu("GPU-7f", 5)).gpus, here(gpu("1", 1)).gpus]
+    assert found[0] == found[1] == [gpu("0", 10), gpu("GPU-7f", 5)]
+
+
+def test_a_stage_sees_what_others_were_promised_of_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    with shared_machine(9, 8.0):
+        machine = here(gpu("0", 10))
+        assert takes(machine, "a", 0.0, 3.0)
+        monkeypatch.setattr(os, "getpid", lambda: ALSO_ALIVE)
+        assert not takes(machine, "b", 0.0, 8.0)
+        machine.free("a")  # that of the other stage stays
+        assert not takes(machine, "b", 0.0, 8.0)
+        assert takes(machine, "b", 0.0, 7.0)
+
+
+STAGE = """
+import sys, time
+from pathlib import Path
+from pipeline.jobs.gpus import Gpu
+from pipeline.jobs.pool import Job, run_jobs
+from pipeline.store.run_folder import Identity, RunFolder
+
+PLACE, NAME = Path(sys.argv[1]), sys.argv[2]
+
+def hold(given, report):
+    (PLACE / f"{report.device}-{NAME}-{given}").touch()
+    while not (PLACE / "end").exists():
+        time.sleep(0.02)
+    return 1
+
+if __name__ == "__main__":
+    folder = RunFolder(PLACE / NAME, Identity("c", {}, 1))
+    jobs = [Job(f"job{k}", hold, k, gpu_gb=6.0 * (k < 2)) for k in range(3)]
+    with folder.locked():
+        folder.prepare()
+        run_jobs(folder, jobs, workers=3, device="cuda", find=lambda: [Gpu("0", "drawn", 13 * 10**9, 24 * 10**9)])
+"""
+
+
+def test_jobs_of_two_stages_share_a_gpu_by_its_memory(tmp_path: Path) -> None:
+    """Two of four jobs of 6 GB have room on a GPU of 13 GB, from whichever stage; the job without a GPU starts."""
+    file = tmp_path / "stage.py"
+    file.write_text(STAGE, encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+    with shared_machine(6, 8.0):
+        environment[FOLDER] = os.environ[FOLDER]
+        processes = [
+            subprocess.Popen([sys.executable, str(file), str(tmp_path), name], env=environment)
+            for name in ("one", "other")
+        ]
+        try:
+            deadline = time.monotonic() + 120
+            while len(list(tmp_path.glob("cpu-*"))) < 2 or len(list(tmp_path.glob("cuda-*"))) < 2:
+                assert all(process.poll() is None for process in processes)
+                assert time.monotonic() < deadline
+                time.sleep(0.02)
+            time.sleep(1.0)  # in which a third one would start
+            assert len(list(tmp_path.glob("cuda-*"))) == 2
+            (tmp_path / "end").touch()
+            assert [process.wait(timeout=120) for process in processes] == [0, 0]
+            assert len(list(tmp_path.glob("cuda-*"))) == 4
+        finally:
+            for process in processes:
+                process.kill()
+                process.wait()
