@@ -1,4 +1,4 @@
-"""Progress of jobs beside each other: bars on a terminal, a line now and then in a log, and when it will end."""
+"""Progress of jobs beside each other: a bar on a terminal, a line now and then in a log, and when it will end."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import logging
 import sys
 import time
 from collections.abc import Sequence
-from types import TracebackType
 from typing import Any
+
+from tqdm import tqdm
 
 _LOGGER = logging.getLogger(__name__)
 _SECONDS_BETWEEN_LINES = 20.0
@@ -16,57 +17,42 @@ _LEAST_FRACTION = 0.02  # of a job before its pace says anything
 
 
 class JobState:
-    """How far one job is."""
+    """How far one job is; its status is "waiting", "running", "done" or "failed"."""
 
     def __init__(self, key: str, weight: float = 1.0, *, done: bool = False) -> None:
         """Args:
         weight: how long it takes beside the others; 0: not known, as it may be left out.
         done: by an earlier, interrupted run.
         """
-        self.key, self.weight = key, weight
-        self.status = "done" if done else "waiting"
+        self.key, self.weight, self.status = key, weight, "done" if done else "waiting"
         self.fraction, self.text = float(done), ""
-        self._started, self._first, self._spent_s = 0.0, 0.0, 0.0
-        self._seen = False
+        self._first: float | None = None  # fraction that an earlier run had done already
+        self._started = self._spent_s = 0.0
 
     def start(self) -> None:
-        """Its process has started."""
-        self.status, self._started = "running", time.monotonic()
-
-    def wait(self) -> None:
-        """It has to start once more, and goes on from its checkpoint."""
-        self.status, self._seen = "waiting", False
+        """Its process has started, maybe not for the first time."""
+        self.status, self._started, self._first = "running", time.monotonic(), None
 
     def update(self, fraction: float, text: str) -> None:
-        """Takes the job's progress.
-
-        Args:
-            fraction: 0 to 1; the first one counts as what an earlier run had done already.
-        """
-        if not self._seen:
-            self._seen, self._first = True, fraction
+        """Takes the job's progress, 0 to 1."""
+        self._first = fraction if self._first is None else self._first
         self.fraction, self.text = fraction, text
 
-    def finish(self) -> None:
+    def finish(self, *, has_run: bool = True) -> None:
         """It is done."""
-        self._spent_s = time.monotonic() - self._started
         self.status, self.fraction = "done", 1.0
-
-    def leave_out(self) -> None:
-        """It is done without having run."""
-        self.status, self.fraction, self.weight = "done", 1.0, 0.0
-
-    def fail(self) -> None:
-        """It has failed, or never started because another has."""
-        self.status = "failed"
+        if has_run:
+            self._spent_s = time.monotonic() - self._started
+        else:
+            self.weight = 0.0
 
     def total_s(self) -> float | None:
         """Seconds that all of it takes at the pace it has shown; None while that is unknown."""
-        gained = self.fraction - self._first
+        first = self._first or 0.0
         if self.status == "done" and self._spent_s:
-            return self._spent_s / max(1.0 - self._first, _LEAST_FRACTION)
-        if self.status == "running" and gained >= _LEAST_FRACTION:
-            return (time.monotonic() - self._started) / gained
+            return self._spent_s / max(1.0 - first, _LEAST_FRACTION)
+        if self.status == "running" and self.fraction - first >= _LEAST_FRACTION:
+            return (time.monotonic() - self._started) / (self.fraction - first)
         return None
 
 
@@ -78,37 +64,26 @@ class JobDisplay:
         workers: how many run beside each other.
         """
         self.label, self.states, self.workers = label, {state.key: state for state in states}, workers
-        self._bars: list[Any] = []
+        self._bar: Any = None
         self._started = self._last_line = time.monotonic()
         self._last_done = self._count("done")
 
     def __enter__(self) -> JobDisplay:
         if sys.stderr.isatty():
-            from tqdm import tqdm
-
-            self._bars = [tqdm(total=len(self.states), desc=self.label, dynamic_ncols=True, leave=False)]
-            rows = min(self.workers, len(self.states))
-            form = "{desc} {percentage:3.0f}%|{bar}|{postfix}"
-            self._bars += [
-                tqdm(total=1.0, position=row + 1, bar_format=form, dynamic_ncols=True, leave=False)
-                for row in range(rows)
-            ]
+            form = "{percentage:3.0f}%|{bar:20}| {desc}"
+            self._bar = tqdm(total=float(len(self.states)), bar_format=form, dynamic_ncols=True, leave=False)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        for bar in self._bars:
-            bar.close()
-        self._bars = []
+    def __exit__(self, *unused: object) -> None:
+        if self._bar is not None:
+            self._bar.close()
 
     def _count(self, *statuses: str) -> int:
         return sum(state.status in statuses for state in self.states.values())
 
     def remaining_s(self) -> float | None:
         """Seconds until every job is done, by the pace of those that have shown one; None while none has."""
-        known = [(state.total_s(), state.weight) for state in self.states.values()]
-        paced = [(total, weight) for total, weight in known if total is not None and weight]
+        paced = [(total, s.weight) for s in self.states.values() if s.weight and (total := s.total_s()) is not None]
         if not paced:
             return None
         per_weight = sum(total for total, _ in paced) / max(sum(weight for _, weight in paced), 1e-9)
@@ -139,22 +114,11 @@ class JobDisplay:
         )
 
     def show(self) -> None:
-        """Brings the bars up to date, or logs a line when it is time or a job has ended."""
-        if self._bars:
-            self._draw()
-            return
+        """Brings the bar up to date, or logs a line when it is time or a job has ended."""
         now, done = time.monotonic(), self._count("done", "failed")
-        if done != self._last_done or now - self._last_line >= _SECONDS_BETWEEN_LINES:
+        if self._bar is not None:
+            self._bar.n = sum(state.fraction for state in self.states.values())
+            self._bar.set_description_str(self.line())
+        elif done != self._last_done or now - self._last_line >= _SECONDS_BETWEEN_LINES:
             self._last_line, self._last_done = now, done
             _LOGGER.info("%s", self.line())
-
-    def _draw(self) -> None:
-        overall, *rows = self._bars
-        left = self.remaining_s()
-        overall.n = self._count("done")
-        overall.set_postfix_str("" if left is None else f"about {left:.0f} s left")
-        running = [state for state in self.states.values() if state.status == "running"]
-        for row, state in zip(rows, [*running, *[None] * len(rows)], strict=False):
-            row.n = state.fraction if state else 0.0
-            row.set_description_str(state.key if state else "", refresh=False)
-            row.set_postfix_str(state.text if state else "")

@@ -143,7 +143,7 @@ class _Pool:
                 continue
             elif self._is_known(job):
                 self._waiting.remove(job)
-                self._display.states[job.key].leave_out()
+                self._display.states[job.key].finish(has_run=False)
             elif self._engine.submit(job):
                 self._waiting.remove(job)
                 self._taken[job.key] = job
@@ -172,7 +172,7 @@ class _Pool:
         if message.kind == STARTED:
             state.start()
         elif message.kind == AGAIN:
-            state.wait()
+            state.status = "waiting"
             _LOGGER.warning("%s: %s", key, message.text)
         elif message.kind == "progress":
             state.update(message.fraction, message.text)
@@ -195,5 +195,5 @@ class _Pool:
 
     def _fail(self, key: str, reason: str) -> None:
         self._failures[key] = reason
-        self._display.states[key].fail()
+        self._display.states[key].status = "failed"
         _LOGGER.warning("%s failed: %s", key, reason)

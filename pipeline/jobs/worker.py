@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 from pydantic import ValidationError
@@ -59,9 +58,8 @@ class Report:
         device: where the job's networks belong: "cpu", or "cuda", which is the job's own GPU.
         """
         self._send, self.device = send, device
-        self._stopping = False  # no lock: a signal's handler sets it
-        self._last = 0.0
-        self._trimmed = time.monotonic()
+        self.stopping = False  # whether the job is to stop; no lock: a signal's handler sets it
+        self._last, self._trimmed = 0.0, time.monotonic()
 
     def __call__(self, fraction: float, text: str = "") -> None:
         """Reports the progress; call it often, it is cheap.
@@ -73,7 +71,7 @@ class Report:
         Raises:
             KeyboardInterrupt: the job is to write its checkpoint and leave.
         """
-        if self._stopping:
+        if self.stopping:
             raise KeyboardInterrupt
         now = time.monotonic()
         if self._send is not None and now - self._last >= _SECONDS_BETWEEN_MESSAGES:
@@ -97,14 +95,9 @@ class Report:
 
         return report
 
-    @property
-    def stopping(self) -> bool:
-        """Whether the job is to stop."""
-        return self._stopping
-
     def stop(self) -> None:
         """From here on every call raises `KeyboardInterrupt`."""
-        self._stopping = True
+        self.stopping = True
 
 
 class _ToStage(logging.Handler):
@@ -149,14 +142,10 @@ def work(
             connection.send(message)
 
     report = Report(send, CUDA if gpus else CPU)
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        report.stop()
-
     # Ctrl-C in a terminal and a batch system's SIGTERM reach every process: a job leaves at its next report, not
     # in the middle of what its checkpoint needs whole.
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+        signal.signal(number, lambda *unused: report.stop())
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # held back while the process was started
     threading.Thread(target=_obey, args=(connection, report), daemon=True).start()
     logging.getLogger().addHandler(_ToStage(send, report))

@@ -42,8 +42,14 @@ class Driver:
         lease_s: that its jobs work on without one.
         """
         self.folder, self.token = stage / JOBS, uuid.uuid4().hex
-        self._says: dict[str, Any] = {"token": self.token, "lease_s": lease_s, "beat": 0, "stopping": False}
         self._revoked: list[str] = []
+        self._says: dict[str, Any] = {
+            "token": self.token,
+            "lease_s": lease_s,
+            "beat": 0,
+            "stopping": False,
+            "revoked": self._revoked,
+        }
         self._ended, self._gate = threading.Event(), threading.Lock()
         self.folder.mkdir(parents=True, exist_ok=True)
         self._beat()
@@ -60,28 +66,24 @@ class Driver:
     def stop(self) -> None:
         """Asks all jobs to leave at their next report."""
         self._says["stopping"] = True
-        self._try_beat()
+        self._beat()
 
     def revoke(self, place: Path) -> None:
         """Has an attempt end at once."""
         self._revoked.append(place.name)
-        self._try_beat()
+        self._beat()
 
     def _go_on(self) -> None:
         while not self._ended.wait(_SECONDS_BETWEEN_BEATS):
-            self._try_beat()
-
-    def _try_beat(self) -> None:
-        try:
             self._beat()
-        except OSError as error:  # e.g. a full disk: jobs end after a while, and are done again
-            _LOGGER.warning("no sign of life could be written: %s", error)
 
     def _beat(self) -> None:
         with self._gate:
             self._says["beat"] += 1
-            text = json.dumps({**self._says, "revoked": self._revoked})
-            (self.folder / DRIVER).write_text(text, encoding="utf-8")
+            try:
+                (self.folder / DRIVER).write_text(json.dumps(self._says), encoding="utf-8")
+            except OSError as error:  # e.g. a full disk: jobs end after a while, and are done again
+                _LOGGER.warning("no sign of life could be written: %s", error)
 
 
 class MessageReader:
@@ -125,11 +127,9 @@ def end_earlier_jobs(stage: Path) -> None:
     alive = {path.parent: MessageReader(path.parent) for path in jobs.glob(f"*/{MESSAGES}")}
     deadline, told = time.monotonic() + lease_s, False
     while True:
-        alive = {
-            place: reader
-            for place, reader in alive.items()
-            if not any(message.kind in (ENDED, LOST) for message in reader.new())
-        }
+        for place, reader in list(alive.items()):
+            if any(message.kind in (ENDED, LOST) for message in reader.new()):
+                del alive[place]
         if not alive or time.monotonic() >= deadline:
             break
         if not told:

@@ -211,7 +211,7 @@ def test_estimate_of_the_end() -> None:
 def test_a_job_that_was_left_out_says_nothing_of_the_pace() -> None:
     states = [JobState("a"), JobState("b", weight=0.0)]
     display = JobDisplay("toys", states, workers=1)
-    states[1].leave_out()
+    states[1].finish(has_run=False)
     assert display.remaining_s() is None
     assert display.line().startswith("toys 1/2; ")
 
@@ -236,3 +236,14 @@ def test_a_report_is_throttled_and_stops_the_job() -> None:
     report.stop()
     with pytest.raises(KeyboardInterrupt):
         half(0.6, "")
+
+
+def test_jobs_import_no_package_of_learning(run_python) -> None:
+    said = run_python(
+        "import importlib, pkgutil, sys\n"
+        "import pipeline.jobs\n"
+        "for found in pkgutil.walk_packages(pipeline.jobs.__path__, 'pipeline.jobs.'):\n"
+        "    importlib.import_module(found.name)\n"
+        "print({'torch', 'numpy', 'enn', 'cathsim', 'guide3d', 'splineformer'} & set(sys.modules))\n"
+    )
+    assert said.strip() == "set()"
