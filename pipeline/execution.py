@@ -12,13 +12,13 @@ from typing import Any
 
 from enn.reinforcement.free_memory import available_bytes
 from pipeline.config import RunConfig, anatomy_not_taken
-from pipeline.jobs.costs import OWN_PROCESS, CostMeter, keep_cost
 from pipeline.jobs.engines.choice import chosen_engine
 from pipeline.jobs.engines.settings import LOCAL
 from pipeline.jobs.engines.shared_files import end_earlier_jobs
 from pipeline.jobs.gpus import CPU, check_device
 from pipeline.settings.checks import settings_that_matter
 from pipeline.stages import Stage, StageContext, load_stage, missing_module
+from pipeline.store.costs import OWN_PROCESS, CostMeter, keep_cost
 from pipeline.store.errors import StageError
 from pipeline.store.manifest import Identity, read_manifest
 from pipeline.store.provenance import hash_value, present_commit

@@ -16,9 +16,9 @@ from typing import Any
 
 from pipeline.chain.command import main as run_chain
 from pipeline.chain.steps import chosen_value
-from pipeline.jobs.costs import OK, OWN_PROCESS, kept_costs
 from pipeline.stages import available_stages
 from pipeline.store.atomic_files import write_json, write_text
+from pipeline.store.costs import OK, OWN_PROCESS, kept_costs
 from pipeline.store.manifest import read_manifest
 from pipeline.store.provenance import present_commit, software_versions
 

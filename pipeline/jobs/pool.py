@@ -21,12 +21,12 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from pipeline.jobs.costs import keep_cost
 from pipeline.jobs.display import JobDisplay, JobState
 from pipeline.jobs.engines.choice import make_engine
 from pipeline.jobs.gpus import CPU, Gpu, find_gpus
 from pipeline.jobs.job import Job
 from pipeline.jobs.worker import AGAIN, ENDED, STARTED, Message, Report
+from pipeline.store.costs import keep_cost
 from pipeline.store.errors import StageError
 from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.run_folder import RunFolder

@@ -18,10 +18,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from pipeline.jobs.costs import Cost, CostMeter
 from pipeline.jobs.freed_memory import return_freed_memory
 from pipeline.jobs.gpus import CPU, CUDA, CUDA_CONTEXT_BYTES, VISIBLE
 from pipeline.settings.checks import sentence
+from pipeline.store.costs import Cost, CostMeter
 from pipeline.store.errors import PipelineError
 from pipeline.store.written_files import noted
 

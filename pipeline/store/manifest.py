@@ -69,7 +69,7 @@ class Manifest:
     wall_time_s: float
     finished: str  # ISO 8601, UTC
     overrides: list[str] = field(default_factory=list)  # that it was run with, e.g. ["seed=1", "stage.episodes=5"]
-    jobs: dict[str, dict[str, Any]] = field(default_factory=dict)  # what each of its jobs cost: see pipeline.jobs.costs
+    jobs: dict[str, dict[str, Any]] = field(default_factory=dict)  # what each of its jobs cost: `pipeline.store.costs`
     variant: list[str] = field(default_factory=list)  # those of them that its folder is named after
     commits: list[str] = field(default_factory=list)  # of the code that made it: see `present_commit`
     versions: dict[str, str] = field(default_factory=software_versions)

@@ -27,8 +27,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipeline.jobs.costs import kept_costs
 from pipeline.store.atomic_files import remove_unfinished, write_json, write_text
+from pipeline.store.costs import kept_costs
 from pipeline.store.errors import FolderBusyError, StageError
 from pipeline.store.file_cache import CACHE
 from pipeline.store.finished_items import FinishedItems

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from pipeline import thesis_check
-from pipeline.jobs.costs import OWN_PROCESS, CostMeter, keep_cost
 from pipeline.stages import available_stages
+from pipeline.store.costs import OWN_PROCESS, CostMeter, keep_cost
 from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.test_task import stages_of
 

@@ -21,9 +21,9 @@ import uuid
 from pathlib import Path
 from typing import Any
 
-from pipeline.jobs.costs import Cost
 from pipeline.jobs.engines.task import DRIVER, MESSAGES, read_driver
 from pipeline.jobs.worker import ENDED, LOST, Message
+from pipeline.store.costs import Cost
 
 JOBS = ".jobs"
 _SECONDS_BETWEEN_BEATS = 2.0

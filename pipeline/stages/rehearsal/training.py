@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.jobs.costs import processor_s
 from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import POLICY
@@ -27,6 +26,7 @@ from pipeline.stages.rehearsal.hyperparameters import (
 )
 from pipeline.stages.rehearsal.settings import SAC
 from pipeline.store.atomic_files import atomic_path, write_arrays
+from pipeline.store.costs import processor_s
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import TASK
 

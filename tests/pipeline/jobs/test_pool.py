@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.jobs.costs import kept_costs
 from pipeline.jobs.display import JobDisplay, JobState
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Message, Report
+from pipeline.store.costs import kept_costs
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.jobs.toy_training import Toy, opencv_threads, square, train
