@@ -16,7 +16,7 @@ from cathsim.anatomy import ArchParameters
 def main(path: str | None = None, steps: int = 100) -> dict[str, float]:
     """Push and turn the wire; give what was inserted (m) and the largest force (N)."""
     measures = ArchParameters(apex_ratio=1.2, arch_width=0.072, bovine=True, bca_diameter=0.016)  # m
-    phantom = cathsim.import_anatomy(path) if path else cathsim.load_phantom("mine", parameters=measures)
+    phantom = cathsim.load_phantom(path) if path else cathsim.load_phantom("mine", parameters=measures)
     print(f"{phantom.name}: targets {', '.join(phantom.targets)}")
     target = "lcca" if "lcca" in phantom.targets else next(iter(phantom.targets))
     wire = cathsim.load_guidewire("radifocus_angled").scaled(0.36)  # m

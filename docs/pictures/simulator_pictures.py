@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from cathsim import PHANTOMS, NavigateEnv, load_phantom
-from cathsim.blood.flow import picture as blood_picture
+from cathsim.blood.picture import picture as blood_picture
 from cathsim.viewing.camera_view import View
 
 FOLDER = Path(__file__).parent

@@ -11,7 +11,7 @@ from pydicom.uid import RLELossless
 
 from guide3d.dicom.c_arm import camera_of
 from guide3d.dicom.header import silent
-from guide3d.dicom.xray_run import read_xray
+from guide3d.dicom.run_folder import read_xray
 from tests.fuzz.mutations import damaged
 from tests.fuzz.promise import BrokenPromiseError, fuzz, refused
 from tests.guide3d.dicom.written_xray import ENHANCED_XA, PATIENT, enhanced_groups, frames_of, write, xray_dataset

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import importlib
+import inspect
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -113,22 +115,50 @@ def test_import_loads_nothing_it_should_not(
     assert not loaded & forbidden
 
 
-def imports_at_load(body: list[ast.stmt], *, with_types: bool) -> Iterator[tuple[str, str]]:
-    """Yields module and name of the imports outside functions; those for type checkers only if asked."""
-    for node in body:
+LAZY = sorted(
+    ".".join([package, *file.parent.relative_to(source_root(package)).parts])
+    for package in PACKAGES
+    for file in source_root(package).rglob("__init__.py")
+    if "lazy_names(" in file.read_text(encoding="utf-8")
+)
+
+
+@pytest.mark.parametrize("package", LAZY)
+def test_public_names_are_shown_before_their_first_use_and_are_there(
+    package: str, run_python: Callable[[str], str]
+) -> None:
+    shown = run_python(f"import {package} as package; print(*dir(package))").split()
+    module = importlib.import_module(package)
+    assert shown == sorted(module.__all__)
+    assert len(shown) >= 4
+    for name in shown:
+        value = getattr(module, name)
+        if callable(value):
+            assert value.__module__.startswith(package.split(".")[0])
+        # the import system binds a submodule to its package, over a lazy name that is the same
+        assert not inspect.ismodule(value)
+    with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'nothing'"):
+        _ = module.nothing
+
+
+def imports_between_modules(tree: ast.Module, *, at_load_alone: bool) -> Iterator[tuple[str, str]]:
+    """Yields module and name of the imports: all of them, or without those in functions and for type checkers."""
+    left_out = set()
+    for node in ast.walk(tree) if at_load_alone else ():
+        if isinstance(node, ast.FunctionDef) or (
+            isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+        ):
+            left_out |= {id(inner) for inner in ast.walk(node)}
+    for node in ast.walk(tree):
+        if id(node) in left_out:
+            continue
         if isinstance(node, ast.Import):
             yield from ((alias.name, "") for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
             yield from ((node.module, alias.name) for alias in node.names)
-        elif isinstance(node, ast.If):
-            for_types = "TYPE_CHECKING" in ast.unparse(node.test)
-            yield from imports_at_load([] if for_types and not with_types else node.body, with_types=with_types)
-            yield from imports_at_load(node.orelse, with_types=with_types)
-        elif isinstance(node, ast.ClassDef | ast.Try):
-            yield from imports_at_load(node.body, with_types=with_types)
 
 
-def test_no_module_imports_itself_through_others_not_even_for_types() -> None:
+def test_no_module_imports_itself_through_others_not_even_for_types_or_in_a_function() -> None:
     files = {}
     for package in ALLOWED:
         for file in sources(package):
@@ -138,7 +168,7 @@ def test_no_module_imports_itself_through_others_not_even_for_types() -> None:
     for name, file in files.items():
         tree = ast.parse(file.read_text(encoding="utf-8"))
         # a package's __init__ names for type checkers what it imports at first use
-        found = imports_at_load(tree.body, with_types=file.name != "__init__.py")
+        found = imports_between_modules(tree, at_load_alone=file.name == "__init__.py")
         modules = {f"{module}.{wanted}" if f"{module}.{wanted}" in files else module for module, wanted in found}
         graph[name] = (modules & files.keys()) - {name}
     assert sum(map(len, graph.values())) > len(files)

@@ -60,6 +60,8 @@ def test_wrong_names_list_the_valid_ones(phantom, cache):
         load_phantom("random", cache_dir=cache)
     with pytest.raises(ValueError, match="'type_1' takes no seed, got 3"):
         load_phantom("type_1", seed=3, cache_dir=cache)
+    with pytest.raises(ValueError, match="'type_1' takes no unit, names; only a phantom from a file does"):
+        load_phantom("type_1", unit="mm", names=["bca"], cache_dir=cache)
     with pytest.raises(ValueError, match="name of your own"):
         load_phantom("type_1", parameters=ArchParameters(), cache_dir=cache)
     with pytest.raises(ValueError, match="resolution must be a finite length"):

@@ -14,7 +14,8 @@ import pytest
 from cathsim import NavigateEnv, Phantom, Simulation, load_guidewire
 from cathsim.blood.drag import Drag
 from cathsim.blood.field import BloodField, blood_field
-from cathsim.blood.flow import FLOWS, BloodFlow, outlet_shares, picture
+from cathsim.blood.flow import FLOWS, BloodFlow, outlet_shares
+from cathsim.blood.picture import picture
 from cathsim.blood.womersley import ejection, profile_table, velocity_profile, womersley_number
 from cathsim.contact.native import address, library
 from cathsim.guidewire import LINK_NAME

@@ -11,7 +11,8 @@ import pytest
 pytest.importorskip("pydicom", reason="the extra guide3d[dicom] is not installed")
 
 from guide3d.dicom.c_arm import camera_of, detector_axes, view_warnings
-from guide3d.dicom.xray_run import XrayRun, read_xray
+from guide3d.dicom.run_folder import read_xray
+from guide3d.dicom.xray_run import XrayRun
 from guide3d.geometry.triangulation import triangulate
 from tests.guide3d.dicom.written_xray import frames_of, write, xray_dataset
 

@@ -19,7 +19,7 @@ from pydicom.pixels import apply_voi, apply_windowing  # noqa: E402
 from pydicom.sequence import Sequence  # noqa: E402
 from pydicom.uid import ImplicitVRLittleEndian, JPEGLosslessSV1, RLELossless  # noqa: E402
 
-from guide3d.dicom.xray_run import read_xray  # noqa: E402
+from guide3d.dicom.run_folder import read_xray  # noqa: E402
 from tests.guide3d.dicom.lossless_jpeg import encode_lossless  # noqa: E402
 from tests.guide3d.dicom.written_xray import (  # noqa: E402
     ENHANCED_XA,

@@ -1,72 +1,51 @@
 """Real-time simulation of a guidewire in an aorta, with environments for learning to steer it.
 
-`gymnasium.make("cathsim/Navigate-v0")` is the usual way in; see `cathsim.environment.NavigateEnv`.
+`gymnasium.make("cathsim/Navigate-v0")` is the usual way in; see `cathsim.environment.NavigateEnv`. Names are imported
+at first use, so that `import cathsim` stays light.
 """
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from cathsim.registration import ENVIRONMENT, register
+from cathsim.lazy_names import lazy_names
+from cathsim.registration import ENVIRONMENT as ENVIRONMENT
+from cathsim.registration import register
 
 if TYPE_CHECKING:
-    from cathsim.anatomy import PHANTOMS, Phantom, import_anatomy, load_phantom
-    from cathsim.devices.catheter import Catheter
-    from cathsim.devices.shelf import CATHETERS, load_catheter
-    from cathsim.environment import NavigateEnv
-    from cathsim.guidewire import GUIDEWIRES, Guidewire, load_guidewire
-    from cathsim.navigation import NavigationTask
-    from cathsim.presets import ACCURACY, Accuracy
-    from cathsim.simulation import Simulation
-    from cathsim.vector import ThreadedVectorEnv
+    from cathsim.anatomy import PHANTOMS as PHANTOMS
+    from cathsim.anatomy import Phantom as Phantom
+    from cathsim.anatomy import import_anatomy as import_anatomy
+    from cathsim.anatomy import load_phantom as load_phantom
+    from cathsim.devices.catheter import Catheter as Catheter
+    from cathsim.devices.shelf import CATHETERS as CATHETERS
+    from cathsim.devices.shelf import load_catheter as load_catheter
+    from cathsim.environment import NavigateEnv as NavigateEnv
+    from cathsim.guidewire import GUIDEWIRES as GUIDEWIRES
+    from cathsim.guidewire import Guidewire as Guidewire
+    from cathsim.guidewire import load_guidewire as load_guidewire
+    from cathsim.navigation import NavigationTask as NavigationTask
+    from cathsim.presets import ACCURACY as ACCURACY
+    from cathsim.presets import Accuracy as Accuracy
+    from cathsim.simulation import Simulation as Simulation
+    from cathsim.vector import ThreadedVectorEnv as ThreadedVectorEnv
 
 __version__ = "0.1.0"
 
-_HOME = {
-    "PHANTOMS": "anatomy",
-    "Phantom": "anatomy",
-    "import_anatomy": "anatomy",
-    "load_phantom": "anatomy",
-    "Catheter": "devices.catheter",
-    "CATHETERS": "devices.shelf",
-    "load_catheter": "devices.shelf",
-    "NavigateEnv": "environment",
-    "GUIDEWIRES": "guidewire",
-    "Guidewire": "guidewire",
-    "load_guidewire": "guidewire",
-    "NavigationTask": "navigation",
-    "ACCURACY": "presets",
-    "Accuracy": "presets",
-    "Simulation": "simulation",
-    "ThreadedVectorEnv": "vector",
-}
-
-__all__ = [
-    "ACCURACY",
-    "CATHETERS",
-    "ENVIRONMENT",
-    "GUIDEWIRES",
-    "PHANTOMS",
-    "Accuracy",
-    "Catheter",
-    "Guidewire",
-    "NavigateEnv",
-    "NavigationTask",
-    "Phantom",
-    "Simulation",
-    "ThreadedVectorEnv",
-    "import_anatomy",
-    "load_catheter",
-    "load_guidewire",
-    "load_phantom",
-]
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    {
+        "anatomy": "PHANTOMS Phantom import_anatomy load_phantom",
+        "devices.catheter": "Catheter",
+        "devices.shelf": "CATHETERS load_catheter",
+        "environment": "NavigateEnv",
+        "guidewire": "GUIDEWIRES Guidewire load_guidewire",
+        "navigation": "NavigationTask",
+        "presets": "ACCURACY Accuracy",
+        "registration": "ENVIRONMENT",
+        "simulation": "Simulation",
+        "vector": "ThreadedVectorEnv",
+    },
+)
 
 register()
-
-
-def __getattr__(name: str) -> Any:
-    # imported at first use, so that `import cathsim` stays light
-    if name in _HOME:
-        return getattr(importlib.import_module(f"cathsim.{_HOME[name]}"), name)
-    raise AttributeError(f"module 'cathsim' has no attribute '{name}'")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -19,7 +19,6 @@ from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.devices.catheter import Catheter
 from cathsim.devices.choice import chosen_catheter, chosen_wire, simulation_of
 from cathsim.devices.simulation import DualSimulation
-from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
 from cathsim.guidewire import Guidewire
 from cathsim.navigation import NavigationTask, navigation_task, require_reach, straight_distance
 from cathsim.observations.fluoroscopes import wire_radius_of
@@ -32,11 +31,14 @@ from cathsim.registration.usage import Usage, exclusive
 from cathsim.robot.feeders import ROTATION_STEP as ROTATION_STEP
 from cathsim.robot.feeders import TRANSLATION_STEP as TRANSLATION_STEP
 from cathsim.robot.feeders import Feeders
-from cathsim.robot.follower import FollowerRobot
 from cathsim.robot.pace import Pace, named_pace
 from cathsim.simulation import CONTROL_STEP
 from cathsim.validation import Count, quantity
 from cathsim.viewing.display import MODES, Display, modes_here
+
+if TYPE_CHECKING:
+    from cathsim.fluoroscopy import BiplaneFluoroscope
+    from cathsim.robot.follower import FollowerRobot
 
 ACTIONS = ("feeder", "tip_motors")
 
@@ -228,6 +230,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.feeders = Feeders(self.simulation, drive)
         biplane = None
         if cameras is not None:
+            from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
+
             material = wire_material(wire if isinstance(wire, str) else "default", wire_radius_of(self.simulation))
             pair = partial(BiplaneFluoroscope.of, self.phantom, size=image_size, material=material)
             biplane = chosen("cameras", cameras, BiplaneFluoroscope, pair)

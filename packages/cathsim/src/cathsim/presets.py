@@ -10,6 +10,7 @@ from annotated_types import Interval
 from cathsim.validation import Unit, settings
 
 WIRE_RADIUS = 0.45e-3  # m, of the usual guidewire of 0.035 in
+MAXIMUM_SIZE = 4096  # px, of an image's side
 
 _Depth = Annotated[float, Interval(ge=0, le=0.1), Unit("m")]
 _Tolerances = Annotated[float, Interval(gt=0, le=1e6)]

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import ctypes
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 
 from cathsim.arena import FEEDER
-from cathsim.blood.drag import Drag
 from cathsim.contact.breathing import Breathing
 from cathsim.contact.compliance import N_PER_MM
 from cathsim.contact.native import SimulationStruct, library
 from cathsim.contact.sdf import GEOM_NAME, Vessel
 from cathsim.guidewire import LINK_NAME, TIP_SITE
 from cathsim.presets import Accuracy
+
+if TYPE_CHECKING:
+    from cathsim.blood.drag import Drag
 
 
 class Rung:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -12,13 +12,9 @@ import numpy as np
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.entry import EntryLike, entry_name
 from cathsim.arena import max_insertion
-from cathsim.blood.drag import Drag
-from cathsim.blood.field import blood_field
 from cathsim.blood.flow import BloodFlow
 from cathsim.contact.breathing import Breathing
 from cathsim.contact.compliance import checked_wall_stiffness, stiffest_wall
-from cathsim.contact.hull_vessel import hull_vessel
-from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.contact.measured import Contacts, MeasuredContacts
 from cathsim.contact.native import StepSummary, address, engine, library
 from cathsim.contact.sdf import SHEATH_RADIUS, Vessel
@@ -29,6 +25,10 @@ from cathsim.presets import Accuracy, dividing
 from cathsim.robot.pace import CONTROL_STEP as CONTROL_STEP
 from cathsim.robot.pace import PACES, Pace
 from cathsim.rung import Rung
+
+if TYPE_CHECKING:
+    from cathsim.blood.drag import Drag
+    from cathsim.contact.hulls import Decomposition
 
 # The servo's target never runs further ahead of the wire than its force limit can use.
 LEAD_ADVANCE, LEAD_ROTATION = 0.004, 0.4
@@ -103,7 +103,12 @@ class Simulation:
         self.motors = 2 * min(wire.motor_joints, wire.joints) if tip_motors else 0
         self.depth_samples = 6 if measure_penetration else 0
         self.blood = blood
-        self.drag = Drag(blood_field(phantom, blood), wire) if blood else None
+        self.drag: Drag | None = None
+        if blood:
+            from cathsim.blood.drag import Drag
+            from cathsim.blood.field import blood_field
+
+            self.drag = Drag(blood_field(phantom, blood), wire)
         self._rungs: dict[int, Rung] = {}
 
         self.measured = MeasuredContacts(self.substeps)
@@ -169,6 +174,9 @@ class Simulation:
     def _make_vessel(self) -> Vessel:
         if self.contact == "sdf":
             return vessel_of(self.phantom, self.entry)
+        from cathsim.contact.hull_vessel import hull_vessel
+        from cathsim.contact.hulls import decomposition
+
         return hull_vessel(self.phantom, self.entry, decomposition(self.contact))
 
     def _rung_at(self, index: int) -> Rung:

@@ -29,24 +29,17 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_HOME = {
-    "AsymmetricSACPolicy": "networks.policies",
-    "EncodedEnvs": "reinforcement.encoded",
-    "Encoder": "encoder",
-    "EncoderSettings": "encoder",
-    "MultimodalExtractor": "networks.features",
-    "Policy": "policy",
-    "Samples": "encoder",
-    "Training": "reinforcement.training",
-    "TrainingSettings": "reinforcement.training.settings",
-    "Trajectory": "trajectory",
-    "fit_encoder": "encoder",
-    "layer_table": "networks.features",
-    "load": "shipped",
-    "modality_keys": "networks.features",
-    "models": "shipped",
-    "scripted_samples": "encoder",
-}
-
-__all__ = [*_HOME, "__version__"]
-__getattr__ = lazy_names(__name__, _HOME)
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    {
+        "encoder": "Encoder EncoderSettings Samples fit_encoder scripted_samples",
+        "networks.features": "MultimodalExtractor layer_table modality_keys",
+        "networks.policies": "AsymmetricSACPolicy",
+        "policy": "Policy",
+        "reinforcement.encoded": "EncodedEnvs",
+        "reinforcement.training": "Training",
+        "reinforcement.training.settings": "TrainingSettings",
+        "shipped": "load models",
+        "trajectory": "Trajectory",
+    },
+)

@@ -7,16 +7,19 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 
-def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """The `__getattr__` of a package.
+def lazy_names(
+    package: str, homes: Mapping[str, str]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Makes the ``__getattr__``, ``__dir__`` and ``__all__`` of a package.
 
     Args:
-        homes: name to the module inside the package that defines it.
+        homes: module inside the package to the names that it defines, separated by spaces.
     """
+    home = {name: module for module, names in homes.items() for name in names.split()}
 
     def get(name: str) -> Any:
-        if name in homes:
-            return getattr(importlib.import_module(f"{package}.{homes[name]}"), name)
+        if name in home:
+            return getattr(importlib.import_module(f"{package}.{home[name]}"), name)
         raise AttributeError(f"module '{package}' has no attribute '{name}'")
 
-    return get
+    return get, lambda: sorted(home), sorted(home)

@@ -7,66 +7,40 @@ images) and `guide3d.reconstruct` (from curves) are the usual ways in. Names are
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from guide3d.lazy_names import imported
+from guide3d.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from guide3d.dataset.dataset import Dataset
-    from guide3d.geometry.bspline import BSplineCurve, fit_bspline
-    from guide3d.geometry.camera import Camera, read_camera
-    from guide3d.geometry.distortion import Distortion
-    from guide3d.reading.image_reading import ImageReading, read
-    from guide3d.reading.pair_reading import PairReading, read_pair
-    from guide3d.reconstruction.reconstruction import (
-        Reconstruction,
-        ReconstructionSettings,
-        reconstruct,
-        reconstruct_greedy,
-    )
-    from guide3d.shipped import load, models
+    from guide3d.dataset.dataset import Dataset as Dataset
+    from guide3d.geometry.bspline import BSplineCurve as BSplineCurve
+    from guide3d.geometry.bspline import fit_bspline as fit_bspline
+    from guide3d.geometry.camera import Camera as Camera
+    from guide3d.geometry.camera import read_camera as read_camera
+    from guide3d.geometry.distortion import Distortion as Distortion
+    from guide3d.reading.image_reading import ImageReading as ImageReading
+    from guide3d.reading.image_reading import read as read
+    from guide3d.reading.pair_reading import PairReading as PairReading
+    from guide3d.reading.pair_reading import read_pair as read_pair
+    from guide3d.reconstruction.reconstruction import Reconstruction as Reconstruction
+    from guide3d.reconstruction.reconstruction import ReconstructionSettings as ReconstructionSettings
+    from guide3d.reconstruction.reconstruction import reconstruct as reconstruct
+    from guide3d.reconstruction.reconstruction import reconstruct_greedy as reconstruct_greedy
+    from guide3d.shipped import load as load
+    from guide3d.shipped import models as models
 
 __version__ = "0.1.0"
 
-_HOME = {
-    "BSplineCurve": "geometry.bspline",
-    "fit_bspline": "geometry.bspline",
-    "Camera": "geometry.camera",
-    "read_camera": "geometry.camera",
-    "Dataset": "dataset.dataset",
-    "Distortion": "geometry.distortion",
-    "load": "shipped",
-    "models": "shipped",
-    "ImageReading": "reading.image_reading",
-    "PairReading": "reading.pair_reading",
-    "read": "reading.image_reading",
-    "read_pair": "reading.pair_reading",
-    "Reconstruction": "reconstruction.reconstruction",
-    "ReconstructionSettings": "reconstruction.reconstruction",
-    "reconstruct": "reconstruction.reconstruction",
-    "reconstruct_greedy": "reconstruction.reconstruction",
-}
-
-__all__ = [
-    "BSplineCurve",
-    "Camera",
-    "Dataset",
-    "Distortion",
-    "ImageReading",
-    "PairReading",
-    "Reconstruction",
-    "ReconstructionSettings",
-    "__version__",
-    "fit_bspline",
-    "load",
-    "models",
-    "read",
-    "read_camera",
-    "read_pair",
-    "reconstruct",
-    "reconstruct_greedy",
-]
-
-
-def __getattr__(name: str) -> Any:
-    return imported(__name__, _HOME, name)
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    {
+        "dataset.dataset": "Dataset",
+        "geometry.bspline": "BSplineCurve fit_bspline",
+        "geometry.camera": "Camera read_camera",
+        "geometry.distortion": "Distortion",
+        "reading.image_reading": "ImageReading read",
+        "reading.pair_reading": "PairReading read_pair",
+        "reconstruction.reconstruction": "Reconstruction ReconstructionSettings reconstruct reconstruct_greedy",
+        "shipped": "load models",
+    },
+)

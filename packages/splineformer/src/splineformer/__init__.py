@@ -6,33 +6,35 @@
 
 from __future__ import annotations
 
-import importlib
-from typing import Any
+from typing import TYPE_CHECKING
+
+from guide3d.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from splineformer.attention import attention_map as attention_map
+    from splineformer.comparison.curve_errors import curve_errors as curve_errors
+    from splineformer.export import export_onnx as export_onnx
+    from splineformer.learning.recipes import recipe_of as recipe_of
+    from splineformer.learning.training import train as train
+    from splineformer.predictor import Prediction as Prediction
+    from splineformer.predictor import Predictor as Predictor
+    from splineformer.shipped import models as models
+    from splineformer.tokens import TokenSettings as TokenSettings
+    from splineformer.tokens import curve_of_tokens as curve_of_tokens
+    from splineformer.tokens import tokens_of_polyline as tokens_of_polyline
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "Predictor": "splineformer.predictor",
-    "Prediction": "splineformer.predictor",
-    "TokenSettings": "splineformer.tokens",
-    "tokens_of_polyline": "splineformer.tokens",
-    "curve_of_tokens": "splineformer.tokens",
-    "curve_errors": "splineformer.comparison.curve_errors",
-    "attention_map": "splineformer.attention",
-    "export_onnx": "splineformer.export",
-    "models": "splineformer.shipped",
-    "recipe_of": "splineformer.learning.recipes",
-    "train": "splineformer.learning.training",
-}
-
-__all__ = ["__version__", *_HOMES]
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(importlib.import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'splineformer' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    {
+        "attention": "attention_map",
+        "comparison.curve_errors": "curve_errors",
+        "export": "export_onnx",
+        "learning.recipes": "recipe_of",
+        "learning.training": "train",
+        "predictor": "Prediction Predictor",
+        "shipped": "models",
+        "tokens": "TokenSettings curve_of_tokens tokens_of_polyline",
+    },
+)

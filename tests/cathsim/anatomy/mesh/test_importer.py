@@ -166,7 +166,7 @@ def test_it_can_be_described_and_a_changed_file_is_refused(
 def test_it_is_cached_with_its_report(plain: tuple[Path, Phantom], cache: Path, monkeypatch: pytest.MonkeyPatch):
     path, found = plain
     assert import_mesh(path, resolution=COARSE, cache_dir=cache) is found
-    assert load_phantom(str(path), resolution=COARSE, cache_dir=cache) is found
+    assert load_phantom(path, resolution=COARSE, cache_dir=cache, unit=None) is found
     importer._load.cache_clear()
     monkeypatch.setattr(importer, "_build", None)  # building again would fail
     again = import_mesh(path, resolution=COARSE, cache_dir=cache)

@@ -246,8 +246,9 @@ def test_load_phantom_takes_a_volume(thick: Path, imported: Phantom, cache: Path
     assert load_phantom(str(thick), resolution=COARSE, cache_dir=cache).hash == imported.hash
     with pytest.raises(ValueError, match="takes no seed"):
         load_phantom(str(thick), seed=3, cache_dir=cache)
-    with pytest.raises(MeshRefusedError, match="unit in its header"):
-        import_anatomy(thick, unit="mm", cache_dir=cache)
+    for load in (import_anatomy, load_phantom):
+        with pytest.raises(MeshRefusedError, match="unit in its header"):
+            load(thick, unit="mm", cache_dir=cache)
 
 
 def test_names_of_the_users_own(thick: Path, cache: Path) -> None:

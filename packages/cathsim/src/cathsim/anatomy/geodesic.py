@@ -9,8 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.distance_grid import LatticeField, SignedDistanceGrid
 from cathsim.anatomy.vessel_tree import VesselTree
-from cathsim.lattice.native_lattice import NodeSetStruct
-from cathsim.lattice.node_set import NodeSet
+from cathsim.lattice.node_set import NodeSet, NodeSetStruct
 
 MARGIN = 4e-3  # m outside the lumen up to which the field continues its nearest inside value
 _SEED_RADIUS = 2e-3  # m: within this ball about the target the distance is the straight one

@@ -1,4 +1,4 @@
-"""The one door for anatomies from files: surfaces, label volumes, and folders of them."""
+"""Anatomies from files: surfaces, label volumes, and folders of them; the half of `load_phantom` that reads files."""
 
 from __future__ import annotations
 
@@ -22,15 +22,6 @@ from cathsim.anatomy.volume.labels.choice import Labels
 def is_anatomy_path(name: str) -> bool:
     """Whether a phantom's name is the path of an anatomy: it ends like a file of one, or is a folder."""
     return is_mesh_path(name) or is_volume_path(name)
-
-
-def of_no_kind(path: str | Path) -> str:
-    """What is said of a file or folder that is none of an anatomy."""
-    kind = "holds no file" if Path(path).is_dir() else "is no file"
-    return (
-        f"{Path(path).name or path} {kind} of a kind that is read: surfaces are {SURFACES} files, label volumes "
-        f"{VOLUMES}; convert it {converter(Path(path))}."
-    )
 
 
 def import_anatomy(
@@ -60,7 +51,11 @@ def import_anatomy(
     """
     if not is_volume_path(path):
         if Path(path).exists() and not is_mesh_path(path):
-            raise MeshRefusedError(of_no_kind(path))
+            kind = "holds no file" if Path(path).is_dir() else "is no file"
+            raise MeshRefusedError(
+                f"{Path(path).name or path} {kind} of a kind that is read: surfaces are {SURFACES} files, label "
+                f"volumes {VOLUMES}; convert it {converter(Path(path))}."
+            )
         if labels:
             raise MeshRefusedError(f"{Path(path).name} is no label volume, it takes no labels; give names instead.")
         if transform is not None:

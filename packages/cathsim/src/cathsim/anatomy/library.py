@@ -26,8 +26,6 @@ from cathsim.anatomy.generator.recipe import (
     recipe_of,
 )
 from cathsim.anatomy.generator.scan_arch import ScanArch
-from cathsim.anatomy.importing import import_again, import_anatomy, import_digest, is_anatomy_path, of_no_kind
-from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.phantom import Phantom, locate_targets, target_share
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 
@@ -78,25 +76,28 @@ _loading = threading.Lock()
 
 
 def load_phantom(
-    name: str,
+    name: str | Path,
     *,
     seed: int | None = None,
     resolution: float = 1e-3,
     cache_dir: Path | None = None,
     parameters: Recipe | None = None,
+    **of_file: Any,
 ) -> Phantom:
-    """Loads a phantom, from the process, from the disk cache, or by building it.
+    """Loads a phantom by its name or from a file, from the process, from the disk cache, or by building it.
 
     Args:
         name: one of PHANTOMS; one of RANDOM, which need a seed: "random", "random_wide" (rare shapes as often as common
             ones), "random_scan" (as scans show them: of any size, cut, not round, rough), "random_steep" and
             "random_trunk" (the same, branches far below the top of the arch; a left carotid that turns off a trunk),
             "arch_variety" (six branching types) or "arch_variety_IV" (one of them), or have it in their name,
-            "random_7"; the path of a mesh (STL, OBJ, PLY); or with `parameters` any name of your own.
+            "random_7"; the path of a surface, of a label volume or of a folder of them; or with `parameters` any name
+            of your own.
         seed: of the random arch.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
         parameters: measures of an arch of your own, or a `VarietyArch`.
+        of_file: unit, labels, names and transform of a file, as `import_anatomy` takes them.
 
     Returns:
         The phantom; calls with the same arguments share one object.
@@ -104,11 +105,12 @@ def load_phantom(
     Raises:
         ValueError: for an unknown name, a missing or misplaced seed, or an impossible resolution.
     """
+    name = str(name)
     if parameters is None:
-        if is_anatomy_path(name):
-            return _import(name, seed, resolution, cache_dir)
         if seed is None:
             name, seed = seed_in_name(name)
+        if name not in (*NAMED, *RANDOM):
+            return _import(name, seed, resolution=resolution, cache_dir=cache_dir, **of_file)
         parameters = _parameters_of(name, seed)
         if name in RANDOM:
             name = f"{name}_{seed}"
@@ -116,6 +118,8 @@ def load_phantom(
         raise ValueError(
             f"with parameters of your own give a name of your own and no seed; got name {name!r} and seed {seed!r}."
         )
+    if of_file:
+        raise ValueError(f"phantom {name!r} takes no {', '.join(of_file)}; only a phantom from a file does.")
     return _load_arch(name, parameters, resolution, cache_dir)
 
 
@@ -167,6 +171,8 @@ def phantom_described(description: Mapping[str, Any]) -> Phantom:
 
 
 def _described_import(description: Mapping[str, Any]) -> Phantom:
+    from cathsim.anatomy.importing import import_again, import_digest
+
     source, resolution = description["mesh"], float(description["resolution"])
     _require_same(description, import_digest(source, resolution))  # before the import, which takes its time
     return import_again(source, resolution)
@@ -201,10 +207,14 @@ def build_phantom(name: str, parameters: Recipe, *, resolution: float = 1e-3) ->
     )
 
 
-def _import(path: str, seed: int | None, resolution: float, cache_dir: Path | None) -> Phantom:
+def _import(name: str, seed: int | None, **options: Any) -> Phantom:
+    from cathsim.anatomy.importing import import_anatomy, is_anatomy_path
+
+    if not is_anatomy_path(name) and not (name and os.path.exists(name)):
+        raise _unknown(name)
     if seed is not None:
         raise ValueError(f"a phantom from a file takes no seed, got {seed!r}; only 'random' does.")
-    return import_anatomy(path, resolution=resolution, cache_dir=cache_dir)
+    return import_anatomy(name, **options)
 
 
 def seed_in_name(name: str) -> tuple[str, int | None]:
@@ -219,13 +229,15 @@ def _parameters_of(name: str, seed: int | None) -> Recipe:
             raise ValueError(f"phantom '{name}' needs a seed, a whole number from 0 on; got {seed!r}.")
         return draw_recipe(name, int(seed))
     if name not in NAMED:
-        if name and os.path.exists(name):
-            raise MeshRefusedError(of_no_kind(name))
-        known = f"{', '.join(PHANTOMS)}, random or arch_variety (with a seed)"
-        raise ValueError(f"unknown phantom {name!r}; choose from {known}, or give the path of a mesh or label volume.")
+        raise _unknown(name)
     if seed is not None:
         raise ValueError(f"phantom {name!r} takes no seed, got {seed!r}; only 'random' does.")
     return NAMED[name]
+
+
+def _unknown(name: str) -> ValueError:
+    known = f"{', '.join(PHANTOMS)}, random or arch_variety (with a seed)"
+    return ValueError(f"unknown phantom {name!r}; choose from {known}, or give the path of a mesh or label volume.")
 
 
 @lru_cache(maxsize=32)

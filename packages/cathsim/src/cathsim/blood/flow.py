@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from annotated_types import Interval
@@ -11,9 +10,6 @@ from annotated_types import Interval
 from cathsim.validation import Share, Unit, settings
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from cathsim.anatomy import Phantom
     from cathsim.anatomy.vessel_tree import VesselTree
 
 WAVEFORMS, PROFILES = ("pulsatile", "steady"), ("womersley", "poiseuille")
@@ -102,20 +98,3 @@ def outlet_shares(tree: VesselTree, given: Mapping[str, float] | None = None) ->
     if left == 0.0 and abs(rest) > 1e-6:
         raise ValueError(f"the shares of all open ends must sum to 1, got {sum(given.values())}")
     return {name: given[name] if name in given else rest * cube / left for name, cube in cubes.items()}
-
-
-def picture(phantom: Phantom, path: Path | None = None, *, flow: BloodFlow | None = None, time: float = 0.12) -> Figure:
-    """Draws the flow: the field from the front, the flow of the open ends over a beat, profiles in the aorta.
-
-    Args:
-        path: PNG file to write, or None for the figure only.
-        flow: by default the pulsatile one.
-        time: of the field, s; the default is about peak systole.
-    """
-    from cathsim.blood.field import blood_field
-    from cathsim.blood.picture import draw_flow
-
-    figure = draw_flow(blood_field(phantom, flow or FLOWS["pulsatile"]), time)
-    if path is not None:
-        figure.savefig(path)
-    return figure

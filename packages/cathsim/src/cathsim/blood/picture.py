@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.blood.field import BloodField, blood_field
+from cathsim.blood.flow import FLOWS, BloodFlow
 from cathsim.blood.womersley import womersley_number
 from cathsim.figure import new_figure
 
@@ -14,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from cathsim.blood.field import BloodField
+    from cathsim.anatomy import Phantom
 
 _MM, _ML = 1e3, 1e6
 _PIXEL = 1e-3  # m
@@ -24,14 +27,23 @@ _PROFILE_PHASES = (0.05, 0.12, 0.25, 0.36, 0.6)
 Array = NDArray[np.float64]
 
 
-def draw_flow(field: BloodField, time: float) -> Figure:
-    """Draws a flow; the field is that of a time, s."""
+def picture(phantom: Phantom, path: Path | None = None, *, flow: BloodFlow | None = None, time: float = 0.12) -> Figure:
+    """Draws the flow: the field from the front, the flow of the open ends over a beat, profiles in the aorta.
+
+    Args:
+        path: PNG file to write, or None for the figure only.
+        flow: by default the pulsatile one.
+        time: of the field, s; the default is about peak systole.
+    """
+    field = blood_field(phantom, flow or FLOWS["pulsatile"])
     figure = new_figure(figsize=(11.0, 6.6), dpi=110, layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15))
     view, flows, profiles = (figure.add_subplot(at) for at in (grid[:, 0], grid[0, 1], grid[1, 1]))
     _draw_field(figure, view, field, time)
     _draw_flows(flows, field, time)
     _draw_profiles(profiles, field)
+    if path is not None:
+        figure.savefig(path)
     return figure
 
 

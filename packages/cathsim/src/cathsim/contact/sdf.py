@@ -11,7 +11,7 @@ import numpy as np
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.contact.native import address, library
-from cathsim.lattice.native_lattice import LatticeStruct
+from cathsim.lattice.node_blocks import LatticeStruct
 
 MAGIC = 1129469011.0
 GEOM_NAME, SHEATH_NAME = "vessel", "sheath"

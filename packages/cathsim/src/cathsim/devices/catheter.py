@@ -9,7 +9,6 @@ from typing import Annotated, overload
 import numpy as np
 from annotated_types import Interval, Len
 from numpy.typing import NDArray
-from scipy.spatial.distance import cdist
 
 from cathsim.guidewire import LONGEST, NMM2, THICKEST, Array, Distance, Stiffness, tapered
 from cathsim.validation import Angle, Length, LengthOrNone, Listed, Unit, settings
@@ -153,7 +152,7 @@ class Catheter:
         step = max(_SAMPLE * self.outer_diameter, reach / _SAMPLES)
         distance = np.linspace(0.0, reach, int(np.ceil(reach / step)) + 1)
         points = self.centreline(distance)
-        apart = cdist(points, points)
+        apart = np.linalg.norm(points[:, None] - points, axis=-1)
         along = distance[None] - distance[:, None]
         # a stretch of less than half a turn at the tightest radius does not come back either
         near = (along > np.pi * self.radius) & (apart < self.radius)

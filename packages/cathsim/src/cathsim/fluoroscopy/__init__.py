@@ -4,68 +4,70 @@
 real detectors.
 """
 
-from cathsim.fluoroscopy.attenuation import background_image, expose, lumen_path_length
-from cathsim.fluoroscopy.biplane import BiplaneFluoroscope, DevicesFrame, Frame
-from cathsim.fluoroscopy.body import THORAX, WATER_BATH, Box, Ellipsoid
-from cathsim.fluoroscopy.c_arms import PAIRS, XRayCamera, askew_pair, clinical_pair, guide3d_pair
-from cathsim.fluoroscopy.calibration_file import read_projection, write_calibration
-from cathsim.fluoroscopy.detector import Detector, quantum_noise
-from cathsim.fluoroscopy.device_renderer import DeviceRenderer
-from cathsim.fluoroscopy.distortion import DetectorDistortion
-from cathsim.fluoroscopy.materials import (
-    Section,
-    WireMaterial,
-    catheter_material,
-    coil_tipped_wire,
-    jacketed_wire,
-    steel_wire,
-    wire_material,
-)
-from cathsim.fluoroscopy.patient.ct_body import CTBody, ct_body, ct_scene
-from cathsim.fluoroscopy.projector import VIEWS, Projector
-from cathsim.fluoroscopy.radiograph import Radiograph, expose_depth, radiograph
-from cathsim.fluoroscopy.renderer import FluoroscopyRenderer
-from cathsim.fluoroscopy.scene import SCENES, XRayScene, scene
+from __future__ import annotations
 
-__all__ = [
-    "PAIRS",
-    "SCENES",
-    "THORAX",
-    "VIEWS",
-    "WATER_BATH",
-    "BiplaneFluoroscope",
-    "Box",
-    "CTBody",
-    "Detector",
-    "DetectorDistortion",
-    "DeviceRenderer",
-    "DevicesFrame",
-    "Ellipsoid",
-    "FluoroscopyRenderer",
-    "Frame",
-    "Projector",
-    "Radiograph",
-    "Section",
-    "WireMaterial",
-    "XRayCamera",
-    "XRayScene",
-    "askew_pair",
-    "background_image",
-    "catheter_material",
-    "clinical_pair",
-    "coil_tipped_wire",
-    "ct_body",
-    "ct_scene",
-    "expose",
-    "expose_depth",
-    "guide3d_pair",
-    "jacketed_wire",
-    "lumen_path_length",
-    "quantum_noise",
-    "radiograph",
-    "read_projection",
-    "scene",
-    "steel_wire",
-    "wire_material",
-    "write_calibration",
-]
+from typing import TYPE_CHECKING
+
+from cathsim.fluoroscopy.radiograph import radiograph as radiograph  # now: a module of the same name would hide it
+from cathsim.fluoroscopy.scene import scene as scene
+from cathsim.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from cathsim.fluoroscopy.attenuation import background_image as background_image
+    from cathsim.fluoroscopy.attenuation import expose as expose
+    from cathsim.fluoroscopy.attenuation import lumen_path_length as lumen_path_length
+    from cathsim.fluoroscopy.biplane import BiplaneFluoroscope as BiplaneFluoroscope
+    from cathsim.fluoroscopy.biplane import DevicesFrame as DevicesFrame
+    from cathsim.fluoroscopy.biplane import Frame as Frame
+    from cathsim.fluoroscopy.body import THORAX as THORAX
+    from cathsim.fluoroscopy.body import WATER_BATH as WATER_BATH
+    from cathsim.fluoroscopy.body import Box as Box
+    from cathsim.fluoroscopy.body import Ellipsoid as Ellipsoid
+    from cathsim.fluoroscopy.c_arms import PAIRS as PAIRS
+    from cathsim.fluoroscopy.c_arms import XRayCamera as XRayCamera
+    from cathsim.fluoroscopy.c_arms import askew_pair as askew_pair
+    from cathsim.fluoroscopy.c_arms import clinical_pair as clinical_pair
+    from cathsim.fluoroscopy.c_arms import guide3d_pair as guide3d_pair
+    from cathsim.fluoroscopy.calibration_file import read_projection as read_projection
+    from cathsim.fluoroscopy.calibration_file import write_calibration as write_calibration
+    from cathsim.fluoroscopy.detector import Detector as Detector
+    from cathsim.fluoroscopy.detector import quantum_noise as quantum_noise
+    from cathsim.fluoroscopy.device_renderer import DeviceRenderer as DeviceRenderer
+    from cathsim.fluoroscopy.distortion import DetectorDistortion as DetectorDistortion
+    from cathsim.fluoroscopy.materials import Section as Section
+    from cathsim.fluoroscopy.materials import WireMaterial as WireMaterial
+    from cathsim.fluoroscopy.materials import catheter_material as catheter_material
+    from cathsim.fluoroscopy.materials import coil_tipped_wire as coil_tipped_wire
+    from cathsim.fluoroscopy.materials import jacketed_wire as jacketed_wire
+    from cathsim.fluoroscopy.materials import steel_wire as steel_wire
+    from cathsim.fluoroscopy.materials import wire_material as wire_material
+    from cathsim.fluoroscopy.patient.ct_body import CTBody as CTBody
+    from cathsim.fluoroscopy.patient.ct_body import ct_body as ct_body
+    from cathsim.fluoroscopy.patient.ct_body import ct_scene as ct_scene
+    from cathsim.fluoroscopy.projector import VIEWS as VIEWS
+    from cathsim.fluoroscopy.projector import Projector as Projector
+    from cathsim.fluoroscopy.radiograph import Radiograph as Radiograph
+    from cathsim.fluoroscopy.radiograph import expose_depth as expose_depth
+    from cathsim.fluoroscopy.renderer import FluoroscopyRenderer as FluoroscopyRenderer
+    from cathsim.fluoroscopy.scene import SCENES as SCENES
+    from cathsim.fluoroscopy.scene import XRayScene as XRayScene
+
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    {
+        "attenuation": "background_image expose lumen_path_length",
+        "biplane": "BiplaneFluoroscope DevicesFrame Frame",
+        "body": "Box Ellipsoid THORAX WATER_BATH",
+        "c_arms": "PAIRS XRayCamera askew_pair clinical_pair guide3d_pair",
+        "calibration_file": "read_projection write_calibration",
+        "detector": "Detector quantum_noise",
+        "device_renderer": "DeviceRenderer",
+        "distortion": "DetectorDistortion",
+        "materials": "Section WireMaterial catheter_material coil_tipped_wire jacketed_wire steel_wire wire_material",
+        "patient.ct_body": "CTBody ct_body ct_scene",
+        "projector": "Projector VIEWS",
+        "radiograph": "Radiograph expose_depth radiograph",
+        "renderer": "FluoroscopyRenderer",
+        "scene": "SCENES XRayScene scene",
+    },
+)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from cathsim.fluoroscopy.body import THORAX, Solid, body_depth
 from cathsim.fluoroscopy.projector import Projector
-from cathsim.lattice.native_lattice import LatticeStruct
-from cathsim.lattice.node_blocks import NodeBlocks
+from cathsim.lattice.node_blocks import LatticeStruct, NodeBlocks
 
 CONTRAST = 28.0  # 1/m, diluted iodine over blood
 GAMMA = 0.5  # of the display: wide enough a range for lungs, spine and wire in one image

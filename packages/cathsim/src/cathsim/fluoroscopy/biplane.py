@@ -18,9 +18,8 @@ from cathsim.fluoroscopy.radiograph import Radiograph, radiograph
 from cathsim.fluoroscopy.renderer import nodes_of
 from cathsim.fluoroscopy.scene import XRayScene, scene
 from cathsim.fluoroscopy.wire_shadow import ShadowWindow, WireShadow, overlaid
-from cathsim.presets import WIRE_RADIUS
+from cathsim.presets import MAXIMUM_SIZE, WIRE_RADIUS
 
-MAXIMUM_SIZE = 4096  # px
 _NORMALS = 4096
 
 

@@ -285,8 +285,6 @@ class NodeBlocks:
 
     @cached_property
     def _struct(self) -> ctypes.Structure:
-        from cathsim.lattice.native_lattice import LatticeStruct
-
         if self.nodes.dtype != np.float32:
             raise TypeError(f"only values of float32 can be interpolated, got {self.nodes.dtype}.")
         return LatticeStruct.of(self)
@@ -317,3 +315,19 @@ def _mapped(shape: tuple[int, ...], dtype: np.dtype) -> NDArray:
         with contextlib.suppress(OSError):  # a kernel without them
             pages.madvise(mmap.MADV_HUGEPAGE)
     return np.frombuffer(pages, dtype=dtype).reshape(shape)
+
+
+class LatticeStruct(ctypes.Structure):
+    """Values at the nodes of a lattice (struct Lattice of lattice.h)."""
+
+    _fields_ = (
+        ("size", ctypes.c_int * 3),
+        ("blocks", ctypes.c_int * 3),
+        ("table", ctypes.c_void_p),
+        ("nodes", ctypes.c_void_p),
+    )
+
+    @classmethod
+    def of(cls, blocks: NodeBlocks) -> LatticeStruct:
+        """The struct of float32 values, which must outlive its use."""
+        return cls(blocks.shape, blocks.table.shape, blocks.table.ctypes.data, blocks.nodes.ctypes.data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -68,3 +69,14 @@ class NodeSet:
         row, column = (np.concatenate(half) for half in zip(*ends, strict=True))
         edges = coo_matrix((np.ones(len(row), dtype=np.int8), (row, column)), shape=(len(self), len(self)))
         return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int32)
+
+
+class NodeSetStruct(ctypes.Structure):
+    """Some nodes of a lattice (struct NodeSet of lattice.h)."""
+
+    _fields_ = (("count", ctypes.c_int32), ("numbers", ctypes.c_void_p), ("positions", ctypes.c_void_p))
+
+    @classmethod
+    def of(cls, nodes: NodeSet) -> NodeSetStruct:
+        """The struct of a set, which must outlive its use."""
+        return cls(len(nodes), nodes.numbers.nodes.ctypes.data, nodes.positions.ctypes.data)

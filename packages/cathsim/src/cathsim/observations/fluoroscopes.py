@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from annotated_types import Interval
@@ -12,22 +12,20 @@ from cathsim.anatomy import Phantom
 from cathsim.contact.sdf import Vessel
 from cathsim.devices.catheter import Catheter
 from cathsim.devices.simulation import DEVICE_NAMES, DualSimulation
-from cathsim.fluoroscopy import (
-    BiplaneFluoroscope,
-    DeviceRenderer,
-    DevicesFrame,
-    FluoroscopyRenderer,
-    Frame,
-    Projector,
-    WireMaterial,
-    background_image,
-    catheter_material,
-)
-from cathsim.fluoroscopy.biplane import MAXIMUM_SIZE
 from cathsim.lifetime_cache import kept_with_owner
-from cathsim.presets import WIRE_RADIUS
+from cathsim.presets import MAXIMUM_SIZE, WIRE_RADIUS
 from cathsim.simulation import Simulation
 from cathsim.validation import Unit, quantity
+
+if TYPE_CHECKING:
+    from cathsim.fluoroscopy import (
+        BiplaneFluoroscope,
+        DeviceRenderer,
+        DevicesFrame,
+        FluoroscopyRenderer,
+        Frame,
+        WireMaterial,
+    )
 
 _ImageSize = Annotated[int, Interval(ge=16, le=MAXIMUM_SIZE), Unit("px")]
 FRAMES = 3  # of the sequential observation
@@ -39,6 +37,8 @@ BEHIND_STEP = 0.005
 @kept_with_owner
 def camera(phantom: Phantom, size: int, wire_radius: float) -> FluoroscopyRenderer:
     """The frontal fluoroscope of a phantom, shared by every environment that looks at it."""
+    from cathsim.fluoroscopy import FluoroscopyRenderer, Projector, background_image
+
     projector = Projector.frontal(phantom.bounds, size)
     background = background_image(phantom.grid, projector, key=phantom.hash)
     centre = phantom.bounds.mean(axis=0)
@@ -48,6 +48,8 @@ def camera(phantom: Phantom, size: int, wire_radius: float) -> FluoroscopyRender
 @kept_with_owner
 def camera_of_devices(phantom: Phantom, size: int, wire_radius: float, catheter: Catheter) -> DeviceRenderer:
     """The frontal fluoroscope of a phantom for a wire in a catheter, shared as `camera` is."""
+    from cathsim.fluoroscopy import DeviceRenderer, Projector, background_image
+
     projector = Projector.frontal(phantom.bounds, size)
     background = background_image(phantom.grid, projector, key=phantom.hash)
     centre, material = phantom.bounds.mean(axis=0), material_of(catheter)
@@ -56,6 +58,8 @@ def camera_of_devices(phantom: Phantom, size: int, wire_radius: float, catheter:
 
 def material_of(catheter: Catheter) -> WireMaterial:
     """A catheter under X-rays, its lumen full of saline where no wire is."""
+    from cathsim.fluoroscopy import catheter_material
+
     return catheter_material(
         catheter.radius,
         catheter.inner_diameter / 2,
@@ -123,12 +127,13 @@ class Fluoroscope:
     def _draw(self) -> None:
         if self._drawn:
             return
-        if isinstance(self.renderer, FluoroscopyRenderer):
-            self.renderer.render_into(shown_points(self.simulation), self._image, self._mask)
+        renderer: Any = self.renderer
+        if not self._masks:
+            renderer.render_into(shown_points(self.simulation), self._image, self._mask)
         else:
             wire, catheter = (shown_points(self.simulation, device) for device in DEVICE_NAMES)
             wire_mask, catheter_mask = (self._masks[device] for device in DEVICE_NAMES)
-            self.renderer.render_into(wire, catheter, self._image, wire_mask, catheter_mask)
+            renderer.render_into(wire, catheter, self._image, wire_mask, catheter_mask)
             np.bitwise_or(wire_mask, catheter_mask, out=self._mask)
         self._drawn = True
 
@@ -211,9 +216,7 @@ class BiplaneView:
         """A device's pixels in a camera's image, 0 or 1; None: of both; not to be written into."""
         device = self.shows(device)
         frame = self.frame(name)
-        if device is None or not isinstance(frame, DevicesFrame):
-            return frame.mask
-        return frame.mask_wire if device == "wire" else frame.mask_catheter
+        return frame.mask if device is None else getattr(frame, f"mask_{device}")
 
 
 def frame_of(

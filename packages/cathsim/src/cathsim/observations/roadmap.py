@@ -13,7 +13,7 @@ from cathsim.anatomy.point_target import TargetLike, as_target
 from cathsim.contact.native import address, library
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import TIP_SITE
-from cathsim.lattice.native_lattice import LatticeStruct
+from cathsim.lattice.node_blocks import LatticeStruct
 from cathsim.observations.scan import Scan
 from cathsim.simulation import Simulation
 from cathsim.validation import Unit, quantity

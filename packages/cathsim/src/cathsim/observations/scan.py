@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from cathsim.anatomy import Phantom
 
@@ -28,6 +27,8 @@ class Scan:
     @cached_property
     def rotation(self) -> Array:
         """The rotation from the patient to the scan. Shape (3, 3)."""
+        from scipy.spatial.transform import Rotation
+
         return np.asarray(Rotation.from_rotvec(self.turn).as_matrix())
 
     @cached_property

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 
 from cathsim.anatomy.point_target import TargetLike
-from cathsim.fluoroscopy import BiplaneFluoroscope
 from cathsim.observations.fluoroscopes import BiplaneView, Fluoroscope
 from cathsim.observations.observables import channels_behind, make_observable
 from cathsim.observations.progress_history import History
@@ -17,6 +16,9 @@ from cathsim.observations.roadmap import Roadmap
 from cathsim.observations.scan import Scan
 from cathsim.observations.tracking import Tracking
 from cathsim.simulation import Simulation
+
+if TYPE_CHECKING:
+    from cathsim.fluoroscopy import BiplaneFluoroscope
 
 
 class Sensors:

@@ -16,9 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.figure import new_figure
-from cathsim.lattice.native_lattice import NodeSetStruct
 from cathsim.lattice.node_blocks import STRIDES
-from cathsim.lattice.node_set import NodeSet
+from cathsim.lattice.node_set import NodeSet, NodeSetStruct
 from cathsim.presets import WIRE_RADIUS
 from cathsim.validation import LengthOrNone, quantity
 

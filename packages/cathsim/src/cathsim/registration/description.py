@@ -18,7 +18,6 @@ from gymnasium.envs.registration import EnvSpec
 
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.library import phantom_described, phantom_description
-from cathsim.fluoroscopy import BiplaneFluoroscope
 
 Kind = TypeVar("Kind")
 
@@ -33,6 +32,8 @@ def describe(value: Any) -> Any:
     Raises:
         ValueError: it cannot be made again from a description.
     """
+    from cathsim.fluoroscopy.biplane import BiplaneFluoroscope
+
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, np.generic | np.ndarray):
@@ -82,6 +83,8 @@ def described(value: Any) -> Any:
         return phantom_described({key: one for key, one in value.items() if key != CLASS})
     arguments = {key: described(one) for key, one in value.items() if key != CLASS}
     if kind == "BiplaneFluoroscope":
+        from cathsim.fluoroscopy.biplane import BiplaneFluoroscope
+
         return BiplaneFluoroscope.of(**arguments)
     if kind == FUNCTION:
         function = _found(str(value.get("name")))

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from cathsim.devices.simulation import DualSimulation
-from cathsim.robot.follower import DRIVES, FollowerRobot
 from cathsim.robot.pace import ROTATION_STEP as ROTATION_STEP
 from cathsim.robot.pace import TRANSLATION_STEP as TRANSLATION_STEP
 from cathsim.simulation import Simulation
 from cathsim.validation import numbers
+
+if TYPE_CHECKING:
+    from cathsim.robot.follower import FollowerRobot
+
+DRIVES = ("direct", "robot")
 
 
 class Feeders:
@@ -38,7 +42,11 @@ class Feeders:
         self._simulation, self._motors = simulation, simulation.motors
         self._pair = simulation if isinstance(simulation, DualSimulation) and simulation.pair.both else None
         self.devices = 2 if self._pair else 1
-        self.robots = tuple(FollowerRobot() for _ in range(self.devices)) if drive == "robot" else ()
+        self.robots: tuple[FollowerRobot, ...] = ()
+        if drive == "robot":
+            from cathsim.robot.follower import FollowerRobot
+
+            self.robots = tuple(FollowerRobot() for _ in range(self.devices))
         self.shape = (self._motors + 1,) if self._motors else (2 * self.devices,)
 
     def reset(self) -> None:

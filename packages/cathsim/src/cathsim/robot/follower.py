@@ -17,7 +17,6 @@ from cathsim.robot.model import CARRIAGE, DRIVING_CLAMP, GUIDEWIRE_ROTARY, HOLDI
 from cathsim.robot.model import RobotSettings as RobotSettings
 from cathsim.validation import Coordinate, Length, settings
 
-DRIVES = ("direct", "robot")
 _Scale = Annotated[float, Interval(gt=0, le=1000)]
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION.value
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cathsim.observations.fluoroscopes import Fluoroscope
-from cathsim.robot.follower import FollowerRobot
-from cathsim.simulation import CONTROL_STEP
+from cathsim.robot.pace import CONTROL_STEP
 
 if TYPE_CHECKING:
+    from cathsim.observations.fluoroscopes import Fluoroscope
+    from cathsim.robot.follower import FollowerRobot
     from cathsim.viewing.camera_view import View
 
 MODES = ("human", "rgb_array", "fluoroscopy")

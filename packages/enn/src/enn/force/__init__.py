@@ -25,25 +25,12 @@ if TYPE_CHECKING:
     from enn.force.samples import force_samples as force_samples
     from enn.force.samples import principal_components as principal_components
 
-_HOME = {
-    "DESK_FORCE": "prediction",
-    "FORCE_INPUTS": "samples",
-    "THESIS_FORCE": "prediction",
-    "ForceInputs": "samples",
-    "ForceNetwork": "prediction",
-    "ForceNetworkSettings": "prediction",
-    "ForcePredictionSettings": "prediction",
-    "ForcePredictor": "prediction",
-    "ForceSamples": "samples",
-    "ForceScore": "evaluation",
-    "calibration": "evaluation",
-    "evaluate_predictor": "evaluation",
-    "fit_force": "prediction",
-    "force_preset": "prediction",
-    "force_samples": "samples",
-    "principal_components": "samples",
-    "score": "evaluation",
-}
-
-__all__ = list(_HOME)
-__getattr__ = lazy_names(__name__, _HOME)
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    {
+        "evaluation": "ForceScore calibration evaluate_predictor score",
+        "prediction": "DESK_FORCE ForceNetwork ForceNetworkSettings ForcePredictionSettings ForcePredictor "
+        "THESIS_FORCE fit_force force_preset",
+        "samples": "FORCE_INPUTS ForceInputs ForceSamples force_samples principal_components",
+    },
+)

@@ -20,17 +20,12 @@ if TYPE_CHECKING:
     from enn.reinforcement.training.settings import TrainingSettings as TrainingSettings
     from enn.reinforcement.training.training import Training as Training
 
-_HOME = {
-    "CheckpointError": "checkpoint",
-    "DESK_PPO": "training.settings",
-    "DESK_SAC": "training.settings",
-    "Progress": "training.result",
-    "THESIS_PPO": "training.settings",
-    "THESIS_SAC": "training.settings",
-    "Training": "training.training",
-    "TrainingResult": "training.result",
-    "TrainingSettings": "training.settings",
-}
-
-__all__ = list(_HOME)
-__getattr__ = lazy_names(__name__, _HOME)
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    {
+        "checkpoint": "CheckpointError",
+        "training.result": "Progress TrainingResult",
+        "training.settings": "DESK_PPO DESK_SAC THESIS_PPO THESIS_SAC TrainingSettings",
+        "training.training": "Training",
+    },
+)

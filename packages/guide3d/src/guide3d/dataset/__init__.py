@@ -5,29 +5,25 @@ Names are imported at first use.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from guide3d.lazy_names import imported
+from guide3d.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from guide3d.dataset.acquisition_split import Split, split_acquisitions
-    from guide3d.dataset.dataset import VIEWS, Dataset, images_of, split
-    from guide3d.dataset.frame import Frame
-    from guide3d.image_file import ImageError
+    from guide3d.dataset.acquisition_split import Split as Split
+    from guide3d.dataset.acquisition_split import split_acquisitions as split_acquisitions
+    from guide3d.dataset.dataset import VIEWS as VIEWS
+    from guide3d.dataset.dataset import Dataset as Dataset
+    from guide3d.dataset.dataset import images_of as images_of
+    from guide3d.dataset.dataset import split as split
+    from guide3d.dataset.frame import Frame as Frame
+    from guide3d.image_file import ImageError as ImageError
 
-_HOME = {
-    "VIEWS": "dataset",
-    "Dataset": "dataset",
-    "Frame": "frame",
-    "ImageError": "frame",
-    "Split": "acquisition_split",
-    "images_of": "dataset",
-    "split": "dataset",
-    "split_acquisitions": "acquisition_split",
-}
-
-__all__ = ["VIEWS", "Dataset", "Frame", "ImageError", "Split", "images_of", "split", "split_acquisitions"]
-
-
-def __getattr__(name: str) -> Any:
-    return imported(__name__, _HOME, name)
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    {
+        "acquisition_split": "Split split_acquisitions",
+        "dataset": "Dataset VIEWS images_of split",
+        "frame": "Frame ImageError",
+    },
+)

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from guide3d.dicom.c_arm import camera_of, view_warnings
-from guide3d.dicom.xray_run import XrayRun, read_xray
+from guide3d.dicom.run_folder import read_xray
+from guide3d.dicom.xray_run import XrayRun
 from guide3d.geometry.camera import Camera
 
 _LEAST_ANGLE_DEG = 10.0  # between the central rays, below which depth is hardly seen

@@ -1,4 +1,4 @@
-"""A folder of DICOM files with a frame each, as many systems export a run: one series, in the order of its numbers."""
+"""Reads X-ray runs: a file, or a folder of files with a frame each, one series in the order of its numbers."""
 
 from __future__ import annotations
 
@@ -8,16 +8,39 @@ from pathlib import Path
 
 import numpy as np
 
-from guide3d.dicom.header import Header, OtherKindError
+from guide3d.dicom.header import Header, OtherKindError, pydicom_reader
 from guide3d.dicom.stored_pixels import frame_count
 from guide3d.dicom.xray_run import XrayRun, moment_of, run_of
 from guide3d.file_names import files_in, numeric_order
 from guide3d.geometry.polyline import Array
+from guide3d.guarded_reading import call_in_child
 
 _NAMED = 3  # files that a message names
 _BY_FRAME = (
     "frames", "primary_deg", "secondary_deg", "source_detector_mm", "source_isocentre_mm", "pixel_mm", "table_mm",
 )  # fmt: skip
+
+
+def read_xray(path: str | Path) -> XrayRun:
+    """Reads an X-ray run in a child process: XA or RF, enhanced or not, one frame or many.
+
+    Args:
+        path: a file, or a folder of single frames.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ImportError: pydicom is not installed.
+        ValueError: the file is no X-ray run, or damaged, or its pictures cannot be decoded. No message quotes what the
+            file says about the patient: that is never read.
+    """
+    pydicom_reader()  # what the child needs is imported before it is forked
+    path = Path(path)
+    return call_in_child(read_folder if path.is_dir() else read_file, path, subject=str(path))
+
+
+def read_file(path: Path) -> XrayRun:
+    """As `read_xray` of a file, in this process."""
+    return run_of(Header(path))
 
 
 def read_folder(folder: Path) -> XrayRun:

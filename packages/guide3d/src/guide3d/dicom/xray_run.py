@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from guide3d.dicom.header import Header, pydicom_reader, silent
+from guide3d.dicom.header import Header, silent
 from guide3d.dicom.stored_pixels import grey_tables, has_empty_window, stored_frames
 from guide3d.geometry.polyline import Array
-from guide3d.guarded_reading import call_in_child
 
 _CONSTANT_DEG = 0.05  # angles that differ by less are the same: systems write them to a tenth
 
@@ -66,30 +65,6 @@ class XrayRun:
         """Whether the C-arm turns during the run."""
         turned = [np.ptp(angle) for angle in (self.primary_deg, self.secondary_deg) if np.isfinite(angle).all()]
         return bool(max(turned, default=0.0) > _CONSTANT_DEG)
-
-
-def read_xray(path: str | Path) -> XrayRun:
-    """Reads an X-ray run in a child process: XA or RF, enhanced or not, one frame or many.
-
-    Args:
-        path: a file, or a folder of single frames (`guide3d.dicom.run_folder`).
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ImportError: pydicom is not installed.
-        ValueError: the file is no X-ray run, or damaged, or its pictures cannot be decoded. No message quotes what the
-            file says about the patient: that is never read.
-    """
-    from guide3d.dicom.run_folder import read_folder
-
-    pydicom_reader()  # what the child needs is imported before it is forked
-    path = Path(path)
-    return call_in_child(read_folder if path.is_dir() else read_file, path, subject=str(path))
-
-
-def read_file(path: Path) -> XrayRun:
-    """As `read_xray` of a file, in this process."""
-    return run_of(Header(path))
 
 
 def run_of(header: Header) -> XrayRun:

@@ -5,27 +5,19 @@ Names are imported at first use.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from guide3d.lazy_names import imported
+from guide3d.lazy_names import lazy_names
 
 if TYPE_CHECKING:
-    from guide3d.reconstruction.reconstruction import (
-        Reconstruction,
-        ReconstructionSettings,
-        reconstruct,
-        reconstruct_greedy,
-    )
+    from guide3d.reconstruction.reconstruction import Reconstruction as Reconstruction
+    from guide3d.reconstruction.reconstruction import ReconstructionSettings as ReconstructionSettings
+    from guide3d.reconstruction.reconstruction import reconstruct as reconstruct
+    from guide3d.reconstruction.reconstruction import reconstruct_greedy as reconstruct_greedy
 
-_HOME = {
-    "Reconstruction": "reconstruction",
-    "ReconstructionSettings": "reconstruction",
-    "reconstruct": "reconstruction",
-    "reconstruct_greedy": "reconstruction",
-}
-
-__all__ = ["Reconstruction", "ReconstructionSettings", "reconstruct", "reconstruct_greedy"]
-
-
-def __getattr__(name: str) -> Any:
-    return imported(__name__, _HOME, name)
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    {
+        "reconstruction": "Reconstruction ReconstructionSettings reconstruct reconstruct_greedy",
+    },
+)

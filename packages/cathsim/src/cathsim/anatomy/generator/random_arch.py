@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.arch_parameters import ArchParameters, draw_parameters
 from cathsim.anatomy.vessel_tree import VesselTree, nearest_on_branch
 
@@ -35,6 +34,8 @@ def sample_parameters(rng: np.random.Generator, *, wide: bool = False) -> ArchPa
         wide: for training: take-offs, type and windings are drawn evenly from all that can be built, and a quarter of
             the arches has a common origin of BCA and LCCA.
     """
+    from cathsim.anatomy.generator.aortic_arch import build_arch
+
     for _ in range(_ATTEMPTS):
         parameters = draw_parameters(rng)
         if wide:

@@ -10,15 +10,12 @@ from typing import Any
 import numpy as np
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.arch_parameters import Aneurysm, ArchParameters
 from cathsim.anatomy.generator.random_arch import sample_parameters
 from cathsim.anatomy.generator.scan_arch import COMMON, STEEP, TRUNK, ScanArch, build_scan_arch, drawn_relief
 from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
 from cathsim.anatomy.generator.variety.variety_arch import VarietyArch, build_variety_arch, drawn_type
-from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.vessel_tree import VesselTree
-from cathsim.anatomy.wall.relief import raise_relief
 
 GENERATOR_VERSION = 6  # raise it whenever the same measures give another geometry
 VARIETY_VERSION = 1  # the same for the arch variety
@@ -52,6 +49,8 @@ def build_tree(recipe: Recipe) -> VesselTree:
     """
     if isinstance(recipe, VarietyArch):
         return build_variety_arch(recipe)
+    from cathsim.anatomy.generator.aortic_arch import build_arch
+
     return build_scan_arch(recipe) if isinstance(recipe, ScanArch) else build_arch(recipe)
 
 
@@ -61,6 +60,9 @@ def build_grid(recipe: Recipe, tree: VesselTree, resolution: float) -> SignedDis
     Raises:
         ValueError: the resolution is too coarse or too fine.
     """
+    from cathsim.anatomy.lumen import build_lumen
+    from cathsim.anatomy.wall.relief import raise_relief
+
     fillet = recipe.fillet_radius if isinstance(recipe, ArchParameters) else FILLET
     grid = build_lumen(tree, resolution=resolution, fillet_radius=fillet)
     return raise_relief(grid, tree, *drawn_relief(recipe)) if isinstance(recipe, ScanArch) else grid

@@ -7,17 +7,18 @@ Two shapes that the ranges seldom give, and that scans have, are settings of the
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.arch_parameters import ArchParameters, draw_parameters
 from cathsim.anatomy.generator.random_arch import BOVINE_SHARE, WIDE, separation
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
-from cathsim.anatomy.wall.relief import WallRelief
 from cathsim.validation import Seed, settings
+
+if TYPE_CHECKING:
+    from cathsim.anatomy.wall.relief import WallRelief
 
 LEAST_WALL = 1.2e-3  # m between the lumens of vessels that do not meet
 CHILDREN = 0.3  # share of arches smaller than an adult's
@@ -80,6 +81,8 @@ class ScanArch:
 
 def build_scan_arch(arch: ScanArch) -> VesselTree:
     """Builds the vessel tree, centred on the origin; its branches are those of `build_arch`."""
+    from cathsim.anatomy.generator.aortic_arch import build_arch
+
     rng = np.random.default_rng([arch.seed, 19, *([SHAPES.index(arch.shape)] if arch.shape != COMMON else [])])
     for _ in range(_ATTEMPTS):
         try:
@@ -96,6 +99,8 @@ def build_scan_arch(arch: ScanArch) -> VesselTree:
 
 def drawn_relief(arch: ScanArch) -> tuple[WallRelief, np.random.Generator]:
     """The relief of the arch's wall, and the generator of its draw."""
+    from cathsim.anatomy.wall.relief import WallRelief
+
     rng = np.random.default_rng([arch.seed, 20])
     relief = WallRelief(
         coarse=float(1e-4 + 1.2e-3 * rng.random() ** 2),

@@ -19,16 +19,11 @@ if TYPE_CHECKING:
     from enn.reinforcement.training.settings import TrainingSettings as TrainingSettings
     from enn.reinforcement.training.training import Training as Training
 
-_HOME = {
-    "DESK_PPO": "settings",
-    "DESK_SAC": "settings",
-    "Progress": "result",
-    "THESIS_PPO": "settings",
-    "THESIS_SAC": "settings",
-    "Training": "training",
-    "TrainingResult": "result",
-    "TrainingSettings": "settings",
-}
-
-__all__ = list(_HOME)
-__getattr__ = lazy_names(__name__, _HOME)
+__getattr__, __dir__, __all__ = lazy_names(
+    __name__,
+    {
+        "result": "Progress TrainingResult",
+        "settings": "DESK_PPO DESK_SAC THESIS_PPO THESIS_SAC TrainingSettings",
+        "training": "Training",
+    },
+)
