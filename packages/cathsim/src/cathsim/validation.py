@@ -8,27 +8,13 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
 from types import UnionType
-from typing import (
-    Annotated,
-    Any,
-    TypeVar,
-    Union,
-    cast,
-    dataclass_transform,
-    get_args,
-    get_origin,
-    get_type_hints,
-    overload,
-)
+from typing import Annotated, Any, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 import numpy as np
-from annotated_types import Ge, Gt, Interval, Le, Lt
+from annotated_types import Interval
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
-
-Kind = TypeVar("Kind")
 
 _HINTS = {
     "m": "lengths are in metres",
@@ -37,14 +23,10 @@ _HINTS = {
     "kg/m^3": "water has 1000 kg/m^3",
 }
 _KINDS = {
-    "int_type": "a whole number",
-    "int_from_float": "a whole number",
-    "int_parsing": "a whole number",
-    "float_type": "a number",
-    "float_parsing": "a number",
+    **dict.fromkeys(("int_type", "int_from_float", "int_parsing"), "a whole number"),
+    **dict.fromkeys(("float_type", "float_parsing"), "a number"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "true or false"),
     "finite_number": "a finite number",
-    "bool_type": "true or false",
-    "bool_parsing": "true or false",
     "string_type": "a text",
     "tuple_type": "a list",
 }
@@ -78,16 +60,8 @@ Coordinate = Annotated[float, Interval(ge=-10, le=10), Unit("m")]
 _CONFIGURATION = ConfigDict(allow_inf_nan=False, arbitrary_types_allowed=True, extra="forbid")
 
 
-@overload
-def settings(cls: type[Kind]) -> type[Kind]: ...
-
-
-@overload
-def settings(*, frozen: bool = True, eq: bool = True) -> Callable[[type[Kind]], type[Kind]]: ...
-
-
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
-def settings(cls: type[Kind] | None = None, *, frozen: bool = True, eq: bool = True) -> Any:
+def settings(cls: Any = None, *, frozen: bool = True, eq: bool = True) -> Any:
     """Makes a frozen dataclass whose fields are checked by their annotations.
 
     NaN and infinity are refused everywhere, ranges where an annotation has them. Numbers of NumPy are taken. `frozen`
@@ -97,11 +71,7 @@ def settings(cls: type[Kind] | None = None, *, frozen: bool = True, eq: bool = T
         ValueError: on construction, one sentence that names field, range and unit.
     """
     if cls is None:
-        return functools.partial(_checked, frozen=frozen, eq=eq)
-    return _checked(cls, frozen=frozen, eq=eq)
-
-
-def _checked(cls: type[Any], *, frozen: bool, eq: bool) -> type[Any]:
+        return functools.partial(settings, frozen=frozen, eq=eq)
     made: Any = dataclass(frozen=frozen, eq=eq, config=_CONFIGURATION)(cls)
     construct = made.__init__
 
@@ -118,7 +88,7 @@ def _checked(cls: type[Any], *, frozen: bool, eq: bool) -> type[Any]:
 
     init.checks_fields = True  # type: ignore[attr-defined]
     made.__init__ = init
-    return cast(type[Any], made)
+    return made
 
 
 def check_fields(made: Any, of: type[Any]) -> None:
@@ -178,15 +148,18 @@ def _refuse_truth(name: str, value: bool, annotation: Any) -> None:
     """Refuses True and False for a number, which they would become."""
     kinds = _kinds(annotation)
     if kinds & {int, float} and bool not in kinds:
-        wanted = "float_type" if float in kinds else "int_type"
-        raise ValueError(_sentence(name, annotation, {"type": wanted, "input": value}))
+        expected = "float_type" if float in kinds else "int_type"
+        raise ValueError(_sentence(name, annotation, {"type": expected, "input": value}))
 
 
 def _kinds(annotation: Any) -> set[Any]:
     """The types that an annotation takes, of lists none."""
-    if isinstance(annotation, UnionType) or get_origin(annotation) is Union:
-        return set().union(*(_kinds(one) for one in get_args(annotation)))
-    return _kinds(get_args(annotation)[0]) if get_origin(annotation) is Annotated else {annotation}
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        return _kinds(get_args(annotation)[0])
+    if origin in (Union, UnionType):
+        return set().union(*map(_kinds, get_args(annotation)))
+    return {annotation}
 
 
 @functools.cache
@@ -228,25 +201,14 @@ def _sentence(name: str, annotation: Any, first: Any) -> str:
 
 def _range(annotation: Any) -> tuple[str, str, str]:
     """Bounds and unit of the first quantity within an annotation, as text; empty where there is none."""
-    low = high = unit = ""
-    edge: Any
+    bounds, unit = {"g": "", "l": ""}, ""
     for part in getattr(annotation, "__metadata__", ()):
         for bound in part if isinstance(part, Interval) else (part,):
-            if isinstance(bound, Ge | Gt):
-                edge = bound.ge if isinstance(bound, Ge) else bound.gt
-                low = _number(edge) + (" (excluded)" if isinstance(bound, Gt) else "")
-            elif isinstance(bound, Le | Lt):
-                edge = bound.le if isinstance(bound, Le) else bound.lt
-                high = _number(edge) + (" (excluded)" if isinstance(bound, Lt) else "")
-        if isinstance(part, Unit):
-            unit = part.name
-    if low or high or unit:
-        return low, high, unit
-    for inner in getattr(annotation, "__args__", ()):
-        if any(found := _range(inner)):
-            return found
-    return "", "", ""
-
-
-def _number(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+            for edge in ("ge", "gt", "le", "lt"):
+                if hasattr(bound, edge):
+                    value, excluded = getattr(bound, edge), " (excluded)" if edge[1] == "t" else ""
+                    bounds[edge[0]] = (f"{value:g}" if isinstance(value, float) else str(value)) + excluded
+        unit = part.name if isinstance(part, Unit) else unit
+    if any(bounds.values()) or unit:
+        return bounds["g"], bounds["l"], unit
+    return next(filter(any, map(_range, getattr(annotation, "__args__", ()))), ("", "", ""))

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import Annotated, Any, TypeVar, cast, dataclass_transform
+from typing import Annotated, Any, dataclass_transform
 
 from annotated_types import Interval
 from pydantic import ConfigDict, ValidationError
 from pydantic.dataclasses import dataclass
-
-Kind = TypeVar("Kind")
 
 Count = Annotated[int, Interval(ge=1, le=1_000_000_000)]
 CountOrNone = Annotated[int, Interval(ge=0, le=1_000_000_000)]  # 0: none, or without a limit
@@ -30,7 +28,7 @@ Seed = Annotated[int, Interval(ge=0, lt=2**63)]
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
-def settings(cls: type[Kind]) -> type[Kind]:
+def settings(cls: Any) -> Any:
     """Makes a frozen dataclass that raises a ValueError of one sentence for what a field does not take."""
     made: Any = dataclass(frozen=True, config=ConfigDict(allow_inf_nan=False, extra="forbid"))(cls)
     construct = made.__init__
@@ -43,7 +41,7 @@ def settings(cls: type[Kind]) -> type[Kind]:
             raise ValueError(_sentence(error)) from None
 
     made.__init__ = init
-    return cast(type[Kind], made)
+    return made
 
 
 def _sentence(error: ValidationError) -> str:

@@ -9,15 +9,12 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import functools
-from collections.abc import Callable
-from typing import Annotated, Any, TypeVar, dataclass_transform, overload
+from typing import Annotated, Any, dataclass_transform
 
 import numpy as np
 from annotated_types import Interval
 from pydantic import BeforeValidator, ConfigDict, ValidationError
 from pydantic.dataclasses import dataclass
-
-Kind = TypeVar("Kind")
 
 Count = Annotated[int, Interval(ge=1, le=1_000_000_000)]
 CountOrNone = Annotated[int, Interval(ge=0, le=1_000_000_000)]  # 0: none, or without a limit
@@ -53,16 +50,8 @@ def seed(text: str) -> int:
     return int(text)
 
 
-@overload
-def settings(cls: type[Kind], /) -> type[Kind]: ...
-
-
-@overload
-def settings(*, eq: bool) -> Callable[[type[Kind]], type[Kind]]: ...
-
-
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))
-def settings(cls: type[Any] | None = None, /, *, eq: bool = True) -> Any:
+def settings(cls: Any = None, /, *, eq: bool = True) -> Any:
     """Makes a frozen dataclass that raises a ValueError of one sentence for what a field does not take.
 
     Args:
