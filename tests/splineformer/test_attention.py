@@ -54,5 +54,5 @@ def test_attention_map_covers_an_image_that_is_no_square() -> None:
     wide = attention_map(model, image[:128])
     assert wide.shape == (128, 256)
     assert np.array_equal(wide, attention_map(model, image[:128]))
-    with pytest.raises(ValueError, match="expected a grey image"):
+    with pytest.raises(ValueError, match="expected an image of at least 64 x 64 px"):
         attention_map(model, np.zeros((4, 4)))

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from guide3d.reading.grey_image import grey_image
 from splineformer.image_input import picture_of, pixels_of_shares, shares_of_pixels
 from tests.splineformer.curves import image_of, wavy_wire
 
@@ -43,13 +44,13 @@ def test_shorter_sides_are_filled_up_with_black(shape: tuple[int, int]) -> None:
     assert picture.warnings == (f"{shape[1]} x {shape[0]} px instead of 256 x 256",)
 
 
-def test_deep_images_are_spread_without_their_tails() -> None:
-    levels = np.linspace(1000.0, 3000.0, 64 * 64).reshape(64, 64)
-    levels[0, 0] = 1e9  # one hot pixel
-    picture = picture_of(levels, 64, 64)
-    assert (picture.pixels.min(), picture.pixels.max()) == (0, 255)
-    assert picture.pixels[32, 0] == pytest.approx(128, abs=2)
-    assert picture.warnings == ("float64 grey levels were spread over 0 to 255",)
-    flat = np.zeros((100, 100))
-    flat[0, 0] = 1.0  # less than the tails: both ends are taken as they are
-    assert picture_of(flat, 100, 100).pixels[0, 0] == 255
+def test_deep_images_have_the_grey_levels_that_guide3d_gives_them() -> None:
+    levels = np.linspace(1000.0, 3000.0, 128 * 128).reshape(128, 128)
+    levels[1, 1] = 1e9  # one hot pixel
+    picture = picture_of(levels, 128, 128)
+    assert np.array_equal(picture.pixels, grey_image(levels).pixels)
+    assert picture.pixels[64, 0] == pytest.approx(235 * 2000 / 3000, abs=4)
+    assert picture.warnings[0].startswith("grey values of 0 to 29")
+    flat = np.zeros((128, 128))
+    flat[1, 1] = 1.0  # less than the tails: both ends are taken as they are
+    assert picture_of(flat, 128, 128).pixels[1, 1] == 235

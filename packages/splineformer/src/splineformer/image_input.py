@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from guide3d.opencv import cv2
+from guide3d.reading.grey_image import grey_levels
 
 SMALLEST_PX = 64
-_TAILS_PCT = (0.1, 99.9)  # of the grey levels that may be cut off when a deep image is brought to 8 bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,29 +34,16 @@ def picture_of(image: ArrayLike, size_px: int, expected_px: int) -> Picture:
     """Brings an image to the network's size.
 
     Args:
-        image: (h, w) grey levels, or (h, w, 3) with three equal channels; uint8 as it is, other types are spread over
-            0 to 255.
+        image: as `guide3d.reading.grey_image.grey_levels` takes it.
         expected_px: side of the images that the network was trained on; others get a warning.
 
     Returns:
         The picture; a shorter side is filled up with black, at the right or below.
 
     Raises:
-        ValueError: another shape, too small, not finite, or all of one grey level.
+        ValueError: no image, a coloured or a tiny one, or one without any contrast.
     """
-    array = np.asarray(image)
-    warnings = []
-    if array.ndim == 3 and array.shape[2] in (3, 4):
-        if (array[..., 0] != array[..., 1]).any() or (array[..., 0] != array[..., 2]).any():
-            raise ValueError("expected a grey image, got a coloured one: convert it first")
-        array = array[..., 0]
-    if array.ndim != 2 or min(array.shape) < SMALLEST_PX:
-        raise ValueError(f"expected a grey image of at least {SMALLEST_PX} px a side, got shape {array.shape}")
-    if array.dtype != np.uint8:
-        warnings.append(f"{array.dtype} grey levels were spread over 0 to 255")
-        array = _eight_bits(array)
-    if array.min() == array.max():
-        raise ValueError(f"expected an image, got one grey level ({int(array.min())}) everywhere")
+    array, warnings = grey_levels(image, SMALLEST_PX)
     height, width = array.shape
     side = max(height, width)
     if (height, width) != (expected_px, expected_px):
@@ -70,16 +57,6 @@ def picture_of(image: ArrayLike, size_px: int, expected_px: int) -> Picture:
         way = cv2.INTER_AREA if side > size_px else cv2.INTER_LINEAR
         array = np.asarray(cv2.resize(array, (size_px, size_px), interpolation=way), np.uint8)
     return Picture(array, float(side), tuple(warnings))
-
-
-def _eight_bits(array: NDArray[np.generic]) -> NDArray[np.uint8]:
-    levels = array.astype(np.float64)
-    if not np.isfinite(levels).all():
-        raise ValueError("expected finite grey levels")
-    low, high = np.percentile(levels, _TAILS_PCT)
-    if high <= low:
-        low, high = levels.min(), levels.max()
-    return np.clip(np.round((levels - low) * (255.0 / max(high - low, 1e-12))), 0, 255).astype(np.uint8)
 
 
 def shares_of_pixels(points_px: NDArray[np.float64], size_px: tuple[float, float]) -> NDArray[np.float64]:

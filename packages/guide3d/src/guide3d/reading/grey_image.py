@@ -63,10 +63,20 @@ class GreyImage:
 
 
 def grey_image(image: ArrayLike) -> GreyImage:
-    """Checks an image and brings it to 8 bits, at its own scale.
+    """Checks an image and brings it to 8 bits, at its own scale; takes and raises what `grey_levels` does."""
+    pixels, messages = grey_levels(image)
+    return GreyImage(pixels, np.ones(2), not_exposed(pixels), messages)
+
+
+def grey_levels(image: ArrayLike, smallest_px: int = SMALLEST_PX) -> tuple[NDArray[np.uint8], list[str]]:
+    """Checks an image and brings it to 8 bits.
 
     Args:
         image: (h, w), or (h, w, 3) without colours; bytes, 16 bits, or real numbers, in any range.
+        smallest_px: of a side.
+
+    Returns:
+        (h, w) pixels, and what had to be done to the image, as sentences.
 
     Raises:
         ValueError: no image, a coloured or a tiny one, or one without any contrast.
@@ -78,9 +88,9 @@ def grey_image(image: ArrayLike) -> GreyImage:
     if values.ndim != 2 or values.dtype.kind not in "uif":
         raise ValueError(f"expected a grey image (h, w) of numbers, got shape {values.shape} of {values.dtype}")
     height, width = values.shape
-    if min(height, width) < SMALLEST_PX:
+    if min(height, width) < smallest_px:
         raise ValueError(
-            f"expected an image of at least {SMALLEST_PX} x {SMALLEST_PX} px, got {width} x {height}: "
+            f"expected an image of at least {smallest_px} x {smallest_px} px, got {width} x {height}: "
             "too small to tell a wire from its surroundings"
         )
     if values.dtype.kind == "f" and not np.isfinite(values).all():
@@ -89,7 +99,7 @@ def grey_image(image: ArrayLike) -> GreyImage:
     if high - low < 1e-3 * max(abs(high), abs(low), 1e-9) or (values.dtype == np.uint8 and high - low < 3.0):
         raise ValueError(f"the image has no contrast: its grey values are {low:g} to {high:g}")
     pixels = values if values.dtype == np.uint8 else _eight_bits(values, messages)
-    return GreyImage(np.ascontiguousarray(pixels), np.ones(2), not_exposed(pixels), messages)
+    return np.ascontiguousarray(pixels), messages
 
 
 def not_exposed(pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -125,6 +135,8 @@ def _without_colour(values: NDArray[np.generic], messages: list[str]) -> NDArray
 def _eight_bits(values: NDArray[np.generic], messages: list[str]) -> NDArray[np.uint8]:
     levels = values.astype(np.float32)
     low, high = (float(level) for level in np.percentile(levels[::4, ::4], (0.1, 99.9)))
+    if high <= low:
+        low, high = float(levels.min()), float(levels.max())
     low = min(low, 0.0) if low > 0.0 else low  # a level of zero means no light, so it stays where it is
     messages.append(f"grey values of {low:g} to {high:g} were taken to 8 bits")
     return np.clip(np.rint((levels - low) * (235.0 / (high - low))), 0, 255).astype(np.uint8)
