@@ -25,35 +25,35 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from cathsim import ACCURACY, Guidewire, Phantom, Simulation, load_guidewire, load_phantom
+from cathsim.active_chain import ActiveChain
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation
 from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP
-from cathsim.rung import Rung
 
 DEVICES = ("wire", "vertebral", "jb2")
 PRESETS = ("accurate", "fast")
 DEEP, LEAST_FORCE = 0.2, 0.01  # m, N
 
 
-def left_to_mujoco(rung: Rung) -> Rung:
-    """The rung, whose contacts MuJoCo's own solver solves."""
-    rung.struct.solver_rows = 0
-    return rung
+def left_to_mujoco(chain: ActiveChain) -> ActiveChain:
+    """The chain, whose contacts MuJoCo's own solver solves."""
+    chain.struct.solver_rows = 0
+    return chain
 
 
 class WireOfMujoco(Simulation):
     """A wire whose contacts MuJoCo's own solver solves."""
 
-    def _make_rung(self, wire: Guidewire) -> Rung:
-        return left_to_mujoco(super()._make_rung(wire))
+    def _make_chain(self, wire: Guidewire) -> ActiveChain:
+        return left_to_mujoco(super()._make_chain(wire))
 
 
 class DualOfMujoco(DualSimulation):
     """Two devices whose contacts MuJoCo's own solver solves."""
 
-    def _make_rung(self, wire: Guidewire) -> Rung:
-        return left_to_mujoco(super()._make_rung(wire))
+    def _make_chain(self, wire: Guidewire) -> ActiveChain:
+        return left_to_mujoco(super()._make_chain(wire))
 
 
 def both_of(phantom: Phantom, devices: str, preset: str) -> tuple[Simulation, Simulation]:

@@ -53,7 +53,12 @@ RECORDS = {
     "devices.device_file:DeviceFile",
     *("anatomy.vessel_tree:Branch", "anatomy.vessel_tree:VesselTree"),
     *("contact.hull_vessel:HullVessel", "contact.hulls:Hull", "contact.sdf:Vessel"),
-    *("registration.description:Specification", "link_ladder:Ladder", "planning.path:LumenPath", "validation:Unit"),
+    *(
+        "registration.description:Specification",
+        "active_chain:ActiveChains",
+        "planning.path:LumenPath",
+        "validation:Unit",
+    ),
     *(
         "fluoroscopy.c_arms:XRayCamera",
         "fluoroscopy.calibration_file:Projection",

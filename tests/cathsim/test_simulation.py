@@ -1,4 +1,4 @@
-"""A wire in a vessel: state and restore, the ladder against the whole wire, refinement, forces, feeding."""
+"""A wire in a vessel: state and restore, the active chain against the whole wire, refinement, forces, feeding."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cathsim import ACCURACY, Guidewire, Phantom, Simulation, load_guidewire, load_phantom
+from cathsim.active_chain import ActiveChains
 from cathsim.arena import max_insertion
-from cathsim.link_ladder import Ladder
 from cathsim.simulation import vessel_of
 
 MakeSimulation = Callable[..., Simulation]
@@ -42,12 +42,12 @@ def straight(count: int) -> np.ndarray:
 def whole_wire(monkeypatch: pytest.MonkeyPatch, make_simulation: MakeSimulation) -> MakeSimulation:
     """Makes simulations in which all links are simulated all the time."""
 
-    def single(wire: Guidewire) -> Ladder:
-        return Ladder((len(wire.links),), (max_insertion(wire),))
+    def single(wire: Guidewire) -> ActiveChains:
+        return ActiveChains((len(wire.links),), (max_insertion(wire),))
 
     def make(*args: object, **kwargs: object) -> Simulation:
         with monkeypatch.context() as patch:
-            patch.setattr(Ladder, "of", staticmethod(single))
+            patch.setattr(ActiveChains, "of", staticmethod(single))
             return make_simulation(*args, **kwargs)
 
     return make
@@ -65,7 +65,7 @@ def test_shapes_do_not_depend_on_how_many_links_are_simulated(make_simulation: M
         assert lengths == pytest.approx(simulation.wire.links[::-1], abs=1e-9)
         assert np.array_equal(points[0], simulation.tip)
         run(simulation, straight(60))
-    assert simulation.active_links > Ladder.of(simulation.wire).counts[0]
+    assert simulation.active_links > ActiveChains.of(simulation.wire).counts[0]
 
 
 def test_reset_puts_the_tip_just_inside_the_vessel(make_simulation: MakeSimulation, type_1: Phantom) -> None:
@@ -82,7 +82,7 @@ def test_reset_forgets_how_deep_the_wire_was(make_simulation: MakeSimulation) ->
     fresh, used = make_simulation(), make_simulation()
     run(used, random_actions(60, seed=9))
     used.reset(insertion=0.2)
-    used._rung.struct.depth = 1.0  # as if the wire had been deep in the wall: no substep would be repeated
+    used._chain.struct.depth = 1.0  # as if the wire had been deep in the wall: no substep would be repeated
     for simulation in (fresh, used):
         simulation.reset(insertion=0.2)
     assert np.array_equal(used.state(), fresh.state())
@@ -106,18 +106,18 @@ def test_a_restored_state_goes_on_with_the_same_bits(make_simulation: MakeSimula
     one, other = make_simulation(), make_simulation()
     run(one, random_actions(warm_up, seed=1))
     state = one.state()
-    rungs = set()
-    run(other, random_actions(70, seed=2))  # somewhere else, on another rung
+    chains = set()
+    run(other, random_actions(70, seed=2))  # somewhere else, on another chain
     other.restore(state)
     assert np.array_equal(other.state(), state)
-    for translation, rotation in random_actions(40, seed=3).tolist():  # across rungs
+    for translation, rotation in random_actions(40, seed=3).tolist():  # across chains
         one.advance(translation, rotation)
         other.advance(translation, rotation)
-        rungs.add(one.active_links)
+        chains.add(one.active_links)
         assert np.array_equal(one.state(), other.state())
         assert np.array_equal(one.force(), other.force())
         assert np.array_equal(one.tip, other.tip)
-    assert len(rungs) > 1, "the test is to cross rungs"
+    assert len(chains) > 1, "the test is to cross chains"
 
 
 def test_a_state_of_another_wire_is_refused(make_simulation: MakeSimulation) -> None:
@@ -126,20 +126,20 @@ def test_a_state_of_another_wire_is_refused(make_simulation: MakeSimulation) -> 
 
 
 @pytest.mark.parametrize("wire", ["default", "thesis"])
-def test_ladder_agrees_with_the_whole_wire(
+def test_a_chain_agrees_with_the_whole_wire(
     make_simulation: MakeSimulation, whole_wire: MakeSimulation, wire: str
 ) -> None:
-    ladder, whole = make_simulation(wire), whole_wire(wire)
-    assert whole.active_links == len(whole.wire.links) > ladder.active_links
-    apart = np.linalg.norm((run(ladder, straight(60)) - run(whole, straight(60)))[:, :3], axis=1)
+    active, whole = make_simulation(wire), whole_wire(wire)
+    assert whole.active_links == len(whole.wire.links) > active.active_links
+    apart = np.linalg.norm((run(active, straight(60)) - run(whole, straight(60)))[:, :3], axis=1)
     # the bent tip springs out of the sheath in the first steps, in one model a little before the other
     assert apart[:LEAVING].max() < 4e-3
     assert apart[LEAVING:].max() < 1e-3
-    assert whole.active_links == len(whole.wire.links) > ladder.active_links
-    ladder.reset()
+    assert whole.active_links == len(whole.wire.links) > active.active_links
+    active.reset()
     whole.reset()
     turning = random_actions(60, seed=0)
-    apart = np.linalg.norm((run(ladder, turning) - run(whole, turning))[:, :3], axis=1)
+    apart = np.linalg.norm((run(active, turning) - run(whole, turning))[:, :3], axis=1)
     assert apart[LEAVING:].max() < 3e-3
 
 
@@ -148,7 +148,7 @@ def test_a_change_of_rung_moves_nothing_visibly(
 ) -> None:
     simulation = make_simulation()
     jumps = []
-    change = simulation._change_rung
+    change = simulation._change_chain
 
     def watched(index: int) -> None:
         before, depth = simulation.inserted_points(), simulation.state()[-2]
@@ -159,7 +159,7 @@ def test_a_change_of_rung_moves_nothing_visibly(
         shared = min(len(before), len(after))
         jumps.append(np.linalg.norm(after[:shared] - before[:shared], axis=1).max())
 
-    monkeypatch.setattr(simulation, "_change_rung", watched)
+    monkeypatch.setattr(simulation, "_change_chain", watched)
     turning = random_actions(90, seed=4)
     turning[:, 0] = STEP
     run(simulation, turning)

@@ -178,11 +178,11 @@ def moving(simulation: Simulation, steps: int = 45) -> Simulation:
 
 def apply_drag(simulation: Simulation) -> np.ndarray:
     """Computes the drag for the present state, on all links as if there were no sheath; the joint forces."""
-    model, data, rung = simulation.model, simulation.data, simulation._rung
+    model, data, chain = simulation.model, simulation.data, simulation._chain
     mujoco.mj_forward(model, data)
     data.qfrc_applied[:] = 0.0
-    pointers = [ctypes.c_void_p(at) for at in (rung.struct.drag, model._address, data._address)]
-    library().blood_drag(*pointers, rung.struct.first_geom, rung.struct.last_geom, None, address(rung.loads))
+    pointers = [ctypes.c_void_p(at) for at in (chain.struct.drag, model._address, data._address)]
+    library().blood_drag(*pointers, chain.struct.first_geom, chain.struct.last_geom, None, address(chain.loads))
     return data.qfrc_applied.copy()
 
 
@@ -191,7 +191,7 @@ def test_joint_forces_are_the_loads_through_the_jacobians(make_simulation: MakeS
     model, data = simulation.model, simulation.data
     applied = apply_drag(simulation)
     expected = np.zeros(model.nv)
-    for index, load in enumerate(simulation._rung.loads):
+    for index, load in enumerate(simulation._chain.loads):
         body = int(model.geom_bodyid[model.geom(LINK_NAME.format(0)).id + index])
         mujoco.mj_applyFT(model, data, load[:3], load[3:], np.zeros(3), body, expected)
     assert np.abs(expected).max() > 1e-6
@@ -204,7 +204,7 @@ def test_blood_at_rest_resists_the_motion_of_each_link(make_simulation: MakeSimu
     applied = apply_drag(simulation)
     power = 0.0
     first = model.geom(LINK_NAME.format(0)).id
-    for index, load in enumerate(simulation._rung.loads):
+    for index, load in enumerate(simulation._chain.loads):
         geom = first + index
         length = 2 * model.geom_size[geom, 1]
         if length > 0.008 + 1e-9:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cathsim.active_chain import ActiveChain
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.contact.breathing import Breathing
 from cathsim.devices.pair import DevicePair
@@ -16,7 +17,6 @@ from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.presets import ACCURACY
-from cathsim.rung import Rung
 from cathsim.simulation import Simulation
 
 TIGHT = 1e-16  # of MuJoCo's solver, whose usual tolerance here is 1e-6
@@ -37,20 +37,20 @@ def advance(simulation: Simulation, step: int) -> None:
         simulation.advance(0.002, turn)
 
 
-def left_to_mujoco(rung: Rung) -> Rung:
-    rung.struct.solver_rows = 0
-    rung.model.opt.tolerance, rung.model.opt.iterations = TIGHT, 500
-    return rung
+def left_to_mujoco(chain: ActiveChain) -> ActiveChain:
+    chain.struct.solver_rows = 0
+    chain.model.opt.tolerance, chain.model.opt.iterations = TIGHT, 500
+    return chain
 
 
 class WireOfMujoco(Simulation):
-    def _make_rung(self, wire: Guidewire) -> Rung:
-        return left_to_mujoco(super()._make_rung(wire))
+    def _make_chain(self, wire: Guidewire) -> ActiveChain:
+        return left_to_mujoco(super()._make_chain(wire))
 
 
 class DualOfMujoco(DualSimulation):
-    def _make_rung(self, wire: Guidewire) -> Rung:
-        return left_to_mujoco(super()._make_rung(wire))
+    def _make_chain(self, wire: Guidewire) -> ActiveChain:
+        return left_to_mujoco(super()._make_chain(wire))
 
 
 def own_and_mujocos(phantom: Phantom, accuracy: str, devices: str, **settings: Any) -> tuple[Simulation, Simulation]:

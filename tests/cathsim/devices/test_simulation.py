@@ -174,7 +174,7 @@ def test_the_catheters_feeder_is_pushed_back_by_its_shape() -> None:
     simulation.reset(0.10, catheter=(0.06, 0.0))
     for _ in range(5):
         simulation.advance(0.0, 0.0)
-    rod = simulation._rung.rod
+    rod = simulation._chain.rod
     step = 1e-4
     lead = simulation.device_lead
     slope = (rod.energy(simulation.data, lead - step) - rod.energy(simulation.data, lead + step)) / (2 * step)
@@ -210,7 +210,7 @@ def test_more_links_leave_shape_and_twist_as_they_were() -> None:
     steered(simulation, 10)
     points, twist = simulation.device_points("catheter"), simulation.twist.copy()
     before = simulation.active_links
-    simulation._change_rung(simulation._index + 2)
+    simulation._change_chain(simulation._index + 2)
     added = simulation.active_links - before
     assert added > 0
     known = twist.shape[1] - before + 1

@@ -39,9 +39,9 @@ def test_numerics_with_a_catheter_are_their_own(name: str) -> None:
 
 def test_a_log_of_before_is_stepped_as_then() -> None:
     recorded = {"timestep": 0.01, "refinement": 8, "tolerance": 2e-4, "rise": 5e-5, "mass_scale": 10.0}
-    struct = made(Accuracy(**recorded))._rung.struct
+    struct = made(Accuracy(**recorded))._chain.struct
     assert (struct.refinement, struct.deep) == (8, 2.0)
-    struct = made(ACCURACY["accurate"])._rung.struct
+    struct = made(ACCURACY["accurate"])._chain.struct
     assert (struct.refinement, struct.deep) == (3, 1.5)
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from cathsim.active_chain import ActiveChain, ActiveChains, chain_models, pass_on
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.entry import EntryLike, entry_name
 from cathsim.arena import max_insertion
@@ -20,11 +21,9 @@ from cathsim.contact.native import StepSummary, address, engine, library
 from cathsim.contact.sdf import SHEATH_RADIUS, Vessel
 from cathsim.guidewire import TIP_SITE, Guidewire
 from cathsim.lifetime_cache import kept_with_owner
-from cathsim.link_ladder import Ladder, pass_on, rung_models
 from cathsim.presets import Accuracy, dividing
 from cathsim.robot.pace import CONTROL_STEP as CONTROL_STEP
 from cathsim.robot.pace import PACES, Pace
-from cathsim.rung import Rung
 
 if TYPE_CHECKING:
     from cathsim.blood.drag import Drag
@@ -98,7 +97,7 @@ class Simulation:
         self.max_insertion = max_insertion(wire)
         if self.max_insertion <= 0:
             raise ValueError(f"a wire of {wire.length:.3f} m is too short to be fed through the sheath")
-        self.ladder = Ladder.of(wire)
+        self.chains = ActiveChains.of(wire)
         self.nq = 2 + 2 * wire.joints
         self.motors = 2 * min(wire.motor_joints, wire.joints) if tip_motors else 0
         self.depth_samples = 6 if measure_penetration else 0
@@ -109,7 +108,7 @@ class Simulation:
             from cathsim.blood.field import blood_field
 
             self.drag = Drag(blood_field(phantom, blood), wire)
-        self._rungs: dict[int, Rung] = {}
+        self._chains: dict[int, ActiveChain] = {}
 
         self.measured = MeasuredContacts(self.substeps)
         self._from, self._to = np.zeros(2 + self.motors), np.zeros(2 + self.motors)
@@ -121,7 +120,7 @@ class Simulation:
             *self.measured.arguments(),
         )
         self._index = 0
-        self._rung = self._rung_at(0)
+        self._chain = self._chain_at(0)
         self.reset()
 
     def _keywords(self) -> dict[str, Any]:
@@ -154,7 +153,7 @@ class Simulation:
             "arguments": (self._positional(), self._keywords()),
             "state": self.state(),
             "data": self.data,
-            "loads": self._rung.loads,
+            "loads": self._chain.loads,
             "forces": self.force_state(),
             "depths": self.depths,
         }
@@ -164,7 +163,7 @@ class Simulation:
         self.__init__(*positional, **arguments)  # type: ignore[misc]
         self.restore(state["state"])
         mujoco.mj_copyData(self.data, self.model, state["data"])
-        self._rung.loads[:], self.depths[:] = state["loads"], state["depths"]
+        self._chain.loads[:], self.depths[:] = state["loads"], state["depths"]
         self.restore_forces(state["forces"])
 
     def _positional(self) -> tuple[Any, Any, Any]:
@@ -179,17 +178,19 @@ class Simulation:
 
         return hull_vessel(self.phantom, self.entry, decomposition(self.contact))
 
-    def _rung_at(self, index: int) -> Rung:
-        if index not in self._rungs:
-            self._rungs[index] = self._make_rung(self.wire.distal(self.ladder.counts[index]))
-        return self._rungs[index]
+    def _chain_at(self, index: int) -> ActiveChain:
+        if index not in self._chains:
+            self._chains[index] = self._make_chain(self.wire.distal(self.chains.counts[index]))
+        return self._chains[index]
 
-    def _make_rung(self, wire: Guidewire) -> Rung:
+    def _make_chain(self, wire: Guidewire) -> ActiveChain:
         changed = {"compliant": self.wall_stiffness is not None, "breathes": self.breathing is not None}
-        model, fine, finest = rung_models(self.vessel, wire, self.numerics, self.tip_motors, **changed)
-        return Rung((model, fine._address, finest._address), (fine, finest), len(wire.links), **self._rung_settings())
+        model, fine, finest = chain_models(self.vessel, wire, self.numerics, self.tip_motors, **changed)
+        return ActiveChain(
+            (model, fine._address, finest._address), (fine, finest), len(wire.links), **self._chain_settings()
+        )
 
-    def _rung_settings(self) -> dict[str, Any]:
+    def _chain_settings(self) -> dict[str, Any]:
         return {
             "vessel": self.vessel,
             "numerics": self.numerics,
@@ -202,17 +203,17 @@ class Simulation:
     @property
     def model(self) -> mujoco.MjModel:
         """Model of the links that are simulated now."""
-        return self._rung.model
+        return self._chain.model
 
     @property
     def data(self) -> mujoco.MjData:
         """State of the links that are simulated now."""
-        return self._rung.data
+        return self._chain.data
 
     @property
     def active_links(self) -> int:
         """How many links are simulated now."""
-        return self.ladder.counts[self._index]
+        return self.chains.counts[self._index]
 
     def reset(self, insertion: float = 0.0, rotation: float = 0.0, *, time: float = 0.0) -> None:
         """Puts the wire straight into the sheath and lets its tip unbend for 0.3 s.
@@ -226,13 +227,13 @@ class Simulation:
             raise ValueError(f"insertion must lie in 0 to {self.max_insertion:.3f} m, got {insertion}")
         if not math.isfinite(rotation):
             raise ValueError(f"rotation must be a finite number (rad), got {rotation}")
-        self._index = self.ladder.rung(insertion)
-        self._rung = self._rung_at(self._index)
+        self._index = self.chains.index_for(insertion)
+        self._chain = self._chain_at(self._index)
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:2] = insertion, rotation
         self._to[:] = 0.0
         self._to[:2] = insertion, rotation
-        self._rung.struct.depth = 0.0
+        self._chain.struct.depth = 0.0
         if self.breathing is not None:
             self.data.time = time - SETTLE_STEPS * self.pace.interval
         for _ in range(SETTLE_STEPS):
@@ -240,15 +241,15 @@ class Simulation:
         self.data.time = time
         self.measured.clear()
 
-    def _change_rung(self, index: int) -> None:
+    def _change_chain(self, index: int) -> None:
         """Goes on with more or fewer links, in the same state."""
-        old, new = self._rung, self._rung_at(index)
+        old, new = self._chain, self._chain_at(index)
         mujoco.mj_resetData(new.model, new.data)
         new.data.qpos[:] = pass_on(old.data.qpos, new.model.nq, bend=True)
         new.data.qvel[:] = pass_on(old.data.qvel, new.model.nv, bend=False)
         new.data.qacc_warmstart[:] = pass_on(old.data.qacc_warmstart, new.model.nv, bend=False)
         new.data.time, new.struct.depth = old.data.time, old.struct.depth
-        self._index, self._rung = index, new
+        self._index, self._chain = index, new
 
     def advance(self, translation: float, rotation: float, motors: np.ndarray | None = None) -> None:
         """One control step, the feeder moving at constant speed.
@@ -280,10 +281,10 @@ class Simulation:
         to[1] = angle + lead
         if motors is not None:
             to[2:] = motors * self.model.actuator_ctrlrange[2:, 1]
-        index = self.ladder.rung(max(target, at), self._index)
+        index = self.chains.index_for(max(target, at), self._index)
         if index != self._index:
-            self._change_rung(index)
-        self._native_step(self._rung.reference, *self._arguments)
+            self._change_chain(index)
+        self._native_step(self._chain.reference, *self._arguments)
 
     def _reach(self, at: float) -> tuple[float, float]:
         # least and most that the feeder's drive can move in a step from the insertion `at`, m
@@ -313,7 +314,7 @@ class Simulation:
     @property
     def tip(self) -> np.ndarray:
         """Tip position, m. Shape (3,)."""
-        return self._rung.tip.copy()
+        return self._chain.tip.copy()
 
     @property
     def vessel_displacement(self) -> np.ndarray:
@@ -358,7 +359,7 @@ class Simulation:
         state[: self.nq] = positions
         state[3 * self.nq : 3 * self.nq + 2] = positions[:2]
         state[size - 2] = np.inf  # it may be set within the wall: only substeps that bring it deeper are repeated
-        state[size - 1] = self.ladder.rung(float(positions[0]))
+        state[size - 1] = self.chains.index_for(float(positions[0]))
         self.restore(state)
 
     def joint_velocities(self) -> np.ndarray:
@@ -369,8 +370,8 @@ class Simulation:
         """Ends of the links from the tip to the proximal end, m, those in the sheath included. Shape (links + 1, 3)."""
         active, count = self.active_links, len(self.wire.links)
         points = np.empty((count + 1, 3))
-        points[0] = self._rung.tip
-        points[1 : active + 1] = self._rung.nodes[::-1]
+        points[0] = self._chain.tip
+        points[1 : active + 1] = self._chain.nodes[::-1]
         if active < count:
             behind = np.cumsum(self.wire.links[count - active - 1 :: -1])
             points[active + 1 :] = points[active] - behind[:, None] * self.vessel.direction
@@ -378,7 +379,7 @@ class Simulation:
 
     def inserted_points(self) -> np.ndarray:
         """The simulated links' ends from the tip down to the sheath, m. Shape (active links + 1, 3)."""
-        return np.concatenate((self._rung.tip[None], self._rung.nodes[::-1]))
+        return np.concatenate((self._chain.tip[None], self._chain.nodes[::-1]))
 
     @property
     def summary(self) -> StepSummary:
@@ -400,13 +401,13 @@ class Simulation:
 
     def blood_forces(self) -> np.ndarray:
         """Drag of the blood on each simulated link, from the tip back, of the last substep, N. Shape (links, 3)."""
-        return self._rung.loads[::-1, :3].copy() if self.drag else np.zeros((self.active_links, 3))
+        return self._chain.loads[::-1, :3].copy() if self.drag else np.zeros((self.active_links, 3))
 
     def state(self) -> np.ndarray:
         """Everything that a continuation depends on, for `restore`. Shape (3 nq + controls + 3,)."""
         data = self.data
         parts = [pass_on(vector, self.nq, bend=False) for vector in (data.qpos, data.qvel, data.qacc_warmstart)]
-        return np.concatenate((*parts, self._to, [data.time, self._rung.struct.depth, self._index]))
+        return np.concatenate((*parts, self._to, [data.time, self._chain.struct.depth, self._index]))
 
     def restore(self, state: np.ndarray) -> None:
         """Returns to a state of a simulation with the same arguments.
@@ -418,14 +419,14 @@ class Simulation:
         if state.shape != (size,):
             raise ValueError(f"expected a state of shape ({size},), got {state.shape}")
         self._index = int(state[-1])
-        self._rung = self._rung_at(self._index)
+        self._chain = self._chain_at(self._index)
         data, active = self.data, self.model.nq
         mujoco.mj_resetData(self.model, data)
         vectors = state[: 3 * self.nq].reshape(3, self.nq)
         for target, source in zip((data.qpos, data.qvel, data.qacc_warmstart), vectors, strict=True):
             target[:] = pass_on(source, active, bend=False)
         self._to[:] = state[3 * self.nq : -3]
-        data.time, self._rung.struct.depth = state[-3], state[-2]
+        data.time, self._chain.struct.depth = state[-3], state[-2]
         mujoco.mj_kinematics(self.model, data)
         self.measured.clear()
 

@@ -23,9 +23,9 @@ from enn.reinforcement.training import (
     Training,
     TrainingSettings,
 )
-from enn.reinforcement.training.course import Course
 from enn.reinforcement.training.result import COLUMNS
 from enn.reinforcement.training.run import TrainingRun
+from enn.reinforcement.training.training_log import TrainingLog
 from tests.enn.reinforcement.small_training import SMALL
 
 
@@ -121,13 +121,13 @@ def test_event_files_on_request(point_env: Any, tmp_path: Path) -> None:
 
 
 def test_returns_are_those_of_all_episodes_and_success_of_those_from_the_start() -> None:
-    course = Course(None, lambda: 0.0)
-    assert course.episode_return() is None
+    log = TrainingLog(None, lambda: 0.0)
+    assert log.episode_return() is None
     ended = [{"r": 3.0, "l": 2, "success": True, "fresh": False}, {"r": -1.0, "l": 4, "success": False, "fresh": True}]
-    course.observe([1.0, 2.0], [{"steps": 1, "episode": episode} for episode in ended])
-    assert (course.episode_return(), course.success()) == (1.0, 0.0)
-    twin = Course(None, lambda: 0.0)
-    twin.restore(course.state())
+    log.observe([1.0, 2.0], [{"steps": 1, "episode": episode} for episode in ended])
+    assert (log.episode_return(), log.success()) == (1.0, 0.0)
+    twin = TrainingLog(None, lambda: 0.0)
+    twin.restore(log.state())
     assert twin.episode_return() == 1.0
 
 

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.active_chain import ActiveChain
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.entry import EntryLike
 from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, compiled_model, max_insertion
@@ -25,7 +26,6 @@ from cathsim.guidewire import Guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.presets import Accuracy, dividing
 from cathsim.robot.pace import PACES, Pace
-from cathsim.rung import Rung
 from cathsim.simulation import Simulation, not_finite, vessel_of
 
 _ONE_DEVICE = (
@@ -52,8 +52,8 @@ def covered_model(
     return models[1], weights.copy()
 
 
-class _PairRung(Rung):
-    """A rung whose model belongs to one simulation, with the rod that rewrites it."""
+class _PairChain(ActiveChain):
+    """A chain whose model belongs to one simulation, with the rod that rewrites it."""
 
     def __init__(self, rod: Rod, model: mujoco.MjModel, links: int, **settings: Any) -> None:
         numerics: Accuracy = settings["numerics"]
@@ -127,7 +127,7 @@ class DualSimulation(Simulation):
     def _make_vessel(self) -> Vessel:
         return vessel_of(self.phantom, self.entry, self.pair.sheath_radius, self.pair.sheath_flare)
 
-    def _make_rung(self, wire: Guidewire) -> Rung:
+    def _make_chain(self, wire: Guidewire) -> ActiveChain:
         pattern, weights = covered_model(
             self.vessel, self.pair, wire, self.numerics, breathes=self.breathing is not None
         )
@@ -136,12 +136,12 @@ class DualSimulation(Simulation):
             soften_contacts(model, len(wire.links))
         twist = self.twist[:, self.twist.shape[1] - len(wire.links) + 1 :]
         rod = Rod(model, self.tables, wire.links, weights, twist, rigid=self.pair.torsion == "rigid")
-        return _PairRung(rod, model, len(wire.links), **self._rung_settings())
+        return _PairChain(rod, model, len(wire.links), **self._chain_settings())
 
     @property
     def _rod(self) -> Rod:
-        assert isinstance(self._rung, _PairRung)
-        return self._rung.rod
+        assert isinstance(self._chain, _PairChain)
+        return self._chain.rod
 
     def device_insertions(self) -> tuple[float, float]:
         """How far wire and catheter are advanced, m; of an absent one, as the other."""
@@ -231,9 +231,9 @@ class DualSimulation(Simulation):
         self._rod.place(self._hubs.lead, self._hubs.angles)
         self._rod.untwist(self.data, most=_UNTWIST)
 
-    def _change_rung(self, index: int) -> None:
+    def _change_chain(self, index: int) -> None:
         before = self.active_links - 1
-        super()._change_rung(index)
+        super()._change_chain(index)
         joints, total = self.active_links - 1, self.twist.shape[1]
         if joints > before:  # the added links are straight: twist is linear between the hub and them
             known = self.twist[:, total - before]

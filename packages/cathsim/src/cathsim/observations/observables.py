@@ -10,8 +10,8 @@ import gymnasium
 import mujoco
 import numpy as np
 
+from cathsim.active_chain import pass_on
 from cathsim.devices.simulation import DEVICE_NAMES
-from cathsim.link_ladder import pass_on
 from cathsim.observations.device_state import DEVICES_SHAPE, devices, feeder, feeder_size, with_catheter
 from cathsim.observations.fluoroscopes import FRAMES, BiplaneView, Fluoroscope
 from cathsim.observations.progress_history import History

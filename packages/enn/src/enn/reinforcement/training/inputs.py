@@ -11,10 +11,10 @@ import gymnasium
 from numpy.typing import NDArray
 
 from enn.policy import Policy
-from enn.reinforcement.envs_apart import POSSIBLE, EnvsApart
 from enn.reinforcement.evaluation import EvaluationResult
 from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_bank
 from enn.reinforcement.sampling import SampledEnvs
+from enn.reinforcement.subprocess_envs import POSSIBLE, SubprocessEnvs
 from enn.reinforcement.training.settings import TrainingSettings
 from enn.trajectory import Trajectory
 
@@ -64,7 +64,7 @@ class TrainingInputs:
             reset_bank.add_episode(states)
         return reset_bank
 
-    def make_envs(self, settings: TrainingSettings, reset_bank: ResetBank | None) -> SampledEnvs | EnvsApart:
+    def make_envs(self, settings: TrainingSettings, reset_bank: ResetBank | None) -> SampledEnvs | SubprocessEnvs:
         """The environments that are sampled; they observe what the networks read, or all that an encoder may.
 
         Where updates are made meanwhile, by another thread, they get a process of their own, if it is worth its start.
@@ -79,5 +79,5 @@ class TrainingInputs:
         }
         threads = min(settings.threads, settings.n_envs)
         if settings.overlap and threads > 1 and settings.decisions >= WORTH_A_PROCESS and POSSIBLE:
-            return EnvsApart(**common, threads=threads - 1, evaluation_threads=threads)
+            return SubprocessEnvs(**common, threads=threads - 1, evaluation_threads=threads)
         return SampledEnvs(**common, threads=threads)

@@ -26,9 +26,9 @@ from enn.reinforcement.replay import ReplayBuffer, demonstration_replay
 from enn.reinforcement.sampling import without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.starting_policy import start_from
-from enn.reinforcement.training.course import Course
 from enn.reinforcement.training.inputs import TrainingInputs
 from enn.reinforcement.training.result import Progress, TrainingResult, replace_text
+from enn.reinforcement.training.training_log import TrainingLog
 
 logger = logging.getLogger(__name__)
 
@@ -92,7 +92,7 @@ class TrainingRun:
         self.next_row, self.next_evaluation = settings.curve_every, settings.evaluate_every or 1 << 62
         kept = partial(LatestPolicy, first=inputs.initial_result) if settings.keep_latest else BestPolicy
         self.best_policy = kept(settings.evaluation_episodes, inputs.seed, keeps_first=inputs.initial is not None)
-        self.course = Course(self.folder, lambda: getattr(self.sampled, "cpu_s", 0.0))
+        self.log = TrainingLog(self.folder, lambda: getattr(self.sampled, "cpu_s", 0.0))
         self.here = 0  # decisions of this run alone
         self.ticked = 0.0
         self.consistent = False
@@ -104,7 +104,7 @@ class TrainingRun:
         self._go_on()
         self.saved = time.perf_counter()
         if settings.tensorboard and self.folder is not None:
-            self.course.show_in_tensorboard(self.folder / "tensorboard", self.decisions)
+            self.log.show_in_tensorboard(self.folder / "tensorboard", self.decisions)
 
     def _demonstrations(self) -> ReplayBuffer | None:
         """Those that take part in updates."""
@@ -155,12 +155,12 @@ class TrainingRun:
             self._update(waiting or not self.decisions)
         clock = time.perf_counter()
         after, rewards, dones, infos = self.envs.step_wait()
-        self.course.spent["simulation_s"] += time.perf_counter() - clock
+        self.log.spent["simulation_s"] += time.perf_counter() - clock
         self.learner.observe(self.observations, rewards, dones, after, infos, explore=explore)
         self.observations = after
         self.decisions += self.sampled.num_envs
         self.here += self.sampled.num_envs
-        self.course.observe(rewards.tolist(), infos)
+        self.log.observe(rewards.tolist(), infos)
         if not self.settings.overlap:
             self._update(waiting)
         self.consistent = True
@@ -169,7 +169,7 @@ class TrainingRun:
         clock = time.perf_counter()
         self.learner.anneal(min(self.decisions / self.settings.decisions, 1.0))
         self.learner.update(explore=waiting)
-        self.course.spent["update_s"] += time.perf_counter() - clock
+        self.log.spent["update_s"] += time.perf_counter() - clock
 
     def _pause(self) -> bool:
         """What is due between decisions; whether the training is over."""
@@ -183,8 +183,8 @@ class TrainingRun:
         if self.observations is None:  # after the first evaluation: meanwhile the environments were made
             self.observations = self.envs.reset()
         over |= 0 < self.settings.stop_after <= self.best_policy.perfect
-        if self.decisions >= self.next_row or (over and self.course.last_row_at() < self.decisions):
-            self.course.add_row(self.decisions, {} if self.course.writer is None else self.learner.scalars())
+        if self.decisions >= self.next_row or (over and self.log.last_row_at() < self.decisions):
+            self.log.add_row(self.decisions, {} if self.log.writer is None else self.learner.scalars())
             trim_heap()
             while self.next_row <= self.decisions:
                 self.next_row += self.settings.curve_every
@@ -199,10 +199,10 @@ class TrainingRun:
         while len(self._evaluation_envs) < min(self.settings.evaluation_episodes, self.settings.n_envs):
             self._evaluation_envs.append(without_checks((self.inputs.make_validation_env or self.inputs.make_env)()))
         self.policy.module.set_training_mode(False)
-        self.course.evaluation = self.best_policy.evaluate(
+        self.log.evaluation = self.best_policy.evaluate(
             self.policy, self._evaluation_envs, self.decisions, self._tick, self.sampled.workers
         )
-        self.course.spent["evaluation_s"] += time.perf_counter() - clock
+        self.log.spent["evaluation_s"] += time.perf_counter() - clock
 
     def _tick(self) -> None:
         now = time.perf_counter()
@@ -210,15 +210,15 @@ class TrainingRun:
             return
         self.ticked = now
         total = self.settings.decisions
-        pace = (now - self.course.began[0]) / self.here if self.here else 0.0
+        pace = (now - self.log.began[0]) / self.here if self.here else 0.0
         self.progress(
             Progress(
                 self.decisions,
                 total,
-                self.course.success(),
-                self.course.episode_return(),
+                self.log.success(),
+                self.log.episode_return(),
                 self.best_policy.success,
-                self.course.clocks()[0],
+                self.log.clocks()[0],
                 pace * (total - self.decisions),
             )
         )
@@ -242,9 +242,9 @@ class TrainingRun:
             "learner": self.learner.state(),
             "envs": self.sampled.state(),
             "random": random_states(),
-            "counters": (self.decisions, self.course.env_steps, self.next_row, self.next_evaluation),
+            "counters": (self.decisions, self.log.env_steps, self.next_row, self.next_evaluation),
             "best_policy": self.best_policy.state(),
-            **self.course.state(),
+            **self.log.state(),
         }
         self.checkpoint.write(state, self.learner.chunks())
         self.saved = time.perf_counter()
@@ -254,22 +254,22 @@ class TrainingRun:
         observations = self.sampled.restore(state["envs"])
         self.observations = observations if self.inputs.encoder is None else self.envs.encode(observations)
         restore_random_states(state["random"])
-        self.decisions, self.course.env_steps, self.next_row, self.next_evaluation = state["counters"]
+        self.decisions, self.log.env_steps, self.next_row, self.next_evaluation = state["counters"]
         self.best_policy.restore(state["best_policy"])
         # the intervals may have been changed since
         self.next_evaluation = min(self.next_evaluation, self.decisions + (self.settings.evaluate_every or 1 << 62))
         self.next_row = min(self.next_row, self.decisions + self.settings.curve_every)
-        self.course.restore(state)
+        self.log.restore(state)
         logger.info("training goes on after %d of %d decisions", self.decisions, self.settings.decisions)
 
     def _finish(self) -> TrainingResult:
-        wall, cpu = self.course.clocks()
+        wall, cpu = self.log.clocks()
         timings = {
-            **self.course.spent,
+            **self.log.spent,
             "wall_s": wall,
             "cpu_s": cpu,
             "decisions": float(self.decisions),
-            "env_steps": float(self.course.env_steps),
+            "env_steps": float(self.log.env_steps),
             "updates": float(self.learner.updates),
         }
         evaluation = self.best_policy.load_best_into(self.policy.module)
@@ -278,7 +278,7 @@ class TrainingRun:
             self.policy.metadata |= self.learner.further_state()
         if self.folder is not None:
             self.policy.save(self.folder / "policy.pt", critics=self.settings.keep_critics)
-            self.course.write()
+            self.log.write()
             record = {
                 "settings": asdict(self.settings),
                 "metadata": self.policy.metadata,
@@ -288,11 +288,11 @@ class TrainingRun:
             replace_text(self.folder / "training.json", json.dumps(record, indent=2))
         if self.checkpoint is not None:
             self.checkpoint.remove()
-        return TrainingResult(self.policy, self.course.curve, timings, evaluation)
+        return TrainingResult(self.policy, self.log.curve, timings, evaluation)
 
     def close(self) -> None:
         """Frees environments and files."""
-        self.course.close()
+        self.log.close()
         self.sampled.close()
         for env in self._evaluation_envs:
             env.close()

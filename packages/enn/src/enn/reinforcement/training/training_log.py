@@ -1,4 +1,4 @@
-"""The course of a training: its latest rewards and episodes, its clocks, and the rows of its curve."""
+"""The log of a training: its latest rewards and episodes, its clocks, and the rows of its curve."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from enn.reinforcement.training.result import COLUMNS, Row, write_curve
 REWARD_WINDOW, EPISODE_WINDOW = 100, 50
 
 
-class Course:
+class TrainingLog:
     """What a training has measured of itself so far.
 
     Args:

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from enn.reinforcement.envs_apart import POSSIBLE, EnvsApart
 from enn.reinforcement.reset_bank import ResetBank
 from enn.reinforcement.sampling import NotFiniteError, SampledEnvs
+from enn.reinforcement.subprocess_envs import POSSIBLE, SubprocessEnvs
 
 pytestmark = pytest.mark.skipif(not POSSIBLE, reason="open files cannot be handed over to a process here")
 
@@ -29,7 +29,7 @@ def _bank() -> ResetBank:
     return bank
 
 
-def _played(envs: SampledEnvs | EnvsApart, actions: np.ndarray) -> list[tuple[Any, ...]]:
+def _played(envs: SampledEnvs | SubprocessEnvs, actions: np.ndarray) -> list[tuple[Any, ...]]:
     moments = []
     for action in actions:
         observations, rewards, dones, infos = envs.step(action)
@@ -45,8 +45,8 @@ def _without_arrays(moments: list[tuple[Any, ...]]) -> list[Any]:
 def test_it_gives_what_the_environments_would_here_and_goes_on_from_a_state(point_env: Any) -> None:
     given: dict[str, Any] = {"factories": [lambda: point_env(max_steps=5)] * 4, "seed": 3, "action_repeat": 2}
     here = SampledEnvs(**given, reset_bank=_bank(), keys=("place",))
-    apart = EnvsApart(**given, reset_bank=_bank(), keys=("place",), threads=2)
-    other = EnvsApart(**given, reset_bank=_bank(), keys=("place",))
+    apart = SubprocessEnvs(**given, reset_bank=_bank(), keys=("place",), threads=2)
+    other = SubprocessEnvs(**given, reset_bank=_bank(), keys=("place",))
     with contextlib.closing(here), contextlib.closing(apart), contextlib.closing(other):
         assert apart.observation_space == here.observation_space
         assert apart.action_space == here.action_space
@@ -70,7 +70,7 @@ def test_what_an_environment_raises_is_raised_here(point_env: Any) -> None:
             observation, _, *rest = super().step(action)
             return observation, float("nan"), *rest
 
-    with contextlib.closing(EnvsApart([Broken] * 2, seed=0)) as envs:
+    with contextlib.closing(SubprocessEnvs([Broken] * 2, seed=0)) as envs:
         envs.reset()
         with pytest.raises(NotFiniteError, match="the reward of environment 0 is not finite"):
             envs.step(ACTIONS[0, :2])
@@ -95,7 +95,7 @@ def test_an_exception_that_cannot_be_made_again_or_sent_is_one_clear_sentence(po
                 raise UnmakeableError("stuck", where="here")
             raise UnsendableError("torn")
 
-    with contextlib.closing(EnvsApart([Broken], seed=0)) as envs:
+    with contextlib.closing(SubprocessEnvs([Broken], seed=0)) as envs:
         envs.reset()
         with pytest.raises(RuntimeError, match=r"cannot be sent between processes \(.*where.*\): use threads=1"):
             envs.step(np.array([[0.5, 0.0]]))
@@ -113,12 +113,15 @@ def test_environments_that_cannot_be_made_say_why(point_env: Any) -> None:
         return point_env()
 
     made.append(os.getpid())
-    with contextlib.closing(EnvsApart([factory], seed=0)) as envs, pytest.raises(ValueError, match="no such vessel"):
+    with (
+        contextlib.closing(SubprocessEnvs([factory], seed=0)) as envs,
+        pytest.raises(ValueError, match="no such vessel"),
+    ):
         envs.reset()
 
 
 def test_a_process_that_has_ended_is_one_clear_sentence(point_env: Any) -> None:
-    with contextlib.closing(EnvsApart([point_env], seed=0)) as envs:
+    with contextlib.closing(SubprocessEnvs([point_env], seed=0)) as envs:
         envs.reset()
         os.kill(envs._process.pid, signal.SIGKILL)
         os.waitid(os.P_PID, envs._process.pid, os.WEXITED | os.WNOWAIT)
@@ -129,8 +132,8 @@ def test_a_process_that_has_ended_is_one_clear_sentence(point_env: Any) -> None:
 def test_it_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
     program = (
         "import os, gymnasium\n"
-        "from enn.reinforcement.envs_apart import EnvsApart\n"
-        "envs = EnvsApart([lambda: gymnasium.make('CartPole-v1')], seed=0)\n"
+        "from enn.reinforcement.subprocess_envs import SubprocessEnvs\n"
+        "envs = SubprocessEnvs([lambda: gymnasium.make('CartPole-v1')], seed=0)\n"
         "envs.reset()\n"
         f"open({str(tmp_path / 'pid')!r}, 'w').write(str(envs._process.pid))\n"
         "os._exit(0)\n"

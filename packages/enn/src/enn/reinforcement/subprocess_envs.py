@@ -33,10 +33,10 @@ _TRIM_EVERY = 200  # requests between two returns of free memory to the system
 _END_S = 5.0  # that the process has to end by itself
 # bytes; MuJoCo's arenas are larger: each then goes back to the system at once (GNU C library)
 _OWN_PAGES = {"MALLOC_MMAP_THRESHOLD_": str(12 * 2**20)}
-_MAIN = "import sys; sys.path[:] = {path!r}; from enn.reinforcement.envs_apart import serve; serve({number})"
+_MAIN = "import sys; sys.path[:] = {path!r}; from enn.reinforcement.subprocess_envs import serve; serve({number})"
 
 
-class EnvsApart(VecEnv):
+class SubprocessEnvs(VecEnv):
     """`SampledEnvs` in another process; gives exactly what they would give here.
 
     The process starts at once and makes its environments while this one goes on; `reset` waits for it. It ends with
