@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy.centreline import arc_length
-from cathsim.anatomy.geodesic import MARGIN, centreline_path, geodesic_field, graph_distance
+from cathsim.anatomy.geodesic import MARGIN, geodesic_field, graph_distance
 from cathsim.anatomy.lumen import build_lumen
+from tests.cathsim.anatomy.lumen_report import centreline_path
 
 
 def test_in_a_straight_tube_it_is_the_straight_distance(tube):

@@ -93,27 +93,3 @@ def graph_distance(tree: VesselTree, start: str, start_arc: ArrayLike, branch: s
     here = tree[start]
     assert here.parent is not None  # the root is in every chain
     return start_arc + graph_distance(tree, here.parent, here.parent_arc, branch, arc)
-
-
-def centreline_path(tree: VesselTree, start: tuple[str, float], end: tuple[str, float]) -> NDArray[np.float64]:
-    """Points (n, 3) m of the centreline graph, about 1 mm apart, between two places: branch and arc length (m) each."""
-    first, last = tree.ancestry(start[0]), tree.ancestry(end[0])
-    shared = max(i for i in range(min(len(first), len(last))) if first[i] == last[i])
-
-    def climb(chain: tuple[str, ...], arc: float) -> tuple[list[NDArray[np.float64]], float]:
-        pieces = []
-        for name in reversed(chain[shared + 1 :]):
-            pieces.append(_stretch(tree, name, arc, 0.0))
-            arc = tree[name].parent_arc
-        return pieces, arc
-
-    up, leave = climb(first, start[1])
-    down, arrive = climb(last, end[1])
-    middle = _stretch(tree, first[shared], leave, arrive)
-    path = np.concatenate([*up, middle, *[piece[::-1] for piece in reversed(down)]])
-    repeated = np.linalg.norm(np.diff(path, axis=0), axis=1) < 1e-9
-    return path[np.concatenate([[True], ~repeated])]
-
-
-def _stretch(tree: VesselTree, name: str, start: float, end: float) -> NDArray[np.float64]:
-    return tree[name].point_at(np.linspace(start, end, max(int(np.ceil(abs(end - start) / 1e-3)), 1) + 1))
