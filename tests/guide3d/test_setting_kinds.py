@@ -56,10 +56,11 @@ EVERYTHING: dict[Any, str] = {
     training.NetworkFitSettings(): "clip=0 patience=0 plateau_patience=0 weight_decay=0",
     shape_recipe("desk"): "",
     CentrelineSettings(): "blend_points=0 growth=0",
-    LinkSettings(): "empty_per_px=0 kink=0 kink_from=-1 kink_from=0 unseen_from=-1 unseen_from=0 unseen_turn=0",
-    ProximalEndSettings(): "longest_px=0 turn=-1 turn=0",
+    LinkSettings(): "empty_per_px=0 kink=0 kink_from=-1 kink_from=0 longest=0 unseen_from=-1 unseen_from=0 "
+    "unseen_turn=0",
+    ProximalEndSettings(): "longest=0 turn=-1 turn=0",
     RidgeSettings(): "high=0 junction_px=0 low=0 worth_above=0",
-    SearchSettings(): "twice_per_px=0",
+    SearchSettings(): "guessed=0 twice_per_px=0",
     CurveReadingSettings(): "border_link=0 border_tip=0 loose_end=0 tip_cost=0 tip_least=0 tip_link=0",
     PairReadingSettings(): "coverage=0 least_coverage=0 residual_per_px=0",
     FluoroscopySettings(): "along_edge=0 anatomy=0 background=0 beads=0 catheter=0 contrast=0 field=0 given_course=0 "

@@ -46,6 +46,24 @@ def test_a_wide_gap_is_bridged_and_said() -> None:
     assert (curve.confidence < 0.5).mean() == pytest.approx(160 / len(maps.points_px), abs=0.05)
 
 
+@pytest.mark.parametrize("size_px", [512, 1024])
+def test_how_wide_a_gap_is_bridged_goes_by_its_share_of_the_image(size_px: int) -> None:
+    scale = size_px / 1024
+    for gap_px, joined in ((150, True), (185, False)):
+        maps = maps_of(scale * ARCH, size_px, gaps=((scale * 300, scale * (300 + gap_px)),))
+        curve = read_curves(maps.wire, maps.tip).candidates[0]
+        assert (curve.length_px > 0.98 * len(maps.points_px)) == joined
+
+
+def test_two_devices_are_not_joined_where_more_than_a_third_would_be_guessed() -> None:
+    line = np.stack([np.linspace(465, 0, 466), np.full(466, 500.0)], axis=1)
+    for gap_px, others in ((130, 0), (165, 1)):
+        maps = maps_of(line, gaps=((150, 150 + gap_px),), tip=0.0)
+        found = read_curves(maps.wire)
+        assert len(found.others) == others
+        assert (found.candidates[0].confidence < 0.5).mean() < 1 / 3
+
+
 def test_weak_parts_belong_to_the_wire() -> None:
     _holds(maps_of(ARCH, weak=((250, 420, 0.35),)))
 

@@ -44,5 +44,5 @@ def test_links_prefer_the_piece_ahead_and_weak_evidence() -> None:
 def test_no_link_is_longer_than_allowed() -> None:
     wire = np.maximum(soft_line((300, 300), [[20, 150], [100, 150]]), soft_line((300, 300), [[190, 150], [280, 150]]))
     pieces = find_pieces(wire, np.empty((0, 2)), RidgeSettings())
-    assert any(link_costs(pieces, wire, LinkSettings()))
-    assert not any(link_costs(pieces, wire, LinkSettings(longest_px=60.0)))
+    assert any(link_costs(pieces, wire, LinkSettings(longest=0.32)))
+    assert not any(link_costs(pieces, wire, LinkSettings(longest=0.28)))

@@ -5,15 +5,17 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
+import pytest
 
+from guide3d.reading.links import Link
 from guide3d.reading.path_search import SearchSettings, search
 
 
-def _links(count: int, costs: dict[tuple[int, int], float]) -> list[list[tuple[int, float]]]:
-    links: list[list[tuple[int, float]]] = [[] for _ in range(2 * count)]
+def _links(count: int, costs: dict[tuple[int, int], float], empty_px: float = 0.0) -> list[list[Link]]:
+    links: list[list[Link]] = [[] for _ in range(2 * count)]
     for (leave, enter), cost in costs.items():
-        links[leave].append((enter, cost))
-        links[enter].append((leave, cost))
+        links[leave].append(Link(enter, cost, empty_px))
+        links[enter].append(Link(leave, cost, empty_px))
     return links
 
 
@@ -24,6 +26,14 @@ def test_a_chain_is_walked_from_the_cheap_start() -> None:
     best = search(np.full(3, 40.0), np.full(3, 40.0), links, start, stop, np.zeros(3, bool), SearchSettings())[0]
     assert best.entries == (5, 3, 1)
     assert best.score == 110.0
+
+
+@pytest.mark.parametrize(("empty_px", "pieces"), [(38.0, 2), (42.0, 1)])
+def test_pieces_are_joined_unless_gaps_are_more_than_a_third_of_the_path(empty_px: float, pieces: int) -> None:
+    length = np.array([35.0, 45.0])
+    links = _links(2, {(1, 2): 5.0}, empty_px)
+    found = search(length, length, links, np.zeros(4), np.zeros(4), np.zeros(2, bool), SearchSettings())
+    assert len(found[0].pieces) == pieces
 
 
 def test_the_best_path_is_that_of_all_permutations() -> None:

@@ -9,7 +9,8 @@ from guide3d.reading.proximal_end import ProximalEndSettings, to_border
 from tests.guide3d.reading.drawn_maps import soft_line
 
 SHAPE = (400, 400)
-LINE = np.stack([np.arange(100.0, 301.0), np.full(201, 200.0)], axis=1)
+FAR = ProximalEndSettings(longest=0.4)
+LINE = np.stack([np.arange(99.0, 301.0), np.full(202, 200.0)], axis=1)
 
 
 def _away(outside_from: int = 400) -> np.ndarray:
@@ -19,7 +20,7 @@ def _away(outside_from: int = 400) -> np.ndarray:
 
 
 def test_a_wire_goes_straight_on_where_nothing_is_seen() -> None:
-    line = to_border(LINE, np.zeros(SHAPE, np.float32), _away(), 8, ProximalEndSettings())
+    line = to_border(LINE, np.zeros(SHAPE, np.float32), _away(), 8, FAR)
     assert 390 < line[-1, 0] <= 400
     assert abs(line[-1, 1] - 200) < 1.0
     assert np.array_equal(line[: len(LINE)], LINE)
@@ -27,12 +28,17 @@ def test_a_wire_goes_straight_on_where_nothing_is_seen() -> None:
 
 def test_faint_evidence_bends_it() -> None:
     rest = np.stack([300 + np.arange(100.0), 200 + 0.0012 * np.arange(100.0) ** 2], axis=1)
-    line = to_border(LINE, 0.4 * soft_line(SHAPE, rest), _away(), 8, ProximalEndSettings())
+    line = to_border(LINE, 0.4 * soft_line(SHAPE, rest), _away(), 8, FAR)
     assert abs(line[-1, 1] - 212) < 4.0
 
 
 def test_it_ends_with_the_field_and_not_beyond_its_reach() -> None:
     empty = np.zeros(SHAPE, np.float32)
-    assert abs(to_border(LINE, empty, _away(352), 8, ProximalEndSettings())[-1, 0] - 350) < 10
-    for longest in (0.0, 60.0):
-        assert len(to_border(LINE, empty, _away(), 8, ProximalEndSettings(longest_px=longest))) == len(LINE)
+    assert abs(to_border(LINE, empty, _away(352), 8, FAR)[-1, 0] - 350) < 10
+    for longest in (0.0, 0.15):
+        assert len(to_border(LINE, empty, _away(), 8, ProximalEndSettings(longest=longest))) == len(LINE)
+
+
+def test_no_more_than_a_third_of_the_path_is_guessed() -> None:
+    beginning = LINE[:190]
+    assert len(to_border(beginning, np.zeros(SHAPE, np.float32), _away(), 8, FAR)) == 190

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from guide3d.geometry.polyline import Array, arc_length, distances_to
 from guide3d.opencv import cv2
 from guide3d.reading.centreline import CentrelineSettings, centre_line
-from guide3d.reading.links import LinkSettings, link_costs
+from guide3d.reading.links import Link, LinkSettings, link_costs
 from guide3d.reading.path_drawing import path_line, to_tip
 from guide3d.reading.path_search import Path, SearchSettings, search
 from guide3d.reading.proximal_end import ProximalEndSettings, to_border
@@ -173,7 +173,7 @@ def read_curves(
 def _paths(
     pieces: Pieces,
     worth: Array,
-    links: list[list[tuple[int, float]]],
+    links: list[list[Link]],
     start: Array,
     stop: Array,
     settings: CurveReadingSettings,
@@ -199,7 +199,7 @@ def _varied(paths: list[Path], pieces: Pieces, settings: CurveReadingSettings) -
 def _others(
     scene: _Scene,
     worth: Array,
-    links: list[list[tuple[int, float]]],
+    links: list[list[Link]],
     costs: tuple[Array, Array],
     best: Path,
     settings: CurveReadingSettings,
@@ -208,7 +208,7 @@ def _others(
     used = set(best.pieces)
     others: list[ImageCurve] = []
     while len(others) < 3:
-        free = [[(end, cost) for end, cost in onward if end // 2 not in used] for onward in links]
+        free = [[link for link in onward if link.end // 2 not in used] for onward in links]
         start = costs[0].copy()
         start[[end for piece in used for end in (2 * piece, 2 * piece + 1)]] = np.inf
         paths = _paths(scene.pieces, worth, free, start, costs[1], settings)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array
 from guide3d.opencv import cv2
 from guide3d.reading.ridges import Map, Pieces
-from guide3d.setting_kinds import Angle, Count, PixelDistance, Positive, Weight, settings
+from guide3d.setting_kinds import Angle, Count, PixelDistance, Positive, Share, Weight, settings
 
 _SAMPLES = 12  # of a gap
 
@@ -17,7 +19,7 @@ _SAMPLES = 12  # of a gap
 class LinkSettings:
     """What a link costs, in px of certain wire.
 
-    longest_px: of a gap
+    longest: of a gap, as a share of the image's longer side
     empty_per_px: cost of a px of gap without any probability
     bending_px: cost of bending energy, which has the unit 1/px: a turn by one radian over n px has energy 1 / n
     kink: additional cost of a rad by which a link turns more than `kink_from`, if its gap is shorter than `kink_px`
@@ -27,7 +29,7 @@ class LinkSettings:
     most: links that are tried from each end
     """
 
-    longest_px: PixelDistance = 170.0
+    longest: Share = 0.166
     empty_per_px: Weight = 0.25
     bending_px: Positive = 120.0
     kink: Weight = 80.0
@@ -40,9 +42,15 @@ class LinkSettings:
     most: Count = 8
 
 
-def link_costs(
-    pieces: Pieces, probability: Map, settings: LinkSettings, toll: Array | None = None
-) -> list[list[tuple[int, float]]]:
+class Link(NamedTuple):
+    """An end that may be entered next, what it costs, and px of the gap without any probability."""
+
+    end: int
+    cost: float
+    empty_px: float
+
+
+def link_costs(pieces: Pieces, probability: Map, settings: LinkSettings, toll: Array | None = None) -> list[list[Link]]:
     """Computes what it costs to leave a piece at one end and to enter another one.
 
     Args:
@@ -50,14 +58,14 @@ def link_costs(
         toll: (2 k,) what it costs in addition to go on from each end, such as one at the border; None: nothing.
 
     Returns:
-        Of each end by which a path leaves: ends by which it may enter next with the cost, cheapest first.
+        Of each end by which a path leaves: links, cheapest first.
     """
     count = len(pieces.ends)
     toll = np.zeros(count) if toll is None else toll
-    links: list[list[tuple[int, float]]] = [[] for _ in range(count)]
+    links: list[list[Link]] = [[] for _ in range(count)]
     if count < 4:
         return links
-    leave, enter = np.nonzero(_near(pieces, settings.longest_px))
+    leave, enter = np.nonzero(_near(pieces, settings.longest * max(probability.shape)))
     gap = pieces.ends[enter] - pieces.ends[leave]
     length = np.hypot(*gap.T)
     out, into = pieces.outward[leave], -pieces.outward[enter]
@@ -75,10 +83,11 @@ def link_costs(
     places = bridges(pieces.ends[leave], pieces.ends[enter], out[near], into[near], _SAMPLES)
     x, y = np.moveaxis(np.asarray(places, np.float32), -1, 0)
     seen = np.asarray(cv2.remap(probability, x, y, cv2.INTER_LINEAR), float).mean(axis=1)
-    cost = bending + toll[leave] + toll[enter] + settings.empty_per_px * length * (1.0 - np.minimum(2.0 * seen, 1.0))
+    empty = length * (1.0 - np.minimum(2.0 * seen, 1.0))
+    cost = bending + toll[leave] + toll[enter] + settings.empty_per_px * empty
     for k in np.argsort(cost):
         if cost[k] < settings.dearest and len(links[leave[k]]) < settings.most:
-            links[leave[k]].append((int(enter[k]), float(cost[k])))
+            links[leave[k]].append(Link(int(enter[k]), float(cost[k]), float(empty[k])))
     return links
 
 

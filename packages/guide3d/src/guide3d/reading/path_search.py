@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array
-from guide3d.setting_kinds import Count, PixelDistance, Positive, Weight, settings
+from guide3d.reading.links import Link
+from guide3d.setting_kinds import Count, PixelDistance, Positive, Share, Weight, settings
 
-_States = dict[tuple[int, int, int], tuple[float, tuple[int, ...]]]  # end, pieces walked once and twice: score, entries
+# end, pieces walked once and twice: score, px of pieces, px of empty gaps, entries
+_States = dict[tuple[int, int, int], tuple[float, float, float, tuple[int, ...]]]
 
 
 @settings
@@ -24,6 +26,7 @@ class SearchSettings:
     twice_per_px: cost of a px that is walked twice
     fold: cost of turning back at the end of a piece, as a tip does that lies over its wire
     deepest: most pieces of a path
+    guessed: largest share of a path that is empty gaps; beyond, two devices may have been joined
     """
 
     starts: Count = 10
@@ -33,6 +36,7 @@ class SearchSettings:
     twice_per_px: Weight = 0.2
     fold: Positive = 8.0
     deepest: Count = 40
+    guessed: Share = 1 / 3
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class Path:
 def search(
     worth: Array,
     lengths: Array,
-    links: list[list[tuple[int, float]]],
+    links: list[list[Link]],
     start_cost: Array,
     end_cost: Array,
     shared: NDArray[np.bool_],
@@ -65,7 +69,7 @@ def search(
 
     Args:
         worth, lengths: (k,) px of each piece.
-        links: of each end that is left, ends that may be entered and the cost.
+        links: of each end that is left, those that may follow.
         start_cost, end_cost: (2 k,) of starting (the tip) and of ending at an end.
         shared: (k,) whether a piece may be walked twice.
 
@@ -79,20 +83,23 @@ def search(
     finished: dict[tuple[int, int], Path] = {}
     # each start has a beam of its own: a path that begins with short pieces must not lose to one that begins with long
     for start in likely[: settings.starts]:
-        states: _States = {(start, 1 << (start // 2), 0): (worths[start // 2] - starts[start], (start,))}
+        states: _States = {
+            (start, 1 << (start // 2), 0): (worths[start // 2] - starts[start], spans[start // 2], 0.0, (start,))
+        }
         for depth in range(settings.deepest):
             best = sorted(states.items(), key=lambda item: -item[1][0])[: settings.beam]
             states = {}
-            for (entered, once, twice), (score, entries) in best:
+            for (entered, once, twice), (score, seen, empty, entries) in best:
                 leaving = entered ^ 1
                 whole = score - stops[leaving]
                 key = (start, once)
-                if key not in finished or finished[key].score < whole:
+                joined = empty <= settings.guessed * (empty + seen)
+                if joined and (key not in finished or finished[key].score < whole):
                     finished[key] = Path(whole, entries)
                 onward = links[leaving]
                 if depth == 0 and may_share[entered // 2]:
-                    onward = [*onward, (leaving, settings.fold)]
-                for end, cost in onward:
+                    onward = [*onward, Link(leaving, settings.fold, 0.0)]
+                for end, cost, gap in onward:
                     piece = end // 2
                     bit = 1 << piece
                     if not once & bit:
@@ -103,7 +110,7 @@ def search(
                         continue
                     value = score + gained
                     if after not in states or states[after][0] < value:
-                        states[after] = (value, (*entries, end))
+                        states[after] = (value, seen + spans[piece], empty + gap, (*entries, end))
             if not states:
                 break
     paths = sorted(finished.values(), key=lambda path: -path.score)

@@ -7,21 +7,21 @@ import numpy as np
 from guide3d.geometry.polyline import Array
 from guide3d.opencv import cv2
 from guide3d.reading.ridges import Map
-from guide3d.setting_kinds import Angle, PixelDistance, PixelDistanceOrNone, Positive, settings
+from guide3d.setting_kinds import Angle, PixelDistance, Positive, Share, settings
 
 
 @settings
 class ProximalEndSettings:
     """How far and how straight a wire is continued.
 
-    longest_px: of the continuation; 0: none
+    longest: of the continuation, as a share of the image's longer side; 0: none
     direction_px: length over which the wire's direction at its end is measured
     turn: standard deviation of a change of direction there
     bend_per_px: standard deviation of the curvature
     strength_px: px of certain wire that outweigh one standard deviation
     """
 
-    longest_px: PixelDistanceOrNone = 170.0
+    longest: Share = 0.166
     direction_px: PixelDistance = 50.0
     turn: Angle = 0.07
     bend_per_px: Positive = 1.5e-3
@@ -39,15 +39,17 @@ def to_border(line: Array, probability: Map, away: Map, coarse_px: int, settings
     Returns:
         The path (m, 2); as it was where it ends at the border already, or too far from it.
     """
-    if settings.longest_px < 1.0:
-        return line
     height, width = probability.shape
+    # guessed, it is a third of the path at most
+    longest_px = min(settings.longest * max(height, width), 0.5 * len(line))
+    if longest_px < 1.0:
+        return line
     part = line[-max(8, round(settings.direction_px)) :]
     direction = part[-1] - part[: max(2, len(part) // 3)].mean(axis=0)
     # a line through the last part, whose slope counts at its middle; what it bends is left to the arcs
     heading = np.arctan2(direction[1], direction[0])
     turns, bends = np.meshgrid(np.linspace(-2.5, 2.5, 11), np.linspace(-2.5, 2.5, 11), indexing="ij")
-    s = np.arange(1.0, settings.longest_px + 1.0)
+    s = np.arange(1.0, longest_px + 1.0)
     angle = heading + settings.turn * turns[..., None] + settings.bend_per_px * bends[..., None] * s
     x = line[-1, 0] + np.cumsum(np.cos(angle), axis=-1).reshape(-1, len(s))
     y = line[-1, 1] + np.cumsum(np.sin(angle), axis=-1).reshape(-1, len(s))
