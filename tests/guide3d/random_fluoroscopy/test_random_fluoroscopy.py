@@ -52,10 +52,10 @@ def test_clutter_occurs(kind: str) -> None:
 @pytest.mark.parametrize(
     "kind",
     [
-        "no wire", "two wires", "loop", "hairpin", "bent tip", "angled tip", "folded tip", "changed tip", "markers",
-        "beads on the wire", "tip on a dark vessel", "wire along an edge", "wire in a vessel", "contrast vessels",
-        "catheter over the wire", "catheter beside the wire", "catheter alone", "round field", "square field",
-        "octagon field", "collimated field", "open field",
+        "no wire", "two wires", "loop", "hairpin", "bent tip", "angled tip", "folded tip", "curled tip", "changed tip",
+        "markers", "beads on the wire", "tip on a dark vessel", "wire along an edge", "wire in a vessel",
+        "contrast vessels", "catheter over the wire", "catheter beside the wire", "catheter alone", "round field",
+        "square field", "octagon field", "collimated field", "open field",
     ],
 )  # fmt: skip
 def test_situation_occurs(kind: str) -> None:

@@ -42,7 +42,7 @@ def random_curvature(generator: np.random.Generator, steps: int, bend: float, kn
 def wire_course(generator: np.random.Generator, side_px: int) -> tuple[Points, set[str]]:
     """A random course of a wire through an image, tip first, that leaves the image at its other end.
 
-    Most are gently bent; some have a loop, a hairpin, or a tip that is bent, angled or folded back over the wire.
+    Most are gently bent; some have a loop, a hairpin, or a tip that is bent, angled, curled or folded back over it.
 
     Returns:
         (n, 2) px, and the names of what is special about it.
@@ -65,6 +65,11 @@ def wire_course(generator: np.random.Generator, side_px: int) -> tuple[Points, s
         curvature[:back] = curvature[:back] * 0.3
         at = _turn(curvature, back, side * generator.uniform(2.8, 3.4), generator.uniform(2.5, 10))
         kinds.add("folded tip")
+    elif draw[0] < 0.48:
+        at = _turn(
+            curvature, int(generator.uniform(3, 12) / STEP_PX), side * generator.uniform(4, 8), generator.uniform(8, 30)
+        )
+        kinds.add("curled tip")
     if draw[1] < 0.14:
         place = at + int(generator.uniform(20, 350) / STEP_PX)
         _turn(curvature, place, generator.choice((-1, 1)) * generator.uniform(5.6, 7.6), generator.uniform(14, 110))
