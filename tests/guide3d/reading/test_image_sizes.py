@@ -1,4 +1,4 @@
-"""One drawn X-ray image, resampled, is read alike by the shipped reader."""
+"""Drawn X-ray images of any size, width of the wire and shape of its tip are read alike by the shipped reader."""
 
 from __future__ import annotations
 
@@ -7,23 +7,51 @@ import pytest
 
 from guide3d import read
 from guide3d.opencv import cv2
-from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
+from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy, RandomImage
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
-from tests.guide3d.reading.drawn_maps import within
+from tests.guide3d.reading.drawn_maps import bent, within
 from tests.guide3d.reading.test_curve_reading import ARCH
+
+CURL = bent([(160, -0.033), (300, 0.0), (600, 0.001)], (500, 500), 1.0)
+
+
+def _drawn(course: np.ndarray, width_px: float = 3.0, seed: int = 3, clutter: float = 1e-6) -> RandomImage:
+    plain = FluoroscopySettings(
+        narrowest_px=width_px, widest_px=width_px, weakest=0.7, no_wire=0, two_devices=0, catheter=0, along_edge=0,
+        in_vessel=0, tip_change=0, beads=0, markers=0, clutter=clutter, contrast=0, noise=2, field=0, jpeg=0,
+    )  # fmt: skip
+    return RandomFluoroscopy(plain, seed).along(0, [course])
 
 
 @pytest.mark.parametrize(("side_px", "read_px"), [(256, 1024), (512, 512), (1024, 1024), (1536, 1024), (3072, 1024)])
 def test_one_image_of_any_size_is_read_alike(side_px: int, read_px: int) -> None:
-    width_px = 3.0
-    plain = FluoroscopySettings(
-        narrowest_px=width_px, widest_px=width_px, weakest=0.7, no_wire=0, two_devices=0, catheter=0, along_edge=0,
-        in_vessel=0, tip_change=0, beads=0, markers=0, clutter=1e-6, contrast=0, noise=2, field=0, jpeg=0,
-    )  # fmt: skip
-    drawn = RandomFluoroscopy(plain, seed=3).along(0, [ARCH])
+    drawn = _drawn(ARCH)
     way = cv2.INTER_AREA if side_px < 1024 else cv2.INTER_CUBIC
     reading = read(cv2.resize(drawn.image, (side_px, side_px), interpolation=way))
     points = (reading.points_px + 0.5) * 1024 / side_px - 0.5
     assert within(points, np.concatenate(drawn.wires[0])) > 0.95
     said = f"the image of {side_px} x {side_px} px was read at {read_px} x {read_px} px"
     assert (said in reading.notes) == (read_px != side_px) or side_px < 512  # read at both sizes
+
+
+@pytest.mark.parametrize("width_px", [1.5, 6.0, 8.0, 10.0])
+def test_wires_of_any_width_are_read_and_nothing_else(width_px: float) -> None:
+    drawn = _drawn(ARCH, width_px)
+    reading = read(drawn.image)
+    assert within(reading.points_px, np.concatenate(drawn.wires[0])) > 0.95
+    assert within(np.concatenate(drawn.wires[0]), reading.points_px) > 0.95
+    assert not reading.others
+    assert ("the image of 1024 x 1024 px was read at 512 x 512 px" in reading.notes) == (width_px > 5)
+
+
+@pytest.mark.parametrize("line", [[(0, 300), (700, 420)], [(300, 300), (700, 500)]], ids=["straight", "inside"])
+def test_a_rod_as_thick_as_a_wide_wire_is_none(line: list[tuple[float, float]]) -> None:
+    assert not read(_drawn(np.array(line[::-1], float), 8.0).image).found
+
+
+@pytest.mark.parametrize("width_px", [2.5, 6.0])
+def test_a_curled_tip_is_followed_to_its_end(width_px: float) -> None:
+    drawn = _drawn(CURL, width_px)
+    reading = read(drawn.image)
+    assert within(reading.points_px, np.concatenate(drawn.wires[0])) > 0.97
+    assert np.hypot(*(reading.points_px[0] - CURL[0])) < 6.0

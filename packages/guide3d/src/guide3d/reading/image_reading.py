@@ -18,8 +18,11 @@ from guide3d.reading.ridges import Map
 _UNSURE = 0.5  # confidence below which a point counts as guessed
 _GUESSED = 0.15  # share of guessed points worth a message
 _TIP_UNSURE = 0.3
-_NEGATIVE_SHARE = 0.25  # of the image's side: certain wire that makes a negative; short bright lines are common
-_FAINT_PX = 120.0  # score below which the negative of an image is tried, too
+_CERTAIN_SHARE = 0.25  # of the image's side: certain wire in its negative or at half its scale; short lines are common
+_FAINT_PX = 120.0  # score below which half the scale and the negative of an image are tried, too
+_COARSEST_PX = 256  # of the longer side, at which an image is read at half its scale
+_BORDER_PX = 20  # a wire that comes in from outside ends so near to the border
+_STRAIGHT = 0.01  # largest distance from the chord, as a share of it, of a rod
 
 
 class Maps(Protocol):
@@ -105,7 +108,7 @@ def read(
 
     Args:
         image: (h, w) grey values, dark where X-rays were absorbed: 8 or 16 bits or real numbers, any gain. A negative
-            is recognised.
+            is recognised, and a wire that is too wide for the reader is read at half the scale.
         reader: makes the probability maps; None: the one that is shipped.
         prior: the wire a moment before, px of the image.
 
@@ -120,10 +123,14 @@ def read(
     network = reader or shipped_reader()
     notes = list(grey.messages)
     seen, found = _best(network, scales, prior, settings)
+    if _score(found) < _FAINT_PX and max(scales[0].pixels.shape) >= 2 * _COARSEST_PX:
+        coarse, other = _best(network, [scales[0].resampled(max(scales[0].pixels.shape) // 2)], prior, settings)
+        if _outdoes(coarse, other, found) and _is_wide_wire(coarse, other.candidates[0]):
+            seen, found = coarse, other
     if _score(found) < _FAINT_PX:
         negatives = [replace(one, pixels=255 - one.pixels, outside=np.zeros_like(one.outside)) for one in scales]
         seen_inverted, other = _best(network, negatives, prior, settings)
-        if _score(other) > 2.0 * max(_score(found), 0.0) + _NEGATIVE_SHARE * min(seen_inverted.pixels.shape):
+        if _outdoes(seen_inverted, other, found):
             seen, found = seen_inverted, other
             notes.append("the image looks like a negative (wire brighter than its surroundings) and was inverted")
     if seen.pixels.shape != grey.pixels.shape:
@@ -144,6 +151,29 @@ def _best(
         maps = network.maps(grey.pixels)
         readings.append((grey, read_curves(maps.wire, maps.tip, maps.catheter, grey.outside, before, settings)))
     return max(readings, key=lambda reading: _score(reading[1]) / max(reading[0].pixels.shape))
+
+
+def _outdoes(grey: GreyImage, curves: CurvesOfImage, found: CurvesOfImage) -> bool:
+    """Whether far more certain wire is read in another version of an image than was found in the image as it is."""
+    return _score(curves) > 2.0 * max(_score(found), 0.0) + _CERTAIN_SHARE * min(grey.pixels.shape)
+
+
+def _is_wide_wire(grey: GreyImage, curve: ImageCurve) -> bool:
+    """Whether a curve that is read at half the scale, where clutter is as thin as wires, is a wire.
+
+    It is seen from its tip to the border of the field, and it is not as straight as a rod.
+    """
+    points = curve.points_px
+    if curve.tip_confidence < _TIP_UNSURE or (curve.confidence < _UNSURE).mean() > _GUESSED:
+        return False
+    chord = points[-1] - points[0]
+    length = float(np.hypot(*chord))
+    away = np.abs((points - points[0]) @ np.array([-chord[1], chord[0]])) / max(length, 1e-9)
+    low = np.maximum(np.rint(points[-1] - _BORDER_PX), 0).astype(int)
+    high = np.rint(points[-1] + _BORDER_PX).astype(int) + 1
+    around = grey.outside[low[1] : high[1], low[0] : high[0]]
+    leaves = around.any() or around.shape != (2 * _BORDER_PX + 1,) * 2
+    return bool(leaves and away.max() > _STRAIGHT * length)
 
 
 def _score(curves: CurvesOfImage) -> float:
