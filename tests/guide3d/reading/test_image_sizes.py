@@ -41,7 +41,8 @@ def test_wires_of_any_width_are_read_and_nothing_else(width_px: float) -> None:
     assert within(reading.points_px, np.concatenate(drawn.wires[0])) > 0.95
     assert within(np.concatenate(drawn.wires[0]), reading.points_px) > 0.95
     assert not reading.others
-    assert ("the image of 1024 x 1024 px was read at 512 x 512 px" in reading.notes) == (width_px > 5)
+    smaller = {f"the image of 1024 x 1024 px was read at {side} x {side} px" for side in (512, 384)}
+    assert bool(smaller & set(reading.notes)) == (width_px > 5)
 
 
 @pytest.mark.parametrize("line", [[(0, 300), (700, 420)], [(300, 300), (700, 500)]], ids=["straight", "inside"])

@@ -18,9 +18,10 @@ from guide3d.reading.ridges import Map
 _UNSURE = 0.5  # confidence below which a point counts as guessed
 _GUESSED = 0.15  # share of guessed points worth a message
 _TIP_UNSURE = 0.3
-_CERTAIN_SHARE = 0.25  # of the image's side: certain wire in its negative or at half its scale; short lines are common
-_FAINT_PX = 120.0  # score below which half the scale and the negative of an image are tried, too
-_COARSEST_PX = 256  # of the longer side, at which an image is read at half its scale
+_CERTAIN_SHARE = 0.25  # of the image's side: certain wire in its negative or at a smaller scale; short lines are common
+_FAINT_PX = 120.0  # score below which smaller scales and the negative of an image are tried, too
+_WIDE_SCALES = (0.5, 0.375)  # at which wires of 6 and 10 px are about 3 to 4 px wide
+_SMALL_PX = 512  # of the longer side, below which they are not tried
 _BORDER_PX = 20  # a wire that comes in from outside ends so near to the border
 _STRAIGHT = 0.01  # largest distance from the chord, as a share of it, of a rod
 
@@ -108,7 +109,7 @@ def read(
 
     Args:
         image: (h, w) grey values, dark where X-rays were absorbed: 8 or 16 bits or real numbers, any gain. A negative
-            is recognised, and a wire that is too wide for the reader is read at half the scale.
+            is recognised, and a wire that is too wide for the reader is read at a smaller scale.
         reader: makes the probability maps; None: the one that is shipped.
         prior: the wire a moment before, px of the image.
 
@@ -123,8 +124,10 @@ def read(
     network = reader or shipped_reader()
     notes = list(grey.messages)
     seen, found = _best(network, scales, prior, settings)
-    if _score(found) < _FAINT_PX and max(scales[0].pixels.shape) >= 2 * _COARSEST_PX:
-        coarse, other = _best(network, [scales[0].resampled(max(scales[0].pixels.shape) // 2)], prior, settings)
+    longer = max(scales[0].pixels.shape)
+    if _score(found) < _FAINT_PX and longer >= _SMALL_PX:
+        smaller = [scales[0].resampled(round(share * longer)) for share in _WIDE_SCALES]
+        coarse, other = _best(network, smaller, prior, settings)
         if _outdoes(coarse, other, found) and _is_wide_wire(coarse, other.candidates[0]):
             seen, found = coarse, other
     if _score(found) < _FAINT_PX:
@@ -159,7 +162,7 @@ def _outdoes(grey: GreyImage, curves: CurvesOfImage, found: CurvesOfImage) -> bo
 
 
 def _is_wide_wire(grey: GreyImage, curve: ImageCurve) -> bool:
-    """Whether a curve that is read at half the scale, where clutter is as thin as wires, is a wire.
+    """Whether a curve that is read at a smaller scale, where clutter is as thin as wires, is a wire.
 
     It is seen from its tip to the border of the field, and it is not as straight as a rod.
     """
