@@ -64,7 +64,7 @@ class FileSettings:
         """Reads the file, and refuses what belongs to one where there is none."""
         self.file_name = self.file_sha256 = self.ct_sha256 = None
         if self.file is not None:
-            if not Path(self.file).exists():
+            if not (Path(self.file).is_file() or Path(self.file).is_dir()):
                 raise ConfigurationError(
                     f"phantom.file={self.file} is no file: give the path of a surface (STL, VTP, VTK, GLB, …), of a "
                     "label volume (NIfTI, NRRD, MetaImage, DICOM), or of a folder with one file a vessel"
@@ -81,7 +81,7 @@ class FileSettings:
                 )
             if not getattr(self, self.shows_ct):
                 raise ConfigurationError(f"phantom.ct needs stage.{self.shows_ct}=true: give it, or leave out the CT")
-            if not Path(self.ct).exists():
+            if not (Path(self.ct).is_file() or Path(self.ct).is_dir()):
                 raise ConfigurationError(
                     f"phantom.ct={self.ct} is no file: give the path of the CT (NIfTI, NRRD, MetaImage, or the "
                     "folder of a DICOM series)"

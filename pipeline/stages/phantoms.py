@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import zipfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
@@ -94,6 +94,9 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:
             room = None if anatomy.file is None else anatomy.file.room()
         except ValueError as error:
             raise ConfigurationError(f"phantom {anatomy.label} cannot be built: {error}") from error
+        if room is not None and phantom.imported is not None:
+            of_ct = tuple(note for solid in room.body for note in getattr(solid, "notes", ()))
+            phantom = replace(phantom, imported=replace(phantom.imported, notes=phantom.imported.notes + of_ct))
         folder = context.path / anatomy.label
         write_bundle(phantom, folder, wall_thickness=settings.wall_thickness_mm / _MM, picture=settings.picture)
         if room is not None:
@@ -205,7 +208,7 @@ STAGE = Stage(
     run=run_phantoms,
     writes=(
         "<phantom>/{lumen.stl, wall.stl, grid.npz, centrelines.json, targets.json, phantom.json, picture.png}",
-        "<phantom>/import.json (of a mesh)",
+        "<phantom>/import.json (of a file)",
         "<phantom>/radiograph.png (with its CT)",
         "results.json",
         "figures.json",

@@ -50,10 +50,6 @@ def test_deep_images_keep_their_depth(ending: str, tmp_path: Path) -> None:
 def test_tiffs_of_other_numbers_keep_their_values(kind: str, compression: str | None, tmp_path: Path) -> None:
     levels = (GREY.astype(float) - (100 if kind.startswith("i") else 0)).astype(kind)
     tifffile.imwrite(tmp_path / "image.tif", levels, compression=compression)
-    if kind == "float16":
-        with pytest.raises(ImageError, match="damaged, or no image"):
-            read_grey_levels(tmp_path / "image.tif")
-        return
     read = read_grey_levels(tmp_path / "image.tif")
     assert read.dtype == np.float32
     assert np.array_equal(read, levels)

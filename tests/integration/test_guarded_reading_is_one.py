@@ -1,12 +1,19 @@
-"""The guards for files from outside are one module, which packages that import nothing of each other carry alike."""
+"""The guards for files from outside: one module each, which packages that import nothing of each other carry alike."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 
-def test_packages_carry_the_same_guards():
-    root = Path(__file__).resolve().parents[2]
-    copies = sorted(root.glob("packages/*/src/*/guarded_reading.py"))
-    assert root / "packages/cathsim/src/cathsim/guarded_reading.py" in copies
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize(
+    ("name", "package"), [("guarded_reading.py", "cathsim/src/cathsim"), ("bounded_content.py", "enn/src/enn")]
+)
+def test_packages_carry_the_same_guards(name: str, package: str):
+    copies = sorted((ROOT / "packages").glob(f"*/src/**/{name}"))
+    assert ROOT / "packages" / package / name in copies
+    assert len(copies) > 1
     assert len({copy.read_bytes() for copy in copies}) == 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,9 @@ def test_the_files_content_counts(tmp_path: Path):
 def test_wrong_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(ConfigurationError, match=r"phantom.file=none.stl is no file"):
         PhantomsSettings(file="none.stl")
+    os.mkfifo(tmp_path / "pipe.stl")
+    with pytest.raises(ConfigurationError, match=r"phantom.file=.*pipe.stl is no file"):
+        PhantomsSettings(file=str(tmp_path / "pipe.stl"))
     with pytest.raises(ConfigurationError, match=r"phantom.unit belongs to a file"):
         PhantomsSettings(phantoms=["type_1"], unit="mm")
     text = tmp_path / "text.stl"

@@ -153,6 +153,8 @@ def _content(path: Path) -> bytes:
 
 def _decoded(path: Path, data: bytes, colours: bool, page: int = 0) -> GreyLevels:
     levels = _by_opencv(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH, page)
+    if levels is None and data.startswith(_TIFF):
+        levels = _half_precision(data, page)
     if levels is None or levels.dtype.kind not in "uif":
         raise ImageError(f"image {path} cannot be read: it is damaged, or no image")
     if levels.dtype == np.uint8 and colours:
@@ -174,6 +176,18 @@ def _by_opencv(data: bytes, way: int, page: int) -> Any:
     except cv2.error:
         return None
     return found[0] if found else None
+
+
+def _half_precision(data: bytes, page: int) -> Any:
+    """Grey levels of a TIFF's page of 16-bit real numbers, which OpenCV does not read; None of any other."""
+    import tifffile
+
+    try:
+        with tifffile.TiffFile(io.BytesIO(data)) as file:
+            found = file.pages[page].aspage()
+            return found.asarray() if found.dtype == np.float16 and len(found.shape) == 2 else None
+    except Exception:  # a damaged file raises a dozen kinds
+        return None
 
 
 def _only_page(path: Path, data: bytes, colours: bool) -> GreyLevels:

@@ -158,6 +158,15 @@ def test_the_ct_of_another_patient(tmp_path: Path, patient: Any, shift: tuple[fl
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(("shift", "told"), [(0.002, ()), (0.005, ("5 mm",))])
+def test_a_ct_a_little_aside_is_noted(
+    tmp_path: Path, patient: Any, caplog: pytest.LogCaptureFixture, shift: float, told: tuple[str, ...]
+) -> None:
+    notes = ct_body(scan(patient, tmp_path / "ct.nii.gz", shift=(shift, 0, 0)), patient).notes
+    assert [note.partition(": ")[0] for note in notes] == [f"ct.nii.gz and the vessels lie {far} apart" for far in told]
+    assert [record.message for record in caplog.records] == [f"{note}." for note in notes]
+
+
 def test_what_is_no_ct(tmp_path: Path, patient: Any, phantom: Phantom) -> None:
     image = nibabel.Nifti1Image(np.ones((20, 20, 20), np.int16), np.eye(4))
     nibabel.save(image, tmp_path / "mask.nii.gz")

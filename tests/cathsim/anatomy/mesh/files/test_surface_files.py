@@ -174,3 +174,35 @@ def test_a_reader_that_crashes_is_a_refusal(tmp_path: Path, monkeypatch: pytest.
         MeshRefusedError, match=r"a\.stl cannot be read: its reader crashed \(SIGABRT\); export it again"
     ):
         read_parts(tmp_path / "a.stl")
+
+
+def test_a_binary_ply_of_triangles_and_quadrilaterals_is_read(tmp_path: Path):
+    content = Path(__file__).with_name("blender.ply").read_bytes()  # by Blender 4.2: a sphere of radius 10, 42 points
+    path = tmp_path / "a.ply"
+    path.write_bytes(content)
+    (part,) = read_parts(path).parts
+    assert len(part.mesh.faces) == 80
+    np.testing.assert_allclose(np.linalg.norm(part.mesh.vertices, axis=1), 10.0, atol=1e-5)
+    big = content.replace(b"little", b"big")
+    head = big.index(b"end_header\n") + len(b"end_header\n")
+    path.write_bytes(big[:head] + _in_other_order(big[head:], points=42))
+    assert np.array_equal(read_parts(path).parts[0].mesh.corners, part.mesh.corners)
+    for damaged in (
+        content[:-3],
+        content[: len(content) // 2],
+        content.replace(b"element face 48", b"element face 99"),
+    ):
+        path.write_bytes(damaged)
+        with pytest.raises(MeshRefusedError, match="expected a triangle mesh in PLY format; export it again"):
+            read_parts(path)
+
+
+def _in_other_order(data: bytes, points: int) -> bytes:
+    swapped, at = np.frombuffer(data[: 12 * points], "<f4").astype(">f4").tobytes(), 12 * points
+    while at < len(data):
+        end = at + 1 + 4 * data[at]
+        swapped, at = (
+            swapped + data[at : at + 1] + np.frombuffer(data[at + 1 : end], "<i4").astype(">i4").tobytes(),
+            end,
+        )
+    return swapped

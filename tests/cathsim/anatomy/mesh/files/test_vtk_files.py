@@ -113,7 +113,9 @@ def test_what_is_no_sound_polydata_is_refused(content: bytes, message: str, tmp_
 
 
 def test_files_that_are_cut_off_or_no_polydata_are_refused(tmp_path: Path):
-    with pytest.raises(MeshRefusedError, match="it holds DATASET UNSTRUCTURED_GRID, expected DATASET POLYDATA"):
+    with pytest.raises(
+        MeshRefusedError, match="it holds DATASET UNSTRUCTURED_GRID, expected POLYDATA: make it by ParaView"
+    ):
         read_triangles(WRITTEN / "grid.vtk")
     for name in set(FILES) - {"grid.vtk"}:
         whole = (WRITTEN / name).read_bytes()

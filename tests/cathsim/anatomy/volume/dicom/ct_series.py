@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,14 @@ def affine(turn: np.ndarray) -> np.ndarray:
 
 
 def write_series(
-    folder: Path, values: np.ndarray, turn: np.ndarray | None = None, *, series: str = "1.2.3.4", **more: Any
+    folder: Path,
+    values: np.ndarray,
+    turn: np.ndarray | None = None,
+    *,
+    series: str = "1.2.3.4",
+    spacing: Sequence[float] = SPACING,
+    origin: Sequence[float] = ORIGIN,
+    **more: Any,
 ) -> list[Path]:
     """Writes slices by pydicom, in files whose names are in no order.
 
@@ -45,6 +53,8 @@ def write_series(
         values: (nx, ny, nz) Hounsfield units.
         turn: (3, 3) columns of the axes; the patient's where it is left out.
         series: SeriesInstanceUID.
+        spacing: mm, as SPACING.
+        origin: (3,) mm of the first voxel.
         more: further attributes of each slice.
     """
     from pydicom.dataset import FileDataset, FileMetaDataset
@@ -57,7 +67,7 @@ def write_series(
         meta = FileMetaDataset()
         meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = CTImageStorage, f"{series}.{k + 1}"
         meta.TransferSyntaxUID = ExplicitVRLittleEndian
-        path = folder / f"{(5 * k + 3) % 97:02d}_{series}.dcm"
+        path = folder / f"{(5 * k + 3) % 97:02d}_{k}_{series}.dcm"
         one = FileDataset(str(path), {}, file_meta=meta, preamble=bytes(128))
         one.SOPClassUID, one.SOPInstanceUID = CTImageStorage, f"{series}.{k + 1}"
         one.Modality, one.PatientName, one.PatientID = "CT", "Nobody", "0"
@@ -74,9 +84,9 @@ def write_series(
         one.DeviceSerialNumber, one.SoftwareVersions, one.PositionReferenceIndicator = "0", "0", ""
         one.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
         one.Rows, one.Columns = values.shape[1], values.shape[0]
-        one.PixelSpacing, one.SliceThickness = [SPACING[1], SPACING[0]], SPACING[2]
-        one.ImageOrientationPatient = [*turn[:, 0], *turn[:, 1]]
-        one.ImagePositionPatient = list(np.array(ORIGIN) + k * SPACING[2] * turn[:, 2])
+        one.PixelSpacing, one.SliceThickness = [float(spacing[1]), float(spacing[0])], float(spacing[2])
+        one.ImageOrientationPatient = _decimals([*turn[:, 0], *turn[:, 1]])
+        one.ImagePositionPatient = _decimals(np.array(origin) + k * spacing[2] * turn[:, 2])
         one.SamplesPerPixel, one.PhotometricInterpretation = 1, "MONOCHROME2"
         one.BitsAllocated, one.BitsStored, one.HighBit, one.PixelRepresentation = 16, 16, 15, 0
         one.RescaleSlope, one.RescaleIntercept = 0.5, -1024
@@ -86,3 +96,55 @@ def write_series(
         one.save_as(path)
         paths.append(path)
     return paths
+
+
+def write_segmentation(path: Path, labels: np.ndarray, affine: np.ndarray, names: Mapping[int, str]) -> None:
+    """Writes a binary segmentation by pydicom, as small as a reader allows.
+
+    Args:
+        path: of the file.
+        labels: (nx, ny, nz).
+        affine: (4, 4) from indices to the patient's mm.
+        names: of the labels.
+    """
+    from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
+    from pydicom.pixels.utils import pack_bits
+    from pydicom.uid import ExplicitVRLittleEndian, SegmentationStorage
+
+    meta = FileMetaDataset()
+    meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = SegmentationStorage, "1.2.3.8.1"
+    meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    one = FileDataset(str(path), {}, file_meta=meta, preamble=bytes(128))
+    one.SOPClassUID, one.SOPInstanceUID, one.Modality = SegmentationStorage, "1.2.3.8.1", "SEG"
+    one.SeriesInstanceUID, one.StudyInstanceUID, one.SegmentationType = "1.2.3.8", "1.2.3.5", "BINARY"
+    spacing = np.linalg.norm(affine[:3, :3], axis=0)
+    turn = affine[:3, :3] / spacing
+    measures, orientation, shared = Dataset(), Dataset(), Dataset()
+    measures.PixelSpacing = [float(spacing[1]), float(spacing[0])]
+    measures.SpacingBetweenSlices = measures.SliceThickness = float(spacing[2])
+    orientation.ImageOrientationPatient = _decimals([*turn[:, 0], *turn[:, 1]])
+    shared.PixelMeasuresSequence, shared.PlaneOrientationSequence = [measures], [orientation]
+    one.SharedFunctionalGroupsSequence = [shared]
+    one.SegmentSequence, one.PerFrameFunctionalGroupsSequence, masks = [], [], []
+    for number, name in names.items():
+        segment = Dataset()
+        segment.SegmentNumber, segment.SegmentLabel = number, name
+        one.SegmentSequence.append(segment)
+        for k in np.flatnonzero((labels == number).any(axis=(0, 1))):
+            place, which, frame = Dataset(), Dataset(), Dataset()
+            place.ImagePositionPatient = _decimals(affine[:3, 3] + k * affine[:3, 2])
+            which.ReferencedSegmentNumber = number
+            frame.PlanePositionSequence, frame.SegmentIdentificationSequence = [place], [which]
+            one.PerFrameFunctionalGroupsSequence.append(frame)
+            masks.append((labels[:, :, k] == number).T)
+    one.NumberOfFrames, one.Rows, one.Columns = len(masks), labels.shape[1], labels.shape[0]
+    one.SamplesPerPixel, one.PhotometricInterpretation = 1, "MONOCHROME2"
+    one.BitsAllocated = one.BitsStored = 1
+    one.HighBit = one.PixelRepresentation = 0
+    one.PixelData = pack_bits(np.concatenate(masks).astype(np.uint8).ravel())
+    one.save_as(path)
+
+
+def _decimals(numbers: Any) -> list[float]:
+    """Numbers of at most 16 characters, as DICOM holds them."""
+    return [round(float(number), 9) for number in numbers]

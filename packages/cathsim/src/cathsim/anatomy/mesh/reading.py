@@ -30,6 +30,8 @@ _CONVERTERS = {
     **dict.fromkeys((".vtu", ".vtm", ".vtmb", ".pvtp", ".pvtu", ".case", ".msh"), _PARAVIEW),
     **dict.fromkeys((".step", ".stp", ".iges", ".igs", ".brep"), "FreeCAD (mesh it, then export STL)"),
     **dict.fromkeys((".3mf", ".dae", ".fbx", ".blend", ".usd", ".usdz"), "Blender (export GLB)"),
+    **dict.fromkeys((".3ds", ".wrl", ".x3d"), "MeshLab (export PLY)"),
+    **dict.fromkeys((".hdr", ".img", ".gipl", ".mgh", ".mgz", ".vti"), "3D Slicer (save as NRRD)"),
 }
 _OWN = {".stl": read_stl, ".vtp": read_vtp, ".vtk": read_legacy_vtk}
 MOST_FACES = 400_000  # above this a mesh is thinned out

@@ -69,12 +69,15 @@ class CTBody(MeasuredBody):
         values: (nx, ny, nz) Hounsfield units.
         to_index: (3, 4) from places (m, patient's axes, from the phantom's centre) to indices.
         beyond: whether soft tissue is assumed around the CT, within a thorax: where it is cut through the body.
+        notes: what is to be said about the CT, as sentences.
     """
 
-    def __init__(self, values: NDArray[np.int16], to_index: ArrayLike, *, beyond: bool = False) -> None:
+    def __init__(
+        self, values: NDArray[np.int16], to_index: ArrayLike, *, beyond: bool = False, notes: tuple[str, ...] = ()
+    ) -> None:
         self.values = np.ascontiguousarray(values, dtype=np.int16)
         self.to_index = np.array(to_index, dtype=np.float64)
-        self.beyond = beyond
+        self.beyond, self.notes = beyond, notes
         if self.values.ndim != 3 or min(self.values.shape) < 2 or self.to_index.shape != (3, 4):
             raise ValueError(
                 f"a CT body needs at least 2 x 2 x 2 values and a (3, 4) matrix, got {self.values.shape} and "
@@ -144,28 +147,29 @@ def ct_body(path: str | Path, phantom: ImportedPhantom, transform: str | None = 
             f"{path.name} has no place: the phantom was not imported from a file; a CT belongs to an imported anatomy."
         )
     source, values = in_child(_read, path, transform)
-    for note in source.notes:
-        logger.warning("%s: %s.", path.name, note)
     found, refusal = None, None
     for affine in _placements(source, report):
         to_index: Array = np.linalg.inv(affine).astype(np.float64)
         try:
-            stands_out = check_patient(values, to_index, phantom.grid, path.name)
+            stands_out, aside = check_patient(values, to_index, phantom.grid, path.name)
         except MeshRefusedError as error:
             refusal = refusal or error
         else:
             if found is None or stands_out > found[0]:
-                found = stands_out, affine, to_index
+                found = stands_out, affine, to_index, aside
     if found is None:
         assert refusal is not None
         raise refusal
-    _, affine, to_index = found
+    _, affine, to_index, aside = found
+    notes = (*(f"{path.name}: {note}" for note in source.notes), *((aside,) if aside else ()))
+    for note in notes:
+        logger.warning("%s.", note)
     _replace_contrast(values, affine, to_index, phantom.grid)
     origin = np.asarray(phantom.grid.origin)
     centre = origin + (np.array(phantom.grid.shape) - 1) * phantom.grid.spacing / 2
     local = to_index[:3].copy()
     local[:, 3] += local[:, :3] @ centre
-    return CTBody(values, local, beyond=_is_cropped(values))
+    return CTBody(values, local, beyond=_is_cropped(values), notes=notes)
 
 
 def ct_scene(

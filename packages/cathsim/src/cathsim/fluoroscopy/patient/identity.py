@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import logging
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-
-logger = logging.getLogger(__name__)
 
 _INSIDE = 0.9  # of the lumen must lie within the CT
 _DEEP = 1e-3  # m from the wall: there a voxel is blood
@@ -27,13 +24,13 @@ _STEPS = (8e-3, 4e-3, 2e-3, 1e-3)  # m, of the search for where the vessels stan
 _STILL_INSIDE = 0.8  # of the lumen must lie within the CT where it is moved to
 _MOST_SHIFT = 0.03  # m of that search: beyond, somebody else's vessels may be met
 _DISPLACED = 7e-3  # m from there: labels' voxels, breath and pulse account for less
-_NOTED = 3e-3  # m from there that the log mentions
+_NOTED = 3e-3  # m from there that is noted
 _GAIN = 1.15  # by which the vessels must stand out more there
 
 Array = NDArray[np.float64]
 
 
-def check_patient(values: NDArray[np.int16], to_index: Array, grid: Any, file: str) -> float:
+def check_patient(values: NDArray[np.int16], to_index: Array, grid: Any, file: str) -> tuple[float, str]:
     """Refuses the CT of somebody else, and one that lies beside the vessels.
 
     Args:
@@ -43,7 +40,7 @@ def check_patient(values: NDArray[np.int16], to_index: Array, grid: Any, file: s
         file: name of the CT's file, for the messages.
 
     Returns:
-        Hounsfield units by which the lumen exceeds what lies around it.
+        Hounsfield units by which the lumen exceeds what lies around it, and a note where it lies a little aside.
 
     Raises:
         MeshRefusedError: in one sentence.
@@ -80,12 +77,12 @@ def check_patient(values: NDArray[np.int16], to_index: Array, grid: Any, file: s
         )
     if fault is not None:
         raise MeshRefusedError(f"{file} {fault}")
-    if far >= _NOTED and most > _GAIN * stands_out:
-        logger.warning(
-            "%s and the vessels lie %.0f mm apart: they would stand out from it by %.0f instead of %.0f "
-            "Hounsfield units %s where they are; they stay there.", file, 1e3 * far, most, stands_out, _in_words(shift),
-        )  # fmt: skip
-    return stands_out
+    if far < _NOTED or most <= _GAIN * stands_out:
+        return stands_out, ""
+    return stands_out, (
+        f"{file} and the vessels lie {1e3 * far:.0f} mm apart: they would stand out from it by {most:.0f} instead of "
+        f"{stands_out:.0f} Hounsfield units {_in_words(shift)} where they are; they stay there"
+    )
 
 
 def _fault_of_blood(inside: Array, around: Array) -> str | None:

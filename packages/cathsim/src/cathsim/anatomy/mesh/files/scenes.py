@@ -9,6 +9,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
+from cathsim.anatomy.mesh.files.ply import read_polygons
 from cathsim.anatomy.mesh.files.surface import MOST_BYTES, MOST_NODES, MOST_TRIANGLES, SurfaceFile, space_of_comment
 from cathsim.guarded_reading import UnreadableFileError, open_regular, referenced_file
 
@@ -26,9 +27,14 @@ def read_mesh(path: Path) -> SurfaceFile:
     with open_regular(path, MOST_BYTES) as file:
         content = file.read()
     kind = path.suffix[1:].lower()
-    loaded = trimesh.load(
-        BytesIO(content), file_type=kind, force="mesh", process=False, skip_materials=True, resolver={}
-    )
+    try:
+        loaded = trimesh.load(
+            BytesIO(content), file_type=kind, force="mesh", process=False, skip_materials=True, resolver={}
+        )
+    except ValueError:
+        if kind != "ply":
+            raise
+        return read_polygons(content)
     vertices = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
     return SurfaceFile(
         vertices, np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64), space_of_comment(content)

@@ -48,7 +48,8 @@ def read_legacy_vtk(content: bytes) -> SurfaceFile:
     file.text = form == b"ASCII"
     dataset = file.line().upper().split()
     if dataset[:1] != [b"DATASET"] or dataset[1:] != [b"POLYDATA"]:
-        raise ValueError(f"it holds {b' '.join(dataset)[:_SHOWN].decode(errors='replace')}, expected DATASET POLYDATA")
+        held = b" ".join(dataset)[:_SHOWN].decode(errors="replace")
+        raise ValueError(f"it holds {held}, expected POLYDATA: make it by ParaView's Extract Surface")
     points, faces, space = np.zeros((0, 3)), [], space_of_comment(title)
     while words := file.line().split():
         key = words[0].upper()

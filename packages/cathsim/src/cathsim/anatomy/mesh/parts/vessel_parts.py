@@ -33,7 +33,7 @@ _LEAST_FACES = 12  # of a piece
 _OPEN = 0.1  # share of a run's edges that may have one face only
 _MOST_PIECES = 60  # more is no anatomy in parts, but a torn surface
 _SHOWN = 4  # names in a note
-_SECONDS = 120.0  # for reading, as for the rest of an import: three times what ten million triangles take
+_SECONDS = 120.0  # for reading, as for the rest of an import
 # rows are the patient's left, posterior and superior axis in a frame that a file names
 _FRAMES = {"LPS": np.eye(3), "RAS": np.diag((-1.0, -1.0, 1.0))}
 

@@ -107,8 +107,9 @@ def _beside(path: Path, name: str) -> Path:
     except UnreadableFileError as error:
         if " refers to " in str(error) or "regular" in str(error):
             raise
+        shown = " ".join(name.split())[:80]
         raise MeshRefusedError(
-            f"{path.name} is damaged, or its data are not beside it ({name[:80]}); copy or export it again."
+            f"{path.name} is damaged, or its data are not beside it ({shown}); copy or export it again."
         ) from None
 
 
