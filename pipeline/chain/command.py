@@ -46,6 +46,9 @@ def main(arguments: list[str]) -> int:
     unknown = [name for name in stages if name not in available_stages()]
     if unknown or not stages:
         problem = f"unknown stage {unknown[0]!r}" if unknown else "no stage is named"
+        if unknown and (setting := next((word for word in stages if "=" in word), None)):
+            say(f"{setting} is no stage: settings stand behind --, after the stages", error=True)
+            return _EXIT_USAGE
         say(f"{problem}: choose from {_ALL}, {', '.join(available_stages())}", error=True)
         return _EXIT_USAGE
     if with_inputs:

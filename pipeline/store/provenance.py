@@ -42,7 +42,7 @@ def hash_anatomy(path: Path) -> str:
         return hash_file(path)
     digest = hashlib.sha256()
     for one in files:
-        digest.update(f"{one.name}\0{hash_file(one)}\0".encode())
+        digest.update(os.fsencode(one.name) + f"\0{hash_file(one)}\0".encode())
     return digest.hexdigest()
 
 
@@ -116,7 +116,7 @@ def _operating_system() -> str:
 
 def _first_value(path: Path, key: str) -> str | None:
     try:
-        lines = path.read_text().splitlines()
+        lines = path.read_text(encoding="utf-8").splitlines()
     except OSError:
         return None
     return next((line.split(":", 1)[1].strip() for line in lines if line.startswith(key) and ":" in line), None)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from guide3d import train
 from guide3d.calibration import report as calibration_report
 from guide3d.dataset.dataset import Dataset
 from guide3d.dataset.frame import ImageError, read_image
+from guide3d.image_file import write_png
 from tests.guide3d.learning.drawn_data import draw
 
 SMOKE = ("--network", "unet", "--size", "smoke", "--device", "cpu")
@@ -98,3 +101,19 @@ def test_damaged_pictures_are_refused_or_read(data: Path, tmp_path: Path) -> Non
         except ImageError:
             refused += 1
     assert refused > 50
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="it has no limit of a file's size")
+def test_a_full_disk_is_one_sentence_with_the_file_and_leaves_no_part(tmp_path: Path) -> None:
+    image = tmp_path / "image.png"
+    write_png(np.tile(np.arange(256, dtype=np.uint8), (256, 1)), image)
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (8, 8))\n"
+        "from guide3d.image_file import write_png; from guide3d.commands import in_words; import numpy as np\n"
+        "try:\n    write_png(np.zeros((64, 64), np.uint8), sys.argv[1])\n"
+        "except OSError as error:\n    sys.exit(in_words(error))"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path / "new.png")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (1, f"{tmp_path / 'new.png'}: File too large\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["image.png"]

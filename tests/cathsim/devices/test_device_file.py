@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import fields
 from pathlib import Path
 
@@ -165,6 +166,9 @@ def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
         load_catheter(tmp_path / "missing.yaml")
     with pytest.raises(ValueError, match=r"there is no device's file .*missing.yaml"):
         load_guidewire(str(tmp_path / "missing.yaml"))
+    os.mkfifo(tmp_path / "pipe.yaml")
+    with pytest.raises(ValueError, match=r"pipe\.yaml is no regular file"):
+        load_catheter(tmp_path / "pipe.yaml")
     (tmp_path / "folder.yaml").mkdir()
     with pytest.raises(ValueError, match="cannot be read: Is a directory"):
         load_catheter(tmp_path / "folder.yaml")

@@ -33,9 +33,9 @@ def root(kept: Path, tmp_path: Path) -> Path:
 
 
 def change(path: Path, edit) -> None:
-    content = json.loads(path.read_text())
+    content = json.loads(path.read_text(encoding="utf-8"))
     edit(content)
-    path.write_text(json.dumps(content))
+    path.write_text(json.dumps(content), encoding="utf-8")
 
 
 def test_what_was_written_is_read(kept: Path) -> None:

@@ -55,7 +55,7 @@ def _drawn_reader(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def _table(path: Path) -> np.ndarray:
-    with path.open(newline="") as file:
+    with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(file))
     return np.array(rows[1:], float)
 

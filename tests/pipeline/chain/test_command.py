@@ -96,3 +96,8 @@ def test_settings_of_a_stage_go_to_the_stages_that_have_them(pipeline_process) -
 def test_numbers_that_cannot_be_are_refused(words: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(words) == 2
     assert capsys.readouterr().err.strip() == problem
+
+
+def test_settings_before_the_dashes_are_told_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["all", "name=a"]) == 2
+    assert capsys.readouterr().err == "name=a is no stage: settings stand behind --, after the stages\n"

@@ -10,10 +10,10 @@ import pytest
 from PIL import Image
 
 from cathsim import load_phantom
-from cathsim.anatomy.volume.rasterising import rasterise
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.launch import main
 from tests.cathsim.anatomy.volume.dicom.ct_series import write_segmentation, write_series
+from tests.cathsim.anatomy.volume.rasterising import rasterise
 from tests.pipeline.anatomies.small_ct import ct_of
 
 pytest.importorskip("pydicom", reason="DICOM files need pydicom")

@@ -108,7 +108,7 @@ def export_mjcf(
             mesh.file = f"{mesh.name}.stl"
         spec.modelfiledir = str(finished)
         spec.compile()
-        (finished / MODEL).write_text(_portable(spec.to_xml()))
+        (finished / MODEL).write_text(_portable(spec.to_xml()), encoding="utf-8")
         mujoco.MjModel.from_xml_path(str(finished / MODEL))  # before it takes the place of an earlier one
         if folder.exists():
             shutil.rmtree(folder)

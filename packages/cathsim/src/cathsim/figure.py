@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -24,3 +25,8 @@ def new_figure(**options: Any) -> Figure:
     figure = Figure(**options)
     FigureCanvasAgg(figure)
     return figure
+
+
+def plain_text(text: str) -> str:
+    """A text with names from outside as matplotlib draws it: no formula, and a mark where bytes are no letters."""
+    return os.fsencode(text).decode("utf-8", "replace").replace("$", r"\$")

@@ -37,6 +37,8 @@ def whole_file(path: str | Path, mode: str = "wb") -> Iterator[IO]:
         os.umask(mask)
         os.chmod(name, 0o666 & ~mask)  # mkstemp makes private files
         os.replace(name, path)
-    except BaseException:
+    except BaseException as error:
         Path(name).unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename is None:  # a full disk names no file
+            error.filename = str(path)
         raise

@@ -30,3 +30,9 @@ def listing(package: str, words: Sequence[str]) -> tuple[str, int]:
     """What `python -m PACKAGE` prints, a line a command, and its exit code: 2 for words other than --help."""
     lines = [f"python -m {name}: {what}" for name, what in commands(package).items()]
     return "\n".join(lines), 0 if set(words) <= {"-h", "--help"} else 2
+
+
+def in_words(error: BaseException) -> str:
+    """One line about an error, for the end of a command; the system's with the file and without a number."""
+    text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.strerror else str(error)
+    return " ".join(text.split())

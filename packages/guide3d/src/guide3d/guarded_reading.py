@@ -214,7 +214,7 @@ def _answer(function: Callable, arguments: tuple, seconds: float, memory: int, d
     silent = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(silent, stream)
-    sys.stdout = sys.stderr = os.fdopen(silent, "w")
+    sys.stdout = sys.stderr = os.fdopen(silent, "w", encoding="utf-8")
     logging.disable()
     with os.fdopen(writing, "wb") as pipe:
         try:
@@ -246,8 +246,10 @@ def _set_limits(seconds: float, memory: int) -> None:
     signal.alarm(int(seconds) + 2)
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     with contextlib.suppress(OSError, ValueError):
-        Path("/proc/self/oom_score_adj").write_text("1000")  # this process goes first where memory runs out
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        Path("/proc/self/oom_score_adj").write_text(
+            "1000", encoding="utf-8"
+        )  # this process goes first where memory runs out
+        pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[0])
         present = [limit for limit in resource.getrlimit(resource.RLIMIT_AS) if limit != resource.RLIM_INFINITY]
         most = min([pages * resource.getpagesize() + memory, *present])
         resource.setrlimit(resource.RLIMIT_AS, (most, most))

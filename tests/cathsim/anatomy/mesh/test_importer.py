@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -293,3 +294,14 @@ def test_too_many_faces_are_thinned_out(phantom: Phantom):
     assert volume == pytest.approx(mesh.volume, rel=0.005)
     away, _ = sample_surface(thin.corners, 5e-4).tree.query(mesh.vertices[::50])
     assert away.max() < 1e-3
+
+
+@pytest.mark.parametrize("name", [b"a$_$b.stl", b"caf\xe9.stl"])
+def test_a_name_that_is_a_formula_or_no_text_is_drawn(name: bytes, tmp_path: Path):
+    path = tmp_path / os.fsdecode(name)
+    trimesh.creation.icosphere(2, 0.01).export(tmp_path / "ball.stl")
+    (tmp_path / "ball.stl").rename(path)
+    with pytest.raises(MeshRefusedError) as refused:
+        import_mesh(path, unit="m", cache_dir=tmp_path / "cache")
+    assert refused.value.picture is not None
+    assert refused.value.picture.exists()

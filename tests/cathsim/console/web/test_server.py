@@ -52,7 +52,7 @@ def console(anatomy_cache: Path, tmp_path_factory: pytest.TempPathFactory) -> It
 
 def resident_mb(process: subprocess.Popen[str]) -> float:
     """Memory of a process."""
-    status = Path(f"/proc/{process.pid}/status").read_text()
+    status = Path(f"/proc/{process.pid}/status").read_text(encoding="utf-8")
     found = re.search(r"VmRSS:\s+(\d+)", status)
     assert found
     return int(found.group(1)) / 1024

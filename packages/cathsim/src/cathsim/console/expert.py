@@ -67,7 +67,7 @@ class ExpertScores:
             self._scores = {key: score for key, score in self._scores.items() if score is not None}
             self._scores[_key(task)] = None
             command = [sys.executable, "-m", "cathsim.console.expert", json.dumps(task)]
-            errors = tempfile.TemporaryFile("w+")  # noqa: SIM115  read when the process has ended
+            errors = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115  read when the process has ended
             self._process = subprocess.Popen(
                 command, stdout=subprocess.PIPE, stderr=errors, stdin=subprocess.DEVNULL, text=True,
                 env={**os.environ, "OMP_NUM_THREADS": "1"},

@@ -34,7 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(line)
         if given.output is not None:
             _save(devices, given.output)
-    except (ValueError, OSError) as error:
+    except OSError as error:
+        print(f"error: {error.filename or given.output}: {error.strerror}", file=sys.stderr)
+        return 2
+    except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0

@@ -182,6 +182,8 @@ def _content(path: Path, kind: str) -> dict[str, Any]:
 
 
 def _mapping(path: Path) -> dict[str, Any]:
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise ValueError(f"the device's file {path} is no regular file")
     try:
         with path.open("rb") as file:
             text = file.read(LARGEST + 1)

@@ -167,7 +167,7 @@ class CheckpointFolder:
 
     def _index(self) -> _Index:
         try:
-            content = json.loads((self.folder / INDEX).read_text())
+            content = json.loads((self.folder / INDEX).read_text(encoding="utf-8"))
             form = content.get("format")  # which earlier versions had here
             if form is None and content["sha256"] == _digest(content["index"]):
                 return _Index.model_validate(content["index"])

@@ -15,9 +15,9 @@ def available_bytes() -> int:
     """Bytes available without swapping: the machine's, or what a container's limit leaves, whichever is less."""
     there = _machine()
     try:
-        limit = _LIMIT.read_text().strip()
+        limit = _LIMIT.read_text(encoding="utf-8").strip()
         if limit != "max":
-            there = min(there, max(int(limit) - int(_USED.read_text()), 0))
+            there = min(there, max(int(limit) - int(_USED.read_text(encoding="utf-8")), 0))
     except (OSError, ValueError):
         pass  # no control groups here
     return there
@@ -35,7 +35,7 @@ def trim_heap() -> None:
 
 def _machine() -> int:
     try:
-        for line in _INFO.read_text().splitlines():
+        for line in _INFO.read_text(encoding="utf-8").splitlines():
             if line.startswith("MemAvailable:"):
                 return int(line.split()[1]) * 1024
     except (OSError, ValueError):

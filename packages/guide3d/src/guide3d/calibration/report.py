@@ -20,6 +20,7 @@ from guide3d.atomic_file import whole_file
 from guide3d.calibration.cube_calibration import CubeCalibration, calibrate_folder
 from guide3d.calibration.cube_files import find_files, read_grey
 from guide3d.calibration.pictures import RESIDUAL_SCALE, draw_beads, draw_displacement, draw_holes
+from guide3d.commands import in_words
 from guide3d.geometry.distortion import METHODS, leave_out_errors
 from guide3d.image_file import write_png
 
@@ -159,7 +160,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         calibration = calibrate_folder(chosen.folder, chosen.swirl, chosen.method)
         page = write_report(calibration, chosen.folder, chosen.output)
     except (OSError, ValueError) as error:
-        sys.stderr.write(f"{error}\n")
+        sys.stderr.write(f"{in_words(error)}\n")
         return 1
     for detector, own in figures(calibration).items():
         for pose, image in own["images"].items():

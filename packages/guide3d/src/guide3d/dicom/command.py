@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from guide3d.atomic_file import whole_file
+from guide3d.commands import in_words
 from guide3d.dicom.c_arm import camera_of, view_warnings
 from guide3d.dicom.pair import paired
 from guide3d.dicom.run_folder import read_xray
@@ -84,7 +85,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with whole_file(chosen.output / "runs.json", "w") as file:
             file.write(json.dumps(said, indent=1) + "\n")
     except (OSError, ValueError, IndexError, ImportError) as error:
-        sys.stderr.write(f"{error}\n")
+        sys.stderr.write(f"{in_words(error)}\n")
         return 1
     for view, run in zip("ab", runs, strict=False):
         sys.stdout.write(

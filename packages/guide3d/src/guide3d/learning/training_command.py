@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from guide3d.atomic_file import whole_file
+from guide3d.commands import in_words
 from guide3d.dataset.dataset import Dataset, split
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.training import FitProgress, FitReport, finished
@@ -102,6 +103,6 @@ def main_of(command: Callable[[list[str]], Any], words: list[str] | None) -> int
     try:
         command(sys.argv[1:] if words is None else words)
     except (ValueError, OSError) as error:
-        _LOGGER.error("%s", error)
+        _LOGGER.error("%s", in_words(error))
         return 2
     return 0

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from guide3d.atomic_file import whole_file
+from guide3d.commands import in_words
 from guide3d.dataset.dataset import Dataset
 from guide3d.image_file import write_image
 from guide3d.json_file import json_fields, read_json
@@ -105,7 +106,7 @@ def main(words: list[str] | None = None) -> int:
     try:
         print(f"{draw(given)} images in {given.output}")
     except (ValueError, OSError) as error:
-        print(error, file=sys.stderr)
+        print(in_words(error), file=sys.stderr)
         return 2
     return 0
 

@@ -31,6 +31,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from guide3d.calibration.folder import Rig, distortions_of, rigs_in
+from guide3d.commands import in_words
 from guide3d.geometry.distortion import Distortion
 from guide3d.image_file import write_png
 from guide3d.reading.image_reading import ImageReading, MapReader, read, shipped_reader
@@ -83,8 +84,7 @@ def main(words: Sequence[str] | None = None) -> int:
     try:
         _run(given)
     except (ImportError, OSError, ValueError) as error:
-        text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.strerror else str(error)
-        sys.stderr.write(f"guide3d.read: {' '.join(text.split())}\n")
+        sys.stderr.write(f"guide3d.read: {in_words(error)}\n")
         return 1
     return 0
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.figure import new_figure
+from cathsim.figure import new_figure, plain_text
 
 logger = logging.getLogger(__name__)
 _MOST_POINTS = 60_000
@@ -104,7 +104,7 @@ def draw_refusal(surface: Array, found: Array, reason: str, path: Path) -> Path 
         panel.set_xlabel("xyz"[across])
         panel.set_ylabel("xyz"[up])
         panel.set_aspect("equal")
-    figure.suptitle(reason, fontsize=10, wrap=True)
+    figure.suptitle(plain_text(reason), fontsize=10, wrap=True)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 import threading
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -48,7 +49,7 @@ def content_digest(settings: Mapping[str, Any], files: Iterable[Path], *, in_fol
     digest = hashlib.blake2b(digest_size=16)
     digest.update(json.dumps(settings).encode())
     for one in files:
-        digest.update(one.name.encode() if in_folder else b"")
+        digest.update(os.fsencode(one.name) if in_folder else b"")
         with open_regular(one) as file:
             while block := file.read(1 << 22):
                 digest.update(block)

@@ -14,7 +14,7 @@ import numpy as np
 
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.pictures.phantom_picture import VIEWS, camera, picture_point, render_lumen
-from cathsim.figure import new_figure
+from cathsim.figure import new_figure, plain_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -80,11 +80,11 @@ def draw_import(phantom: Phantom, path: Path | None = None) -> Figure:
     panels[0].set_ylabel("mm, towards the head")
     size = " x ".join(f"{1e3 * side:.0f}" for side in high - low)
     figure.suptitle(
-        f"{report.file}: unit {report.unit} ({report.unit_reason}), {report.kind}, {size} mm\n"
+        f"{plain_text(report.file)}: unit {report.unit} ({report.unit_reason}), {report.kind}, {size} mm\n"
         "ring: open end, cross: closed end, arrow: entry",
         fontsize=10,
     )
-    figure.text(0.02, 0.01, words, fontsize=9, va="bottom", color=_DOUBT if unsure else _PLAIN)
+    figure.text(0.02, 0.01, plain_text(words), fontsize=9, va="bottom", color=_DOUBT if unsure else _PLAIN)
     if path is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path)
@@ -109,7 +109,8 @@ def _draw_vessels(panel: Axes, phantom: Phantom, numbers: dict[str, list[int]], 
                 panel.plot(*place, "o", color="none", markeredgecolor=_OPEN, markersize=7, markeredgewidth=1.6)
             elif not any(other.parent == branch.name for other in phantom.tree):
                 panel.plot(*place, "x", color=_DOUBT, markersize=7, markeredgewidth=1.8)
-        text = branch.name + (f" ({', '.join(map(str, numbers[branch.name]))})" if numbers[branch.name] else "")
+        doubted = f" ({', '.join(map(str, numbers[branch.name]))})" if numbers[branch.name] else ""
+        text = plain_text(branch.name) + doubted
         box: dict[str, Any] = {"facecolor": "white", "alpha": 0.7, "edgecolor": "none", "pad": 0.6}
         rows = sum(abs(x - place[0]) < beside and abs(y - place[1]) < beside / 4 for x, y in named)
         named.append((float(place[0]), float(place[1])))

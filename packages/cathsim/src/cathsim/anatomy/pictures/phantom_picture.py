@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.phantom import Phantom
-from cathsim.figure import new_figure
+from cathsim.figure import new_figure, plain_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -51,7 +51,13 @@ def draw_phantom(phantom: Phantom, path: Path | None = None, *, pixel: float = 5
             x, y = picture_point(target.position, centre, right)
             panel.plot(x, y, "o", color="#ffd23f", markeredgecolor="black", markersize=6)
             panel.annotate(
-                target.name, (x, y), (7, 3), textcoords="offset points", fontsize=8.5, weight="bold", color="#1c2a3a"
+                plain_text(target.name),
+                (x, y),
+                (7, 3),
+                textcoords="offset points",
+                fontsize=8.5,
+                weight="bold",
+                color="#1c2a3a",
             )
         for entry in phantom.entries.values():
             x, y = picture_point(entry.position, centre, right)
@@ -67,7 +73,7 @@ def draw_phantom(phantom: Phantom, path: Path | None = None, *, pixel: float = 5
     panels[0].set_ylabel("mm, towards the head")
     size = (high - low) * 1e3
     extents = f"{size[0]:.0f} x {size[1]:.0f} x {size[2]:.0f} mm (left-right, front-back, height)"
-    figure.suptitle(f"{phantom.name.replace('_', ' ')}: {extents}", fontsize=12)
+    figure.suptitle(f"{plain_text(phantom.name.replace('_', ' '))}: {extents}", fontsize=12)
     if path is not None:
         figure.savefig(path)
     return figure

@@ -61,7 +61,7 @@ def write_curve(path: Path, curve: list[Row]) -> None:
 
 def read_curve(path: Path) -> list[Row]:
     """Reads what `write_curve` wrote."""
-    with path.open(newline="") as stream:
+    with path.open(newline="", encoding="utf-8") as stream:
         return [{name: _number(value) for name, value in row.items()} for row in csv.DictReader(stream)]
 
 
@@ -69,7 +69,7 @@ def replace_text(path: Path, text: str) -> None:
     """Writes a small file at once: a reader sees the former text or this one."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     temporary.unlink(missing_ok=True)  # a link of that name would be written through
-    temporary.write_text(text)
+    temporary.write_text(text, encoding="utf-8")
     os.replace(temporary, path)
 
 

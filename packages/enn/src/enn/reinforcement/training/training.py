@@ -48,7 +48,7 @@ class Training(TrainingInputs):
     def _finished(self, folder: Path) -> TrainingResult:
         policy = Policy.load(folder / "policy.pt", get_device(self.settings.device))
         try:
-            record = json.loads((folder / "training.json").read_text())
+            record = json.loads((folder / "training.json").read_text(encoding="utf-8"))
             curve = read_curve(folder / "training.csv")
             return TrainingResult(policy, curve, dict(record["timings"]), record["evaluation"])
         except (KeyError, RecursionError, TypeError, ValueError) as error:
