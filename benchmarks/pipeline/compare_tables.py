@@ -20,8 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.report.intervals import Interval, difference_of_means, difference_of_shares
-from pipeline.report.results import SAMPLES, Cell, Table, mean_of
-from pipeline.report.table_formats import format_cell
+from pipeline.tables import SAMPLES, Cell, Table, format_cell, mean_of
 
 # parts of names of columns of which more is better, and less
 _HIGHER = ("success", "safety_pct", "spl_pct", "dice", "miou", "jaccard", "recognised", "read_pct", "reward", "score")

@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.report.over_seeds import BOUNDS, OverSeeds, over_seeds
-from pipeline.report.results import SAMPLES, Cell, Table
-from pipeline.report.table_formats import format_cell
 from pipeline.report.tables import OVER_SEEDS
+from pipeline.tables import SAMPLES, Cell, Table, format_cell
 
 _MADE_UP: list[dict[str, Table]] = [
     {"generalisation": {"roadmap/bca": {"success_pct": success, "force_n": [force, 0.01], "wire": "default"}}}

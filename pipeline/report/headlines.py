@@ -10,9 +10,8 @@ from pathlib import Path
 import yaml
 
 from pipeline.report.intervals import Interval, difference_of_means, difference_of_shares, mean_interval, share_interval
-from pipeline.report.results import Cell, mean_of
-from pipeline.report.table_formats import format_cell
 from pipeline.report.tables import Column, ReportTable
+from pipeline.tables import Cell, format_cell, mean_of
 
 _SPECS = Path(__file__).with_name("headlines.yaml")
 BETTER, EQUAL, WORSE, OPEN = "better", "equal", "worse", "open"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pipeline.report.results import Cell, mean_of
+from pipeline.tables import Cell, mean_of
 
 Interval = tuple[float, float]
 

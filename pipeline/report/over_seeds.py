@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from pipeline.report.intervals import Interval, mean_interval
-from pipeline.report.results import SAMPLES, Table, mean_of
+from pipeline.tables import SAMPLES, Table, mean_of
 
 BOUNDS = ("_low_pct", "_high_pct")  # columns that are bounds of intervals themselves
 # ends of names of columns that are shares of something

@@ -1,49 +1,23 @@
-"""Tables as text: the words of a cell, CSV, and LaTeX with booktabs."""
+"""Tables as text: CSV, and LaTeX with booktabs."""
 
 from __future__ import annotations
 
 import csv
 import io
-import math
-from typing import TYPE_CHECKING
 
-from pipeline.report.results import Cell
-
-if TYPE_CHECKING:
-    from pipeline.report.over_seeds import OverSeeds
-    from pipeline.report.tables import ReportTable, Row  # a stage that words its own cells does not read the thesis's
+from pipeline.report.over_seeds import OverSeeds
+from pipeline.report.tables import ReportTable, Row
+from pipeline.tables import Cell, format_cell
 
 _LATEX = {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
           "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "±": r"$\pm$", "≥": r"$\geq$", "×": r"$\times$",
           "²": r"$^2$", "τ": r"$\tau$", "γ": r"$\gamma$", "–": "--"}  # fmt: skip
 
 
-def format_cell(cell: Cell, decimals: int | None = None) -> str:
-    """Words a cell with so many decimals, or with as many as the value needs; nothing for None."""
-    if cell is None:
-        return ""
-    if isinstance(cell, str):
-        return cell
-    if isinstance(cell, list):
-        places = _decimals(max(map(abs, cell))) if decimals is None else decimals
-        return f"{cell[0]:.{places}f} ± {cell[1]:.{places}f}"
-    if decimals is not None:
-        return f"{cell:.{decimals}f}"
-    if float(cell).is_integer():
-        return f"{int(cell):,}" if abs(cell) >= 10_000 else str(int(cell))
-    return f"{cell:.4g}"
-
-
 def format_over_seeds(found: OverSeeds, decimals: int | None = None) -> str:
     """Words a figure over run seeds: ``3 seeds: 91.1 (88.0 to 94.2)``, with the 95 % interval of the mean."""
     mean, low, high = (format_cell(float(value), decimals) for value in (found.cell[0], *found.interval))
     return f"{found.seeds} seeds: {mean} ({low} to {high})"
-
-
-def _decimals(value: float) -> int:
-    """Enough decimals for three to four significant digits."""
-    magnitude = math.floor(math.log10(abs(value))) if value else 0
-    return max(0, min(4, 2 - magnitude))
 
 
 def _cells(table: ReportTable, row: Row) -> list[str]:

@@ -11,8 +11,8 @@ from typing import Any
 import yaml
 
 from pipeline.report.over_seeds import CellName, OverSeeds
-from pipeline.report.results import SAMPLES, Cell, Table, pool
-from pipeline.report.words import column_words, group_words, plain, row_words
+from pipeline.tables import SAMPLES, Cell, Table, pool
+from pipeline.words import column_words, group_words, plain, row_words
 
 _THESIS = Path(__file__).with_name("thesis.yaml")
 KINDS = ("results", "settings", "literature", "own")

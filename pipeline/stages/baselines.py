@@ -6,10 +6,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pipeline.anatomies.settings import settle
+from pipeline.evaluations.tables import log_summary
 from pipeline.jobs.pool import Job
 from pipeline.recording.trials import Origin
-from pipeline.report.learning.tables import log_summary
-from pipeline.report.results import write_results
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.gpu_memory import policy_gb
 from pipeline.stages.learning.expert_episodes import require_demonstrations
@@ -26,6 +25,7 @@ from pipeline.stages.learning.plan import (
 )
 from pipeline.stages.learning.settings import BaselinesSettings
 from pipeline.stages.learning.training import PolicyTrainingJob
+from pipeline.tables import write_results
 from pipeline.task import FEEDER, observed
 
 if TYPE_CHECKING:

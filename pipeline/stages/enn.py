@@ -7,8 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.settings import settle
-from pipeline.report.learning.tables import log_summary
-from pipeline.report.results import write_results
+from pipeline.evaluations.tables import log_summary
 from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
@@ -22,6 +21,7 @@ from pipeline.stages.learning.plan import (
 )
 from pipeline.stages.learning.settings import EnnSettings
 from pipeline.stages.learning.training import PolicyTrainingJob
+from pipeline.tables import write_results
 from pipeline.task import number_of_actions, observed
 
 if TYPE_CHECKING:

@@ -13,13 +13,13 @@ from typing import Any, ClassVar
 
 from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.anatomies.settings import ChosenAnatomies, check_anatomies, settle
-from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import demonstration_seeds, held_out_seeds
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import CountOrNone, Episodes, Processes
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.atomic_files import atomic_path, write_json
+from pipeline.tables import Figure, write_figures, write_results
 from pipeline.task import DeviceSettings, joint_observations, number_of_actions, require_feeder, require_known_task
 
 OPERATOR, EVALUATION = "sampling_expert", "evaluation"
@@ -153,7 +153,7 @@ def task_settings(settings: ExpertSettings, seed: int) -> dict[str, Any]:
 def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list[Figure]:
     """Draws paths and forces of every task and lists them with the films."""
     from pipeline.episodes import EpisodeReader
-    from pipeline.report.plots.episodes import draw_planned_path, draw_task
+    from pipeline.plots.episodes import draw_planned_path, draw_task
 
     shown = []
     for task in dict.fromkeys(trial.task for trial in trials):

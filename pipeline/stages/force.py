@@ -9,17 +9,17 @@ from typing import Any
 
 from pipeline.anatomies.known import require_known_phantoms
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.report.aids import force_note
-from pipeline.report.plots.imitation import draw_calibration, draw_shares
-from pipeline.report.results import Figure, write_figures, write_notes, write_results
+from pipeline.plots.imitation import draw_calibration, draw_shares
 from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.gpu_memory import LEARNT_BATCH, policy_gb
+from pipeline.stages.learning.aids import force_note
 from pipeline.stages.learning.expert_episodes import expert_folder, require_expert
 from pipeline.stages.learning.force import PRELOAD, TEST_EVERY, ForceJob, RecordingJob, learn_force, record_disturbed
 from pipeline.stages.learning.force_from_shape import ShapeForceJob, forces_from_shape
 from pipeline.stages.learning.settings import ForceSettings
 from pipeline.stages.learning.task import LearningTask
+from pipeline.tables import Figure, write_figures, write_notes, write_results
 from pipeline.task import require_known_task
 
 THESIS_INPUTS = "V"  # the image alone, with the loss on features and force

@@ -7,19 +7,19 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.anatomies.settings import check_anatomies, settle
+from pipeline.evaluations.tables import log_summary
 from pipeline.jobs.pool import Job, run_jobs
+from pipeline.plots.imitation import draw_success
 from pipeline.recording.trials import Origin
-from pipeline.report.aids import imitation_note
-from pipeline.report.learning.tables import log_summary
-from pipeline.report.plots.imitation import draw_success
-from pipeline.report.results import Figure, write_figures, write_notes, write_results
 from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.gpu_memory import LEARNT_BATCH, policy_gb
+from pipeline.stages.learning.aids import imitation_note
 from pipeline.stages.learning.expert_episodes import expert_folder, expert_logs, read_episodes, require_expert
 from pipeline.stages.learning.imitation import PRELOAD, ImitationJob, imitate
 from pipeline.stages.learning.settings import ImitationSettings
 from pipeline.stages.learning.task import LearningTask
+from pipeline.tables import Figure, write_figures, write_notes, write_results
 from pipeline.task import require_known_task
 
 CLONED, DISTURBED, DAGGER = "image_w_enn", "image_w_enn_disturbed", "dagger"

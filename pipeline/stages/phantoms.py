@@ -15,12 +15,12 @@ from annotated_types import Ge, Le
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.anatomies.known import require_known_phantoms
 from pipeline.anatomies.settings import FileSettings
-from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.settings.checks import validated
 from pipeline.settings.kinds import UNIQUE, FolderNames, Seed
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.store.errors import ConfigurationError
+from pipeline.tables import Figure, write_figures, write_results
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom, SignedDistanceGrid

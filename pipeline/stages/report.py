@@ -11,10 +11,9 @@ from typing import Annotated
 from annotated_types import Ge, Le
 
 from pipeline.report.figures import ShownFigure, gather_figures
-from pipeline.report.learning.section import LearningSection, learning_section
+from pipeline.report.learning import LearningSection, learning_section
 from pipeline.report.over_seeds import over_seeds
-from pipeline.report.page.rendering import PAGE, StageRecord, render_page
-from pipeline.report.results import Table, read_notes
+from pipeline.report.page import PAGE, StageRecord, render_page
 from pipeline.report.table_formats import as_csv, as_latex
 from pipeline.report.tables import join_sweep, metrics, report_tables
 from pipeline.settings.checks import validated
@@ -23,6 +22,7 @@ from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.file_cache import digests_of
 from pipeline.store.manifest import Manifest, read_manifest
 from pipeline.store.provenance import machine, present_commit, software_versions
+from pipeline.tables import Table, read_notes
 
 METRICS = "metrics.json"
 TABLES_FOLDER = "tables"

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from pipeline.jobs.pool import Job
-from pipeline.report.plots.segmentation import draw_examples, draw_kinds
-from pipeline.report.plots.shape import draw_training
-from pipeline.report.results import Figure
+from pipeline.plots.segmentation import draw_examples, draw_kinds
+from pipeline.plots.shape import draw_training
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.evaluation import PRELOAD, learn_segmentation
 from pipeline.stages.networks.settings import SegmentationSettings
 from pipeline.stages.networks.stage import cost_cells, train_and_compare, training_job
+from pipeline.tables import Figure
 
 GROUP = "Segmentation"
 LABELS = {"unet": "UNet", "transunet": "TransUnet", "swinunet": "SwinUnet"}

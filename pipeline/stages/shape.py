@@ -6,12 +6,12 @@ from typing import Any
 
 from guide3d.reconstruction.evaluation import METRICS
 from pipeline.jobs.pool import Job
-from pipeline.report.plots.shape import draw_along, draw_in_space, draw_reprojections, draw_training
-from pipeline.report.results import Figure
+from pipeline.plots.shape import draw_along, draw_in_space, draw_reprojections, draw_training
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.evaluation import PRELOAD, learn_shape
 from pipeline.stages.networks.settings import ShapeSettings
 from pipeline.stages.networks.stage import cost_cells, train_and_compare, training_job
+from pipeline.tables import Figure
 
 GROUP = "Shape prediction"
 THESIS_ROWS = ("cartesian", "spherical")

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 from pipeline.jobs.pool import Job
-from pipeline.report.plots.shape import draw_training
-from pipeline.report.plots.splineformer import draw_attention, draw_comparison, draw_errors
-from pipeline.report.results import Figure
+from pipeline.plots.shape import draw_training
+from pipeline.plots.splineformer import draw_attention, draw_comparison, draw_errors
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.settings import SplineformerSettings
 from pipeline.stages.networks.splineformer import EXAMPLES, PRELOAD, ComparisonJob, compare, learn_variant
 from pipeline.stages.networks.stage import train_and_compare, training_job
+from pipeline.tables import Figure
 
 GROUP = "SplineFormer"
 COMPARISON = "comparison"

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.evaluations.logs import COUNTED
 from pipeline.printing import written
-from pipeline.report.learning.logs import COUNTED
-from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.settings.checks import shown, validated
 from pipeline.settings.kinds import Count, SuccessRadius
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import write_json
 from pipeline.store.provenance import hash_file
 from pipeline.store.written_files import is_inside
+from pipeline.tables import Figure, write_figures, write_results
 
 if TYPE_CHECKING:
     from pipeline.episodes import EpisodeInfo
@@ -145,7 +145,7 @@ def figures(study: Study, folder: Path, settings: UserStudySettings) -> list[Fig
     """Draws the tip's paths and the forces of every task."""
     from cathsim import PHANTOMS, load_phantom
     from pipeline.episodes import EpisodeReader, EpisodeReadError
-    from pipeline.report.plots.episodes import draw_task
+    from pipeline.plots.episodes import draw_task
 
     drawn = []
     for task, logs in study.logs.items():

@@ -11,17 +11,17 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 
 from pipeline.anatomies.known import require_known_phantoms
+from pipeline.evaluations.force_logs import EpisodeForces, pooled, pooled_wall, read_forces, table_rows
+from pipeline.evaluations.load_cell import ALONE, WIRE
 from pipeline.jobs.pool import Job, Report, run_jobs
-from pipeline.report.force_logs import EpisodeForces, pooled, pooled_wall, read_forces, table_rows
-from pipeline.report.load_cell import ALONE, WIRE
-from pipeline.report.plots.forces import draw_boxes, draw_distribution, draw_heat, draw_quantities
-from pipeline.report.results import Figure, write_figures, write_results
+from pipeline.plots.forces import draw_boxes, draw_distribution, draw_heat, draw_quantities
 from pipeline.settings.checks import validated
 from pipeline.settings.kinds import Count, FolderName
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import write_text
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import RunFolder
+from pipeline.tables import Figure, write_figures, write_results
 
 # Observations whose speed is measured: row of the table -> what the environment is asked for.
 SPEED_MODES: dict[str, str | tuple[str, ...]] = {

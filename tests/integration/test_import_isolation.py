@@ -35,17 +35,22 @@ def sources(package: str) -> list[Path]:
     return found
 
 
-def imported_packages(text: str) -> Iterator[str]:
-    """Yields the top-level package of every import, also of those inside functions and of import_module("...")."""
+def imported_modules(text: str) -> Iterator[str]:
+    """Yields what every import names, also those inside functions and of import_module("...")."""
     for node in ast.walk(ast.parse(text)):
         if isinstance(node, ast.Import):
-            yield from (alias.name.split(".")[0] for alias in node.names)
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            yield node.module.split(".")[0]
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
             name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
             if name in ("import_module", "__import__", "importorskip") and isinstance(node.args[0].value, str):
-                yield node.args[0].value.split(".")[0]
+                yield node.args[0].value
+
+
+def imported_packages(text: str) -> Iterator[str]:
+    """Yields the top-level package of every import."""
+    yield from (name.split(".")[0] for name in imported_modules(text))
 
 
 @pytest.mark.parametrize(
@@ -71,6 +76,16 @@ def test_package_imports_only_what_it_may(package: str) -> None:
         if name in others - ALLOWED[package]
     ]
     assert not offences
+
+
+def test_only_the_stage_report_imports_the_report() -> None:
+    root = source_root("pipeline")
+    files = {
+        file.relative_to(root).as_posix()
+        for file in sources("pipeline")
+        if any(f"{name}.".startswith("pipeline.report.") for name in imported_modules(file.read_text(encoding="utf-8")))
+    }
+    assert {name for name in files if not name.startswith("report/")} == {"stages/report.py"}
 
 
 def test_episodes_need_neither_simulator_nor_learning() -> None:

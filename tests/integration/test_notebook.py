@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from enn.fitting import EpisodeFitSettings
-from pipeline.report.learning.tables import tables_from_logs
+from pipeline.evaluations.tables import tables_from_logs
 from tests.guide3d.learning.drawn_data import draw
 from tests.pipeline.stages.small_expert import write_expert
 

@@ -12,16 +12,16 @@ from guide3d.dataset.frame import Frame, ImageError
 from guide3d.dataset.true_curves import VIEWS
 from guide3d.reconstruction.evaluation import Record, accepted
 from guide3d.reconstruction.reconstruction import reconstruct, reconstruct_greedy
-from pipeline.report.plots.canvas import draw_in_space
-from pipeline.report.plots.guide3d import (
+from pipeline.plots.canvas import draw_in_space
+from pipeline.plots.guide3d import (
     Overlay,
     draw_along,
     draw_overlays,
     draw_samples,
     draw_segments,
 )
-from pipeline.report.results import Figure
 from pipeline.stages.guide3d.reconstruction import WAYS
+from pipeline.tables import Figure
 
 GROUP = "Guide3D"
 _SHOWN = (0.1, 0.5, 0.9, 1.0)  # quantiles of the reprojection error

@@ -11,7 +11,6 @@ from guide3d.dataset.acquisition_plan import PlannedAcquisition, plan_acquisitio
 from guide3d.reconstruction.evaluation import Record
 from pipeline.anatomies.known import require_known_phantoms
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.report.results import write_figures, write_results
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.guide3d.figures import reconstruction_figures, sample_figure
 from pipeline.stages.guide3d.folder import Source
@@ -21,6 +20,7 @@ from pipeline.stages.guide3d.reconstruction import ReconstructionJob, gather, re
 from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.stages.guide3d.tables import comparison_row, composition_table, reconstruction_tables
 from pipeline.store.errors import ConfigurationError
+from pipeline.tables import write_figures, write_results
 
 PRELOAD = (
     "cathsim",

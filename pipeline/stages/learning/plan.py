@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 from pipeline.anatomies.settings import check_anatomies
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import Origin
-from pipeline.report.aids import training_note
-from pipeline.report.results import write_notes
 from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.stages import StageContext
+from pipeline.stages.learning.aids import training_note
 from pipeline.stages.learning.encoders import ENCODERS, EncodersJob, encoder_file, fit_encoders
 from pipeline.stages.learning.expert_episodes import require_demonstrations
 from pipeline.stages.learning.memory import training_gb, training_gpu_gb
@@ -25,6 +24,7 @@ from pipeline.stages.learning.training import (
     PolicyTrainingJob,
     train_and_evaluate,
 )
+from pipeline.tables import write_notes
 from pipeline.task import FEEDER, require_known_task
 
 if TYPE_CHECKING:

@@ -11,11 +11,10 @@ from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.human import FOLDER as HUMAN
 from pipeline.recording.human import SUFFIX
 from pipeline.recording.trials import POLICY, Origin
-from pipeline.report.aids import navigation_note
-from pipeline.report.results import write_figures, write_notes, write_results
 from pipeline.seeds import perception_arches, training_arches, unseen_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.gpu_memory import LEARNT_BATCH, network_gb, policy_gb
+from pipeline.stages.learning.aids import navigation_note
 from pipeline.stages.learning.expert_episodes import (
     expert_folder,
     expert_logs,
@@ -36,6 +35,7 @@ from pipeline.stages.networks.training import PREDICTOR
 from pipeline.stages.unseen.task import TEST_PHANTOM, training_arch
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.provenance import hash_file
+from pipeline.tables import write_figures, write_notes, write_results
 from pipeline.task import TASK, require_feeder, require_known_task, require_same_task, task_from
 
 UNSEEN, CLUTTERED = "unseen_arches", "unseen_arches_clutter"

@@ -9,18 +9,18 @@ from typing import Any
 from cathsim.failure_modes import MODES as FAILURES
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
+from pipeline.plots.imitation import draw_success
+from pipeline.plots.navigation import draw_failures
 from pipeline.recording.human import FOLDER as HUMAN
 from pipeline.recording.human import SUFFIX
 from pipeline.recording.trials import MODES
-from pipeline.report.plots.imitation import draw_success
-from pipeline.report.plots.navigation import draw_failures
-from pipeline.report.results import Figure
 from pipeline.stages import StageContext
 from pipeline.stages.learning.evaluation import EVALUATION
 from pipeline.stages.learning.expert_episodes import expert_folder
 from pipeline.stages.navigation.film import FAILURE, FILMS, SUCCESS
 from pipeline.stages.navigation.perception import PERCEPTION
 from pipeline.stages.navigation.settings import NavigationSettings
+from pipeline.tables import Figure
 
 GROUP = "Autonomous navigation"
 ROW, DAGGER, ARCHES, PIXELS = "splineformer", "splineformer_dagger", "splineformer_arches", "behaviour_cloning"

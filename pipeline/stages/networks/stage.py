@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.stages import StageContext
 from pipeline.stages.gpu_memory import network_gb
 from pipeline.stages.networks.settings import TrainingSettings
 from pipeline.stages.networks.training import TrainingJob
+from pipeline.tables import Figure, write_figures, write_results
 
 PICTURES = ".cache/pictures"  # made again from the data set when needed
 

@@ -16,7 +16,6 @@ from pipeline.anatomies.settings import check_anatomies, fitted_steps, fitted_ta
 from pipeline.anatomies.take_offs import with_catheter_where_steep
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import POLICY, Origin
-from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.gpu_memory import policy_gb
@@ -36,6 +35,7 @@ from pipeline.stages.rehearsal.starting_policy import (
 from pipeline.stages.rehearsal.training import train
 from pipeline.stages.rehearsal.turns import DEMONSTRATIONS, EXPERT, most_turns
 from pipeline.store.errors import ConfigurationError
+from pipeline.tables import Figure, write_figures, write_results
 from pipeline.task import Task, require_feeder, require_known_task
 
 BEFORE, AFTER = "before", "after"
@@ -222,7 +222,7 @@ def row(outcomes: dict[str, Any], tested: str, kind: str) -> dict[str, Any]:
 def picture(outcomes: dict[str, Any], tested: str, phantom: Any, target: Any, folder: Path) -> Figure:
     """Draws the tip's paths and the forces in the copies of a test."""
     from pipeline.episodes import EpisodeReader
-    from pipeline.report.plots.episodes import draw_task
+    from pipeline.plots.episodes import draw_task
 
     logs: Sequence[str] = [log for part in _outcomes_of(outcomes, tested, COPIES) for log in part["logs"]]
     episodes = []

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from pipeline.anatomies.known import require_known_entry, require_known_phantoms, require_known_targets
 from pipeline.anatomies.settings import settle
+from pipeline.evaluations.tables import log_summary
 from pipeline.jobs.pool import run_jobs
-from pipeline.report.learning.tables import log_summary
-from pipeline.report.results import write_results
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.unseen.jobs import PRELOAD
 from pipeline.stages.unseen.plan import ROADMAP_TESTS, plan
@@ -21,6 +20,7 @@ from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.tables import curve, registration
 from pipeline.stages.unseen.task import VARIETY
 from pipeline.store.errors import ConfigurationError
+from pipeline.tables import write_results
 from pipeline.task import require_feeder, require_known_task
 
 

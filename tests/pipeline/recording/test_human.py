@@ -21,11 +21,11 @@ from cathsim.metrics import EpisodeMetrics
 from pipeline.episodes import EpisodeOutcome, EpisodeReader, EpisodeReadError, check
 from pipeline.episodes.__main__ import main as show
 from pipeline.episodes.annotate import annotate, read_annotation
+from pipeline.evaluations.logs import COUNTED
+from pipeline.evaluations.tables import tables_from_logs
 from pipeline.recording.human import McapRecorder
-from pipeline.report.learning.logs import COUNTED
-from pipeline.report.learning.tables import tables_from_logs
-from pipeline.report.results import read_figures, read_results
 from pipeline.stages.user_study import UserStudySettings, gather, logs_of, tables
+from pipeline.tables import read_figures, read_results
 
 ANSWERS = {**{criterion.key: 4 for criterion in CRITERIA}, "participant": "P1"}
 

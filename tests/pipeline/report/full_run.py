@@ -10,10 +10,10 @@ import numpy as np
 import yaml
 from PIL import Image
 
-from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.stages import available_stages
 from pipeline.store.provenance import PROJECT_ROOT
 from pipeline.store.run_folder import Identity, RunFolder
+from pipeline.tables import Figure, write_figures, write_results
 
 THESIS = yaml.safe_load((PROJECT_ROOT / "pipeline" / "report" / "thesis.yaml").read_text())["tables"]
 OWN_ROWS = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.pipeline.compare_tables import compare, direction
-from pipeline.report.results import Cell, Table
+from pipeline.tables import Cell, Table
 
 
 def run(**cells: Cell) -> dict[str, Table]:

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from pipeline.report.figures import gather_figures
-from pipeline.report.results import Figure, write_figures
+from pipeline.tables import Figure, write_figures
 
 
 def test_figures_beyond_the_page_s_room_lie_beside_it(tmp_path: Path) -> None:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
+from pipeline.evaluations.tables import tables_from_logs
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
-from pipeline.report.learning.tables import tables_from_logs
 from pipeline.stages.baselines import plan, training_settings
 from pipeline.stages.learning.expert_episodes import read_episode, readable
 from pipeline.stages.learning.path_following import PathJob, follow

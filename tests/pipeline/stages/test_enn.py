@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.report.learning.tables import tables_from_logs
+from pipeline.evaluations.tables import tables_from_logs
 from pipeline.stages import StageContext
 from pipeline.stages.enn import architecture, check_enn, plan, sizes
 from pipeline.stages.learning.plan import training_seeds

@@ -9,8 +9,8 @@ import pytest
 
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.check import check
+from pipeline.evaluations.tables import tables_from_logs
 from pipeline.recording.replay import replay
-from pipeline.report.learning.tables import tables_from_logs
 from pipeline.seeds import demonstration_seeds, held_out_seeds
 from pipeline.stages.expert import ExpertSettings, run_expert
 from pipeline.task import Task, number_of_actions

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from pipeline.episodes import EpisodeReader
+from pipeline.evaluations.tables import tables_from_logs
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import MODES
-from pipeline.report.learning.tables import tables_from_logs
 from pipeline.seeds import held_out_seeds
 from pipeline.stages import imitation
 from pipeline.stages.learning.imitation import imitate

@@ -17,10 +17,10 @@ from cathsim.anatomy import import_mesh
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
+from pipeline.evaluations.tables import tables_from_logs
 from pipeline.recording.record import record_episode
 from pipeline.recording.replay import film_of, replay
-from pipeline.report.learning import figures
-from pipeline.report.learning.tables import tables_from_logs
+from pipeline.report import learning_figures
 from pipeline.stages import load_stage, stage_module
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import ConfigurationError
@@ -119,7 +119,7 @@ def test_episodes_replay_and_film_and_the_report_has_rows_and_pictures(run: Path
     log = run / "expert" / "my_patient" / TARGET / "000.mcap"
     assert len(replay(log).actions) == 4
     assert film_of(log, tmp_path / "film.gif").stat().st_size > 10_000
-    assert figures._phantom("my_patient", log).name == "my_patient"
+    assert learning_figures._phantom("my_patient", log).name == "my_patient"
     tables = tables_from_logs(run)
     assert tables["expert"][f"my_patient/{TARGET}"]["n"] == 1
     assert f"my_patient/{TARGET}/I+V" in tables["enn"]
@@ -136,7 +136,7 @@ def test_a_changed_file_is_refused_by_replay_and_left_out_of_the_report(mesh: Pa
         file.write(b"more")
     with pytest.raises(EpisodeReadError, match=r"phantom 'copy' is another than the one described"):
         replay(log)
-    assert figures._phantom("copy", log) is None
+    assert learning_figures._phantom("copy", log) is None
     copy.unlink()
     with pytest.raises(EpisodeReadError, match="there is no file"):
         replay(log)

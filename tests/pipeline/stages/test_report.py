@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from pipeline.report.results import Figure, write_figures, write_results
 from pipeline.store.provenance import PROJECT_ROOT
 from pipeline.store.run_folder import Identity, RunFolder
+from pipeline.tables import Figure, write_figures, write_results
 from tests.pipeline.report.full_run import add_full_run
 
 THESIS = yaml.safe_load((PROJECT_ROOT / "pipeline" / "report" / "thesis.yaml").read_text())["tables"]

@@ -11,12 +11,12 @@ import pytest
 import trimesh
 
 from cathsim.physics_checks import AIM_PCT
-from pipeline.report.force_logs import episode_forces
-from pipeline.report.results import read_figures, read_results
+from pipeline.evaluations.force_logs import episode_forces
 from pipeline.stages.validate import ValidateSettings, check_validate, physics_rows, run_validate, validate_forces
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.run_folder import Identity, RunFolder
-from tests.pipeline.report.evaluation_logs import write_force_log
+from pipeline.tables import read_figures, read_results
+from tests.pipeline.evaluations.evaluation_logs import write_force_log
 
 STEPS = 40
 

@@ -14,7 +14,7 @@ from guide3d.learning.build import SEGMENTER_SIZES
 from guide3d.learning.predictor import SegmentationPredictor, built
 from guide3d.learning.preprocessing import Preprocessing
 from pipeline.jobs.worker import Report
-from pipeline.report.plots.splineformer import draw_attention, draw_comparison, draw_errors
+from pipeline.plots.splineformer import draw_attention, draw_comparison, draw_errors
 from pipeline.stages import splineformer
 from pipeline.stages.guide3d.folder import Source
 from pipeline.stages.networks import splineformer as splineformer_jobs

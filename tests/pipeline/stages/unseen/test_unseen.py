@@ -15,9 +15,9 @@ from enn.imitation.images.policy import ImagePolicy
 from enn.imitation.images.stereo_view import STEREO_SIZE
 from enn.policy import Policy
 from enn.shipped import weight_files
+from pipeline.evaluations.tables import tables_from_logs
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
-from pipeline.report.learning.tables import tables_from_logs
 from pipeline.stages.unseen.image_policy import train_image_policy
 from pipeline.stages.unseen.jobs import (
     AnatomiesJob,

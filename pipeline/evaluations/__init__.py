@@ -1,0 +1,1 @@
+"""Evaluations: what the logged episodes of a run say, and the tables computed from them."""

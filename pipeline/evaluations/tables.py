@@ -1,0 +1,267 @@
+"""Tables of the learning stages, computed from their evaluation logs alone: the thesis's, and own ones beside them.
+
+| table               | from                                         | rows                                       |
+|---------------------|----------------------------------------------|--------------------------------------------|
+| `cathsim_results`   | `baselines`                                  | phantom/row                                |
+| `ablation`          | `enn`, the sampling expert, people; Type I   | target/row                                 |
+| `imitation`         | `imitation`, I+V+M and V of `enn`; Type I    | target/row                                 |
+| `baselines`, `enn`  | the stage of that name, every phantom        | phantom/target/row                         |
+| `behaviour_cloning` | `imitation`, every phantom                   | phantom/target/row                         |
+| `generalisation`    | `unseen`                                     | row/target/test set                        |
+| `expert`, `human`   | the sampling expert, people; every phantom   | phantom/target                             |
+| `devices`           | every stage above, where there are catheters | phantom/target/stage/row/device            |
+| `load_cell`         | every stage above whose logs hold the forces | phantom/target/device/stage/row            |
+
+In the thesis's tables, `expert` and `human`, pairs are mean and standard deviation over the deterministic episodes of
+all seeds, as the thesis has them. In the other own ones they are taken over the training seeds' means, with n - 1 in
+the denominator.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.evaluations.device_table import device_table, with_device
+from pipeline.evaluations.force_table import load_cell_table
+from pipeline.evaluations.logs import (
+    COMPARED,
+    DETERMINISTIC,
+    LEARNING_STAGES,
+    STOCHASTIC,
+    Evaluation,
+    Task,
+    evaluation_folders,
+    stage_of,
+)
+from pipeline.evaluations.reading import CACHE, read_logs
+from pipeline.evaluations.statistics import counted, mean_of, of_mode, over_seeds, shortest_paths, summary
+from pipeline.store.errors import StageError
+from pipeline.tables import SAMPLES, Table, format_cell
+
+OWN_TABLES = {"baselines": "baselines", "enn": "enn", "imitation": "behaviour_cloning", "unseen": "generalisation",
+              "expert": "expert", "human": "human"}  # fmt: skip
+BASELINE_COLUMNS = {"reward_{}": "reward", "mean_force_{}_n": "force_n", "max_force_{}_n": "force_max_n"}
+THESIS_PHANTOM, THESIS_TARGETS = "type_1", ("bca", "lcca")  # of the thesis's ablation
+ABLATION_COLUMNS = ("force_n", "path_length_cm", "episode_length_steps", "safety_pct", "success_pct", "spl_pct")
+OWN_COLUMNS = ("episode_length_steps", "path_length_cm", "spl_pct", "safety_pct", "force_n", "force_p95_n",
+               "force_max_n", "contact_force_n")  # fmt: skip
+EXPERT_ROW = "I+V+M"
+_REPEATED = {EXPERT_ROW: "enn", "V": "image_wo_enn"}  # rows of the ablation in the table of imitation
+MISREGISTERED = "misregistered"  # test sets of unseen arches in which the roadmap is displaced: a group of their own
+_ROW_ORDER = ("H", "sampling_expert", "V", "V+M", "I", "I+V", "I+V+M", "ppo_internal", "sac_internal", "ppo_image",
+              "sac_image", "ppo_sequential", "sac_sequential", "path_follower", "image_w_enn")  # fmt: skip
+
+Rows = dict[tuple[str, str, str, str], list[Evaluation]]  # stage, phantom, target, row -> its evaluations
+Shortest = Mapping[Task, float]
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def tables_from_logs(folder: Path, *, cache: Path | None = None) -> dict[str, Table]:
+    """Computes the tables of a run, or of one stage.
+
+    Args:
+        folder: of a run, or of a learning stage in a run. SPL's shortest paths are taken over every episode of the run.
+        cache: file that keeps the metrics of logs; by default one in the run.
+
+    Returns:
+        table -> row -> column -> cell; no table without evaluations.
+
+    Raises:
+        StageError: a stage's folder holds no evaluation that can be used.
+    """
+    is_stage = stage_of(folder.name) in LEARNING_STAGES and not evaluation_folders(folder)
+    run_path = folder.parent if is_stage else folder
+    read = read_logs(evaluation_folders(run_path), cache=cache or run_path / CACHE)
+    shortest = shortest_paths(read.evaluations)
+    if not is_stage:
+        return learning_tables(read.evaluations, shortest)
+    own = [one for one in read.evaluations if one.folder == folder.name]
+    tables = learning_tables(own, shortest)
+    if "imitation" in tables:  # it repeats rows of the ablation
+        beside = [one for one in read.evaluations if one.stage == "enn"]
+        tables["imitation"] = learning_tables([*own, *beside], shortest)["imitation"]
+    if not tables:
+        lost = [name for name in read.left_out if name.startswith(f"{folder.name}/")]
+        first = lost and f", {len(lost)} logs cannot be used, the first is {lost[0]} ({read.left_out[lost[0]]})"
+        raise StageError(
+            f"{folder} holds no evaluation to make a table of{first or ''}: "
+            f"run stage {stage_of(folder.name)} again with force=true"
+        )
+    return tables
+
+
+def log_summary(folder: Path) -> None:
+    """Logs success and force of every row of a learning stage that has just run, from its episode logs.
+
+    Raises:
+        StageError: the folder holds no evaluation that can be used.
+    """
+    for row, cells in tables_from_logs(folder)[OWN_TABLES[stage_of(folder.name)]].items():
+        success, force = (format_cell(cells.get(column)) or "–" for column in ("success_pct", "force_n"))
+        _LOGGER.info("%s: success %s %%, force %s N, %s episodes", row, success, force, cells[SAMPLES])
+
+
+def learning_tables(evaluations: Sequence[Evaluation], shortest: Shortest) -> dict[str, Table]:
+    """Computes every table that the evaluations have something for.
+
+    Args:
+        shortest: from `shortest_paths`.
+
+    Returns:
+        table -> row -> column -> cell.
+    """
+    rows = named_rows(evaluations)
+    deterministic = {key: of_mode(chosen, DETERMINISTIC) for key, chosen in rows.items()}
+    tables = {
+        "cathsim_results": _baselines(rows, shortest),
+        "ablation": _thesis(rows, shortest, _in_ablation),
+        "imitation": _thesis(rows, shortest, _in_imitation) if any(stage == "imitation" for stage, *_ in rows) else {},
+        **{OWN_TABLES[stage]: _own(rows, stage, shortest) for stage in LEARNING_STAGES},
+        **{OWN_TABLES[stage]: _of_operator(rows, stage, shortest) for stage in COMPARED},
+        "devices": device_table(deterministic, shortest),
+        "load_cell": load_cell_table(deterministic),
+    }
+    return {name: table for name, table in tables.items() if table}
+
+
+def named_rows(evaluations: Sequence[Evaluation]) -> Rows:
+    """Groups evaluations by stage, phantom (or test set of the stage `unseen`), target and row.
+
+    A row trained in several variants gives several rows: the plain name goes to the thesis's variant, or where that has
+    not run to desk's; others, and whatever else a sweep changed, carry their variant in brackets. One trained with
+    several weights of the force gives a row for each weight, and each catheter one of its own, in brackets, too.
+
+    Args:
+        evaluations: of any stages; demonstrations belong to no row.
+
+    Returns:
+        The groups, ordered as the tables show them.
+    """
+    variants: dict[tuple[str, str], set[str]] = {}
+    weights: dict[tuple[str, str], set[float]] = {}
+    for one in counted(evaluations):
+        variants.setdefault((one.stage, one.row), set()).add(one.variant)
+        if one.force_weight is not None:
+            weights.setdefault((one.stage, one.row), set()).add(one.force_weight)
+    plain = {key: _plain_variant(of_row) for key, of_row in variants.items()}
+    rows: Rows = {}
+    for one in counted(_comparable(evaluations)):
+        name = one.row
+        if one.force_weight is not None and len(weights[one.stage, one.row]) > 1:
+            name += f" {one.force_weight:g}"
+        if one.variant != plain[one.stage, one.row]:
+            name += f" ({one.variant})".replace("/", "·")
+        name = with_device(name, one.device)
+        place = one.test_set.replace("/", "·") if one.stage == "unseen" else one.phantom
+        rows.setdefault((one.stage, place, one.target, name), []).append(one)
+    return dict(sorted(rows.items(), key=lambda item: (*item[0][:3], row_place(item[0][3]), item[0][3])))
+
+
+def _plain_variant(variants: set[str]) -> str | None:
+    """The variant whose rows need no brackets; None where none stands out."""
+    return next(
+        (name for name in ("thesis", "desk") if name in variants), min(variants) if len(variants) == 1 else None
+    )
+
+
+def _comparable(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
+    """Keeps of people's episodes in a vessel those under the policies' limit, wire, start and radius, if there are."""
+    asked = {(one.task, one.max_steps) for one in evaluations if one.stage in ("enn", "expert")}
+    human = [one for one in evaluations if one.stage == "human"]
+    same = {one.log: (one.phantom, one.target) for one in human if (one.task, one.max_steps) in asked}
+    vessels = set(same.values())
+    return [
+        one
+        for one in evaluations
+        if one.stage != "human" or one.log in same or (one.phantom, one.target) not in vessels
+    ]
+
+
+def row_place(row: str) -> int:
+    """Where a row stands among the others: the thesis's order, then the rest."""
+    return next((index for index, known in enumerate(_ROW_ORDER) if row == known), len(_ROW_ORDER))
+
+
+def _baselines(rows: Rows, shortest: Shortest) -> Table:
+    table: dict[str, Any] = {}
+    for (stage, phantom, target, name), evaluations in rows.items():
+        chosen = of_mode(evaluations, DETERMINISTIC)
+        if stage != "baselines" or target not in THESIS_TARGETS or not chosen:
+            continue
+        values = summary(chosen, shortest)
+        row = table.setdefault(f"{phantom}/{name}", {})
+        row |= {column.format(target): values[source] for column, source in BASELINE_COLUMNS.items()}
+        row[f"success_{target}_pct"] = mean_of(values["success_pct"])
+        row[SAMPLES] = min(len(chosen), row.get(SAMPLES, len(chosen)))  # behind either target's cells
+    return table
+
+
+def _in_ablation(stage: str, row: str) -> str | None:
+    """What a stage's row is called in the thesis's ablation; None where it does not stand there."""
+    return row if stage in ("enn", *COMPARED) else None
+
+
+def _in_imitation(stage: str, row: str) -> str | None:
+    """What a stage's row is called in the thesis's table of imitation, which repeats two of the ablation."""
+    return row if stage == "imitation" else _REPEATED.get(row) if stage == "enn" else None
+
+
+def _thesis(rows: Rows, shortest: Shortest, named: Callable[[str, str], str | None]) -> Table:
+    """The columns of the thesis's ablation for every row with a name there and with deterministic episodes."""
+    table: Table = {}
+    for (stage, phantom, target, row), evaluations in rows.items():
+        name, chosen = named(stage, row), of_mode(evaluations, DETERMINISTIC)
+        if name and chosen and phantom == THESIS_PHANTOM and target in THESIS_TARGETS:
+            values = summary(chosen, shortest)
+            cells = {column: values[column] for column in ABLATION_COLUMNS}
+            table[f"{target}/{name}"] = {**cells, SAMPLES: len(chosen)}
+    return table
+
+
+def _own(rows: Rows, stage: str, shortest: Shortest) -> Table:
+    table: Table = {}
+    for (of_stage, place, target, name), evaluations in rows.items():
+        if of_stage == stage:
+            key = _unseen_row(name, target, place) if stage == "unseen" else f"{place}/{target}/{name}"
+            table[key] = _own_row(evaluations, shortest)
+    return dict(sorted(table.items(), key=lambda item: item[0].rpartition("/")[0])) if stage == "unseen" else table
+
+
+def _unseen_row(name: str, target: str, test_set: str) -> str:
+    group = f"{name}_{MISREGISTERED}" if test_set.startswith(MISREGISTERED) else name
+    return f"{group}/{target}/{test_set}"
+
+
+def _own_row(evaluations: Sequence[Evaluation], shortest: Shortest) -> dict[str, Any]:
+    from cathsim.metrics.intervals import wilson_interval
+
+    fixed, drawn = of_mode(evaluations, DETERMINISTIC), of_mode(evaluations, STOCHASTIC)
+    row: dict[str, Any] = {}
+    if fixed:
+        values = over_seeds(fixed, shortest)
+        low, high = wilson_interval(sum(one.metrics.success for one in fixed), len(fixed))
+        row = {"success_pct": values["success_pct"], "success_low_pct": 100 * low, "success_high_pct": 100 * high}
+    if drawn:
+        row["stochastic_success_pct"] = over_seeds(drawn, shortest)["success_pct"]
+    if fixed:
+        row |= {column: values[column] for column in OWN_COLUMNS}
+        row["force_largest_n"] = max(one.metrics.force_max for one in fixed)
+    row["seeds"] = len({one.training_seed for one in evaluations})
+    row[SAMPLES] = len(fixed)
+    return row
+
+
+def _of_operator(rows: Rows, stage: str, shortest: Shortest) -> Table:
+    """Every metric of the sampling expert's or people's episodes."""
+    table: Table = {}
+    for (of_stage, phantom, target, _), evaluations in rows.items():
+        if of_stage == stage:
+            values = summary(evaluations, shortest)
+            samples = values.pop("episodes")
+            place = with_device(f"{phantom}/{target}", evaluations[0].device)
+            table[place] = {**values, SAMPLES: samples}
+    return table

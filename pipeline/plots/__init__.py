@@ -1,0 +1,1 @@
+"""Plots that stages leave in their folders."""

@@ -1,0 +1,108 @@
+"""The learning part of the report: tables computed from the logs of a run, logs that are left out, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pipeline.evaluations.logs import COUNTED, LEARNING_STAGES, Evaluation, Task, evaluation_folders, stage_of
+from pipeline.evaluations.reading import CACHE, EvaluationSet, read_logs
+from pipeline.evaluations.statistics import shortest_paths
+from pipeline.evaluations.tables import OWN_TABLES, learning_tables
+from pipeline.report.curves import read_curves
+from pipeline.report.learning_figures import Material, draw_learning
+from pipeline.report.tables import join_sweep
+from pipeline.store.atomic_files import read_json
+from pipeline.tables import Table, read_results, write_figures
+
+_EXPERT, _HUMAN = "expert", "human"
+_USER_STUDY = "user_study"  # selects the episodes of people that count
+_SHOWN = 5  # logs left out that the page names
+
+
+@dataclass(frozen=True)
+class LearningSection:
+    """What the report takes from here.
+
+    Attributes:
+        results: the tables from the logs, then those that each stage folder wrote.
+        by_seed: seed -> the same tables, joined, of stages that ran with several seeds alone.
+        remarks: table -> what is to be said of it.
+        folder: where the figures lie with their list; None where there are none.
+    """
+
+    results: list[dict[str, Table]]
+    by_seed: dict[int, dict[str, Table]] = field(default_factory=dict)
+    remarks: dict[str, str] = field(default_factory=dict)
+    folder: Path | None = None
+
+
+def learning_section(
+    run_path: Path, finished: Collection[str], figures: Path, seeds: Mapping[str, int] | None = None
+) -> LearningSection:
+    """Computes the tables of episodes from the logs, and draws.
+
+    Args:
+        run_path: the folder of the run.
+        finished: names of its finished stage folders.
+        seeds: of these, the run's seed of each; without, there are no figures over seeds.
+    """
+    counting = {*finished, *([_HUMAN] if _USER_STUDY in finished else [])}
+    folders = [folder for folder in evaluation_folders(run_path) if folder.name in counting]
+    found = read_logs(folders, cache=run_path / CACHE)
+    selected = run_path / _USER_STUDY / COUNTED
+    people = set(read_json(selected)) if selected.is_file() else set()
+    evaluations = [one for one in found.evaluations if one.stage != _HUMAN or one.log in people]
+    shortest = shortest_paths(found.evaluations)
+    results = _results(run_path, finished, evaluations, shortest)
+    by_seed = {
+        seed: join_sweep(
+            _results(run_path, names, [one for one in evaluations if one.log.split("/", 1)[0] in names], shortest)
+        )
+        for seed, names in _repeated(seeds or {}).items()
+    }
+    learnt = [name for name in finished if stage_of(name) in LEARNING_STAGES]
+    if not learnt:
+        return LearningSection(results, by_seed, left_out(found))
+    curves = read_curves([run_path / name for name in learnt])
+    write_figures(figures, draw_learning(Material(run_path, evaluations, curves, join_sweep(results)), figures))
+    return LearningSection(results, by_seed, left_out(found), figures)
+
+
+def _results(
+    run_path: Path, folders: Collection[str], evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]
+) -> list[dict[str, Table]]:
+    """The tables from logs, then those that each folder wrote."""
+    tables = learning_tables(evaluations, shortest)
+    written = [read_results(run_path / name) for name in folders]
+    # runs of an earlier version wrote the tables of episodes, too
+    return [tables, *({name: rows for name, rows in part.items() if name not in tables} for part in written)]
+
+
+def _repeated(seeds: Mapping[str, int]) -> dict[int, list[str]]:
+    """Seed to the folders of stages that ran with several seeds."""
+    of_stage: dict[str, set[int]] = {}
+    for name, seed in seeds.items():
+        of_stage.setdefault(stage_of(name), set()).add(seed)
+    repeated = {name: seed for name, seed in seeds.items() if len(of_stage[stage_of(name)]) > 1}
+    return {seed: [name for name in repeated if repeated[name] == seed] for seed in sorted(set(repeated.values()))}
+
+
+def left_out(found: EvaluationSet) -> dict[str, str]:
+    """Words which logs do not count: own table of the stage to a sentence."""
+    sentences = {}
+    for stage in (*LEARNING_STAGES, _EXPERT):  # the stage user_study counts people's
+        names = [name for name in found.left_out if stage_of(name.split("/", 1)[0]) == stage]
+        if names:
+            some = "; ".join(f"{name} ({_reason(found.left_out[name], name)})" for name in names[:_SHOWN])
+            more = f"; and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+            logs = "1 log was" if len(names) == 1 else f"{len(names)} logs were"
+            sentences[OWN_TABLES[stage]] = f"{logs} left out: {some}{more}."
+    return sentences
+
+
+def _reason(message: str, name: str) -> str:
+    """An error's reason without the path that stands beside it, nor the command that mends it."""
+    reason = message.split("; run '", 1)[0]
+    return reason.rpartition(f"{name} is ")[2] if f"{name} is " in reason else reason

@@ -1,1 +1,0 @@
-"""The report's section on learning, computed from evaluation logs."""

@@ -1,0 +1,238 @@
+"""Plots of learning: training curves, episode length against people's, forces by row, paths, fronts, generalisation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.plots.canvas import MM, chart, new_figure, save_figure, style
+from pipeline.plots.episodes import draw_vessel
+from pipeline.report.curves import Curve, join_seeds
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from cathsim import Phantom
+
+_HUMAN = "tab:orange"
+_PATHS = {"ENN": "tab:blue", "Sampling expert": "tab:green", "Human": _HUMAN}
+
+Array = NDArray[np.float64]
+Grouped = Mapping[str, Mapping[str, Sequence[Curve]]]  # task -> row -> a curve a seed
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A column of the training figure: what is drawn over what."""
+
+    x: str
+    y: str
+    x_label: str
+    y_label: str
+    x_scale: float = 1.0
+    y_scale: float = 1.0
+
+
+TRAINING_PANELS = (
+    Panel("env_steps", "reward", "environment steps", "mean reward of the last 100 steps"),
+    Panel("decisions", "evaluation_success", "decisions", "success in evaluation (%)", y_scale=100.0),
+    Panel("cpu_s", "evaluation_success", "CPU minutes", "success in evaluation (%)", 1 / 60, 100.0),
+)
+
+
+@dataclass(frozen=True)
+class Point:
+    """A policy in the front of success against force; pairs are mean and standard deviation over seeds.
+
+    Attributes:
+        task: its phantom and target, in words.
+        label: its weight of the force, or its row.
+        weight: that weight, to order the points of a task; None comes first.
+        force_n: mean force, N.
+        success_pct: %.
+        force_max_n: largest force of an episode, N.
+    """
+
+    task: str
+    label: str
+    weight: float | None
+    force_n: tuple[float, float]
+    success_pct: tuple[float, float]
+    force_max_n: tuple[float, float]
+    steps: tuple[float, float]
+
+
+def draw_training(tasks: Grouped, labels: Mapping[str, str], file: Path) -> None:
+    """Draws reward and evaluated success of every task; thin lines are seeds, thick ones means with their spread."""
+    figure = new_figure(12.0, 0.7 + 2.7 * len(tasks))
+    grid = figure.subplots(len(tasks), len(TRAINING_PANELS), squeeze=False)
+    colours = _colours(tasks)
+    for line, (task, of_task) in zip(grid, tasks.items(), strict=True):
+        for axes, panel in zip(line, TRAINING_PANELS, strict=True):
+            for row, curves in of_task.items():
+                _draw_curves(axes, curves, panel, color=colours[row], label=labels.get(row, row))
+            if panel.y == "evaluation_success":
+                axes.set_ylim(-4, 104)
+            axes.set(xlabel=panel.x_label, ylabel=panel.y_label)
+            axes.locator_params(axis="x", nbins=5)
+            axes.grid(alpha=0.3)
+        line[0].set_title(task, loc="left", fontsize=10)
+    handles = {
+        text: handle for axes in grid.flat for handle, text in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    if handles:
+        figure.legend(
+            handles.values(), handles.keys(), loc="outside upper center", ncols=min(len(handles), 7), frameon=False,
+            fontsize=9,
+        )  # fmt: skip
+    save_figure(figure, file)
+
+
+def _colours(tasks: Grouped) -> dict[str, str]:
+    rows = dict.fromkeys(row for of_task in tasks.values() for row in of_task)
+    return {row: f"C{index % 10}" for index, row in enumerate(rows)}
+
+
+def _draw_curves(axes: Axes, curves: Sequence[Curve], panel: Panel, *, color: str, label: str) -> None:
+    points = [curve.pairs(panel.x, panel.y) for curve in curves]
+    band = join_seeds(curves, panel.x, panel.y)
+    if len(curves) > 1:
+        for at, values in points:
+            axes.plot(panel.x_scale * at, panel.y_scale * values, color=color, linewidth=0.6, alpha=0.45)
+    if band is None:  # a single point, or nothing in common
+        for at, values in points:
+            axes.plot(panel.x_scale * at, panel.y_scale * values, ".", color=color, label=label if len(at) else None)
+        return
+    x, mean, spread = panel.x_scale * band.x, panel.y_scale * band.mean, panel.y_scale * band.spread
+    axes.plot(x, mean, color=color, linewidth=1.7, label=label)
+    if band.seeds > 1:
+        axes.fill_between(x, mean - spread, mean + spread, color=color, alpha=0.15, linewidth=0)
+
+
+def draw_lengths(tasks: Grouped, human: Mapping[str, Array], labels: Mapping[str, str], file: Path) -> None:
+    """Draws the evaluated episode length by checkpoint, and people's where there are any.
+
+    Args:
+        tasks: at least one.
+        human: task to the (n,) lengths of people's episodes, steps.
+    """
+    panel = Panel("decisions", "evaluation_length", "decisions", "episode length (steps)")
+    figure = new_figure(max(5.0, 3.9 * len(tasks)), 3.6)
+    panels = figure.subplots(1, len(tasks), squeeze=False, sharey=True)[0]
+    colours = _colours(tasks)
+    for axes, (task, of_task) in zip(panels, tasks.items(), strict=True):
+        if len(human.get(task, ())):
+            lengths = human[task]
+            mean, spread = float(np.mean(lengths)), float(np.std(lengths))
+            axes.axhline(mean, color=_HUMAN, linestyle="--", linewidth=1.4, label=f"human, {len(lengths)} episodes")
+            axes.axhspan(mean - spread, mean + spread, color=_HUMAN, alpha=0.12, linewidth=0)
+        for row, curves in of_task.items():
+            _draw_curves(axes, curves, panel, color=colours[row], label=labels.get(row, row))
+        axes.set(xlabel=panel.x_label, ylabel=panel.y_label if axes is panels[0] else "", title=task)
+        axes.title.set_fontsize(10)
+        axes.locator_params(axis="x", nbins=5)
+        axes.set_ylim(bottom=0.0)
+        style(axes)
+    save_figure(figure, file)
+
+
+def draw_largest_forces(phantoms: Mapping[str, Mapping[tuple[str, str], Array]], file: Path) -> None:
+    """Draws box plots of the largest force of each episode, a panel a phantom, as the thesis does.
+
+    Args:
+        phantoms: phantom in words -> (row in words, target) -> (n,) N.
+    """
+    figure = new_figure(max(6.0, 6.2 * len(phantoms)), 4.4)
+    panels = figure.subplots(1, len(phantoms), squeeze=False, sharey=True)[0]
+    for axes, (phantom, boxes) in zip(panels, phantoms.items(), strict=True):
+        rows = list(dict.fromkeys(row for row, _ in boxes))
+        targets = sorted({target for _, target in boxes})
+        width = 0.8 / len(targets)
+        for index, target in enumerate(targets):
+            there = [(place, boxes[row, target]) for place, row in enumerate(rows) if (row, target) in boxes]
+            drawn = axes.boxplot(
+                [values for _, values in there],
+                positions=[place + (index - (len(targets) - 1) / 2) * width for place, _ in there],
+                widths=0.85 * width, whis=(5, 95), patch_artist=True, manage_ticks=False,
+                medianprops={"color": "black"}, flierprops={"markersize": 2, "alpha": 0.5},
+                boxprops={"facecolor": f"C{index}", "alpha": 0.55},
+            )  # fmt: skip
+            drawn["boxes"][0].set_label(target.upper())
+        axes.set_xticks(range(len(rows)), rows, rotation=35, ha="right", fontsize=8)
+        axes.set(title=phantom, ylabel="largest contact force of an episode (N)")
+        axes.title.set_fontsize(10)
+        axes.set_ylim(bottom=0.0)
+        style(axes, grid="y")
+    save_figure(figure, file)
+
+
+def draw_paths(
+    phantom: Phantom, target: str, paths: Mapping[str, Sequence[tuple[Array, bool]]], file: Path, *, radius_mm: float
+) -> None:
+    """Draws the paths of the tip in the vessel, a panel for each who steered.
+
+    Args:
+        paths: who -> (T + 1, 3) m and whether it succeeded, for each path.
+        radius_mm: of the sphere of success.
+    """
+    shown = {who: of_one for who, of_one in paths.items() if of_one}
+    figure = new_figure(3.6 * len(shown), 4.6)
+    panels = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
+    for axes, (who, of_one) in zip(panels, shown.items(), strict=True):
+        draw_vessel(axes, phantom, target, radius_mm=radius_mm)
+        for path, success in of_one:
+            x, z = path[:, 0] * MM, path[:, 2] * MM
+            axes.plot(x, z, linewidth=1.0, alpha=0.7, color=_PATHS[who])
+            axes.plot(x[-1], z[-1], "o" if success else "x", markersize=4, color=_PATHS[who] if success else "black")
+        axes.set_title(f"{who}, {len(of_one)} episode{'' if len(of_one) == 1 else 's'}", fontsize=10)
+        if axes is not panels[0]:
+            axes.set_ylabel("")
+    save_figure(figure, file)
+
+
+def draw_front(points: Sequence[Point], file: Path) -> None:
+    """Draws success, and the steps that it takes, against force, a line a task through the weights of the force."""
+    figure = new_figure(9.6, 4.2)
+    success, steps = figure.subplots(1, 2)
+    for index, task in enumerate(dict.fromkeys(point.task for point in points)):
+        of_task = sorted((point for point in points if point.task == task), key=lambda p: p.weight or 0.0)
+        for axes, across, up in ((success, "force_n", "success_pct"), (steps, "force_max_n", "steps")):
+            (x, x_spread), (y, y_spread) = (
+                np.array([getattr(point, name) for point in of_task]).T for name in (across, up)
+            )
+            axes.errorbar(
+                x, y, xerr=x_spread, yerr=y_spread, fmt="o-", color=f"C{index}", linewidth=1.2,
+                elinewidth=0.7, capsize=2, markersize=5, label=task,
+            )  # fmt: skip
+            for number, point in enumerate(of_task):
+                # names of two tasks stay apart, and so do those of neighbours on one line
+                offset = (5, (-12 if index % 2 == 0 else 5) + (-10 if index % 2 == 0 else 10) * (number % 2))
+                axes.annotate(
+                    point.label, (x[number], y[number]), xytext=offset, textcoords="offset points", fontsize=8,
+                    color=f"C{index}",
+                )  # fmt: skip
+            axes.grid(alpha=0.3)
+            axes.margins(x=0.15, y=0.15)
+    success.set(xlabel="mean contact force (N)", ylabel="success (%)", ylim=(-4, 115))
+    success.set_yticks(range(0, 101, 20))
+    steps.set(xlabel="largest contact force of an episode, mean (N)", ylabel="steps to the target")
+    success.legend(frameon=False, fontsize=8, loc="lower left")
+    save_figure(figure, file)
+
+
+def draw_generalisation(curves: Mapping[str, Sequence[tuple[int, float, float]]], file: Path) -> None:
+    """Draws success on unseen anatomies: name -> (training anatomies, success, its standard deviation), % each."""
+    with chart(file, 6.2, 4.0, loc="lower right") as axes:
+        for index, (name, points) in enumerate(curves.items()):
+            count, success, spread = np.array(sorted(points), dtype=np.float64).T
+            axes.errorbar(count, success, yerr=spread, fmt="o-", color=f"C{index}", capsize=2, label=name)
+        numbers = sorted({count for points in curves.values() for count, _, _ in points})
+        axes.set_xscale("log", base=2)
+        axes.set_xticks(numbers, [str(number) for number in numbers])
+        axes.minorticks_off()
+        axes.set(xlabel="training anatomies", ylabel="success on unseen anatomies (%)", ylim=(-4, 104))
