@@ -67,7 +67,9 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
         context = _context(config, folder, run_path, {name: path for name, (path, _) in inputs.items()})
         try:
             with chosen_engine(config.engine, available_bytes):
-                stage.run(config.stage, context)
+                results = stage.run(config.stage, context)
+            if results is not None:
+                results.write(folder.path)
         except ModuleNotFoundError as error:  # packages import their heavier dependencies where they need them
             raise missing_module(stage.name, error) from error
         except ImportError as error:  # e.g. native code that was built from other sources; it says what to do

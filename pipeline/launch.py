@@ -14,20 +14,19 @@ from types import FrameType
 
 from hydra import main as hydra_main
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig
-from omegaconf.errors import OmegaConfBaseException
 from pydantic import ValidationError
 
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY, register_schemas, run_config
 from pipeline.execution import execute
-from pipeline.explain import is_number_as_choice, one_line, system_error
+from pipeline.explain import is_foreseen, one_line
 from pipeline.printing import say, written
 from pipeline.settings.quoting import with_quoted_paths
 from pipeline.stages import available_stages
 from pipeline.store.errors import PipelineError
 from pipeline.store.interruption import interrupted, let_ctrl_c_interrupt
+from pipeline.store.system_errors import system_error
 from pipeline.variants import variant_of
 
 EXIT_FAILED = 1
@@ -114,19 +113,15 @@ def main(arguments: list[str]) -> int:
         hydra_main(version_base="1.3", config_path=str(CONFIG_DIRECTORY), config_name="config")(task)()
     except KeyboardInterrupt:
         return _say(_INTERRUPTED, EXIT_INTERRUPTED)
-    except _Stop as stop:
-        return _say(one_line(stop.error, arguments), EXIT_FAILED if isinstance(stop.error, OSError) else EXIT_USAGE)
-    except (PipelineError, HydraException, OmegaConfBaseException, ValidationError) as error:
-        return _say(one_line(error, arguments), EXIT_USAGE if system_error(error) is None else EXIT_FAILED)
-    except Exception as error:
-        if interrupted():
+    except (_Stop, Exception) as stop:
+        error = stop.error if isinstance(stop, _Stop) else stop
+        if interrupted() and not isinstance(error, PipelineError):
             _LOGGER.debug("what came after Ctrl-C", exc_info=True)  # shown with hydra.verbose=true
             return _say(_INTERRUPTED, EXIT_INTERRUPTED)
-        if is_number_as_choice(error):
-            return _say(one_line(error, arguments), EXIT_USAGE)
-        if system_error(error) is None:
+        if not is_foreseen(error):
             raise
-        return _say(one_line(error, arguments), EXIT_FAILED)
+        is_usage = isinstance(error, PipelineError) or system_error(error) is None
+        return _say(one_line(error, arguments), EXIT_USAGE if is_usage else EXIT_FAILED)
     return 0
 
 

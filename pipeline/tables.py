@@ -21,7 +21,8 @@ figures; ``stage`` (optional) is the stage beside whose tables it is shown, wher
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,34 @@ class Figure:
     stage: str = ""  # beside whose tables it is shown; "": that of the folder
 
 
+@dataclass(frozen=True)
+class Results:
+    """What a stage measured and drew.
+
+    Attributes:
+        tables: measured cells: table -> row -> column -> cell.
+        figures: in the order they are shown; their files lie in the stage's folder.
+        notes: table -> how its rows were made.
+    """
+
+    tables: Mapping[str, Any]
+    figures: Sequence[Figure] = ()
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    def write(self, folder: Path) -> None:
+        """Leaves them in the stage's folder.
+
+        Raises:
+            ValueError: when something is not a cell; the message names table, row and column.
+            FileNotFoundError: when a figure's file is not in the folder.
+        """
+        write_results(folder, self.tables)
+        if self.notes:
+            write_json(folder / NOTES, self.notes)
+        if self.figures:
+            write_figures(folder, self.figures)
+
+
 def _read(path: Path, otherwise: Any) -> Any:
     try:
         return read_json(path) if path.is_file() else otherwise
@@ -55,7 +84,7 @@ def _read(path: Path, otherwise: Any) -> Any:
         raise StageError(f"{path} is damaged ({error}): run its stage again with force=true") from error
 
 
-def write_results(folder: Path, tables: dict[str, Any]) -> None:
+def write_results(folder: Path, tables: Mapping[str, Any]) -> None:
     """Writes a stage's measured cells: table -> row -> column -> cell, as the module describes.
 
     Raises:
@@ -68,17 +97,12 @@ def write_results(folder: Path, tables: dict[str, Any]) -> None:
     write_json(folder / RESULTS, tables)
 
 
-def write_notes(folder: Path, notes: dict[str, str]) -> None:
-    """Writes what a stage says of its tables: table -> how its rows were made."""
-    write_json(folder / NOTES, notes)
-
-
 def read_notes(folder: Path) -> dict[str, str]:
     """Reads what a stage says of its tables; empty when it says nothing."""
     return _read(folder / NOTES, {})
 
 
-def write_figures(folder: Path, figures: list[Figure]) -> None:
+def write_figures(folder: Path, figures: Sequence[Figure]) -> None:
     """Writes a stage's list of figures, in the order they are shown.
 
     Raises:

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.report.over_seeds import BOUNDS, OverSeeds, over_seeds
+from pipeline.report.intervals import BOUNDS, OverSeeds, over_seeds
 from pipeline.report.tables import OVER_SEEDS
 from pipeline.tables import SAMPLES, Cell, Table, format_cell
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.evaluations.load_cell import device_of, wall_forces
+from pipeline.evaluations.forces import device_of, wall_forces
 from pipeline.store.provenance import hash_value
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.evaluations.logs import DEMONSTRATION, Evaluation, Task
-from pipeline.tables import Cell
+from pipeline.tables import Cell, mean_of
 
 
 def shortest_paths(evaluations: Sequence[Evaluation]) -> dict[Task, float]:
@@ -65,11 +65,6 @@ def over_seeds(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]
         if contacts:
             means.setdefault("contact_force_n", []).append(float(np.mean(contacts)))
     return {"contact_force_n": None, **{name: _mean_and_spread(values) for name, values in means.items()}}
-
-
-def mean_of(cell: Any) -> float:
-    """The mean of a pair [mean, standard deviation], or a number itself."""
-    return float(cell[0] if isinstance(cell, list) else cell)
 
 
 def _mean_and_spread(values: list[float]) -> Cell:

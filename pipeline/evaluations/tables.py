@@ -24,8 +24,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.evaluations.device_table import device_table, with_device
-from pipeline.evaluations.force_table import load_cell_table
+import numpy as np
+
+from pipeline.evaluations.forces import QUANTITIES, WIRE
 from pipeline.evaluations.logs import (
     COMPARED,
     DETERMINISTIC,
@@ -37,9 +38,9 @@ from pipeline.evaluations.logs import (
     stage_of,
 )
 from pipeline.evaluations.reading import CACHE, read_logs
-from pipeline.evaluations.statistics import counted, mean_of, of_mode, over_seeds, shortest_paths, summary
+from pipeline.evaluations.statistics import counted, of_mode, over_seeds, shortest_paths, summary
 from pipeline.store.errors import StageError
-from pipeline.tables import SAMPLES, Table, format_cell
+from pipeline.tables import SAMPLES, Table, format_cell, mean_of
 
 OWN_TABLES = {"baselines": "baselines", "enn": "enn", "imitation": "behaviour_cloning", "unseen": "generalisation",
               "expert": "expert", "human": "human"}  # fmt: skip
@@ -49,6 +50,8 @@ ABLATION_COLUMNS = ("force_n", "path_length_cm", "episode_length_steps", "safety
 OWN_COLUMNS = ("episode_length_steps", "path_length_cm", "spl_pct", "safety_pct", "force_n", "force_p95_n",
                "force_max_n", "contact_force_n")  # fmt: skip
 EXPERT_ROW = "I+V+M"
+_DEVICE_COLUMNS = ("success_pct", "episode_length_steps", "path_length_cm", "force_n", "force_max_n")
+_DEVICES = ("wire", "catheter")  # as `Evaluation.feeder_forces` has them
 _REPEATED = {EXPERT_ROW: "enn", "V": "image_wo_enn"}  # rows of the ablation in the table of imitation
 MISREGISTERED = "misregistered"  # test sets of unseen arches in which the roadmap is displaced: a group of their own
 _ROW_ORDER = ("H", "sampling_expert", "V", "V+M", "I", "I+V", "I+V+M", "ppo_internal", "sac_internal", "ppo_image",
@@ -264,4 +267,72 @@ def _of_operator(rows: Rows, stage: str, shortest: Shortest) -> Table:
             samples = values.pop("episodes")
             place = with_device(f"{phantom}/{target}", evaluations[0].device)
             table[place] = {**values, SAMPLES: samples}
+    return table
+
+
+def with_device(row: str, device: str) -> str:
+    """A row's name, with the catheter in brackets where there is one."""
+    return row if device == WIRE else f"{row} ({device})"
+
+
+def without_device(row: str, device: str) -> str:
+    """What `with_device` was given."""
+    return row.removesuffix(with_device("", device))
+
+
+def device_table(rows: Rows, shortest: Shortest) -> Table:
+    """A line for each device with which an operator steered to a target; none where all steered the wire alone.
+
+    Args:
+        rows: deterministic evaluations by stage, phantom, target and row, whose name has the catheter.
+        shortest: from `shortest_paths`.
+
+    Returns:
+        Row ``phantom/target/stage/row/device``: means and standard deviations over the episodes; forces of the feeders
+        are magnitudes, the largest over all steps.
+    """
+    lines: dict[tuple[str, str, str, str], dict[str, Sequence[Evaluation]]] = {}
+    for (stage, phantom, target, name), evaluations in rows.items():
+        if evaluations:
+            device = evaluations[0].device
+            operator = phantom, target, stage, without_device(name, device)
+            lines.setdefault(operator, {})[device] = evaluations
+    return {
+        "/".join((*operator, device)): _device_row(evaluations, shortest)
+        for operator, devices in lines.items()
+        if set(devices) != {WIRE}
+        for device, evaluations in sorted(devices.items(), key=lambda item: (item[0] != WIRE, item[0]))
+    }
+
+
+def _device_row(evaluations: Sequence[Evaluation], shortest: Shortest) -> dict[str, Any]:
+    values = summary(evaluations, shortest)
+    cells: dict[str, Any] = {column: values[column] for column in _DEVICE_COLUMNS}
+    pushed = [one.feeder_forces for one in evaluations if one.feeder_forces is not None]
+    for index, device in enumerate(_DEVICES if pushed else ()):
+        means, largest = [one[0][index] for one in pushed], [one[1][index] for one in pushed]
+        cells[f"{device}_feeder_n"] = [float(np.mean(means)), float(np.std(means))]
+        cells[f"{device}_feeder_max_n"] = float(max(largest))
+    return {**cells, SAMPLES: len(evaluations)}
+
+
+def load_cell_table(rows: Rows) -> Table:
+    """Mean and standard deviation over all steps of every operator, by phantom, target and device.
+
+    Args:
+        rows: evaluations by stage, phantom, target and row.
+    """
+    table: Table = {}
+    for (stage, phantom, target, name), evaluations in rows.items():
+        for device in sorted({one.device for one in evaluations}):
+            chosen = [one for one in evaluations if one.device == device and one.wall_forces is not None]
+            if not chosen:
+                continue
+            weights = np.array([one.metrics.steps for one in chosen], float)
+            cells: dict[str, Any] = {SAMPLES: len(chosen)}
+            for quantity in QUANTITIES:
+                moments = np.array([(one.wall_forces or {})[quantity] for one in chosen])
+                mean, square = np.average(moments, axis=0, weights=weights)
+                cells[quantity] = [float(mean), float(np.sqrt(max(square - mean**2, 0.0)))]
+            table[f"{phantom}/{target}/{device}/{stage}/{without_device(name, device)}"] = cells
     return table

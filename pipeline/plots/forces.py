@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.evaluations.force_logs import EpisodeForces, pooled
-from pipeline.evaluations.load_cell import QUANTITIES, WallForces
+from pipeline.evaluations.forces import QUANTITIES, EpisodeForces, WallForces, pooled
 from pipeline.plots.canvas import MM, chart, new_figure, save_figure, style
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.evaluations.force_logs import episode_forces
+from pipeline.evaluations.forces import episode_forces
 from pipeline.evaluations.logs import DETERMINISTIC, Evaluation
 from pipeline.evaluations.statistics import counted, of_mode
 from pipeline.evaluations.tables import EXPERT_ROW, named_rows, row_place

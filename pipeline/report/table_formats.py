@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 
-from pipeline.report.over_seeds import OverSeeds
+from pipeline.report.intervals import OverSeeds
 from pipeline.report.tables import ReportTable, Row
 from pipeline.tables import Cell, format_cell
 

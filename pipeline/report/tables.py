@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from pipeline.report.over_seeds import CellName, OverSeeds
+from pipeline.report.intervals import CellName, OverSeeds
 from pipeline.tables import SAMPLES, Cell, Table, pool
 from pipeline.words import column_words, group_words, plain, row_words
 

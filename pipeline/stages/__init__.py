@@ -1,27 +1,40 @@
-"""The registry of stages, found by scanning this folder; a stage is imported only when it is chosen.
+"""The registry of stages; a stage is imported only when it is chosen.
 
-A stage is two files: ``conf/stage/<name>.yaml`` and a module of this package, ``<name>.py`` or ``<name>/stage.py``,
-that ends with ``STAGE = Stage(...)``. Names and order are read from those declarations, so `--help` imports no stage.
+A stage is ``conf/stage/<name>.yaml``, a module of this package that ends with ``STAGE = Stage(...)``, and a line below.
 """
 
 from __future__ import annotations
 
-import ast
-import functools
-import graphlib
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from pipeline.printing import installing
-from pipeline.settings.checks import shown
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.run_folder import RunFolder
+from pipeline.tables import Results
 
-_DECLARATION = "\nSTAGE = "
-_PLACE_BY_DEFAULT = 50
+# The stages, each after those that it reads: module, and module and class of its settings, below this package.
+_STAGES = {
+    "phantoms": ("phantoms", "phantoms:PhantomsSettings"),
+    "expert": ("expert", "expert:ExpertSettings"),
+    "user_study": ("user_study", "user_study:UserStudySettings"),
+    "validate": ("validate", "validate:ValidateSettings"),
+    "baselines": ("baselines", "learning.settings:BaselinesSettings"),
+    "enn": ("enn", "learning.settings:EnnSettings"),
+    "imitation": ("imitation", "learning.settings:ImitationSettings"),
+    "force": ("force", "learning.settings:ForceSettings"),
+    "unseen": ("unseen.stage", "unseen.settings:UnseenSettings"),
+    "guide3d": ("guide3d.stage", "guide3d.settings:Guide3dSettings"),
+    "rehearsal": ("rehearsal.stage", "rehearsal.settings:RehearsalSettings"),
+    "shape": ("shape", "networks.settings:ShapeSettings"),
+    "segmentation": ("segmentation", "networks.settings:SegmentationSettings"),
+    "splineformer": ("splineformer", "networks.settings:SplineformerSettings"),
+    "navigation": ("navigation.stage", "navigation.settings:NavigationSettings"),
+    "report": ("report", "report:ReportSettings"),
+}
 
 
 @dataclass(frozen=True)
@@ -40,36 +53,23 @@ class StageContext:
         return self.folder.path
 
 
-def no_check(settings: Any) -> None:
-    """Accepts any settings: for stages whose settings dataclass says it all."""
-
-
-def as_given(settings: Any) -> None:
-    """Leaves settings as they are: for stages whose settings tell everything without a file being read."""
-
-
-def no_further_inputs(run_path: Path) -> dict[str, str]:
-    """Depends on nothing beyond the stages it reads."""
-    return {}
-
-
 @dataclass(frozen=True)
 class Stage:
-    """A step from files to files. `reads` and `place` are literals: they are read without importing the module."""
+    """A step from files to files."""
 
     settings: type  # declared with `validated`; its field `name` is the stage's name
-    run: Callable[[Any, StageContext], None]  # settings, context
+    run: Callable[[Any, StageContext], Results | None]  # settings, context; None: nothing to show
     version: int = 1  # raised by hand where the same settings and inputs give results of another meaning
     reads: tuple[str, ...] = ()  # stages that must have finished
-    writes: tuple[str, ...] = ()  # what lies in its folder afterwards
-    prepare: Callable[[Any], None] = as_given  # fills in what only reading files tells, before `check`
-    check: Callable[[Any], None] = no_check  # refuses settings with a ConfigurationError before anything is written
+    prepare: Callable[[Any], None] = lambda settings: None  # fills in what only reading files tells, before `check`
+    # refuses settings with a ConfigurationError before anything is written
+    check: Callable[[Any], None] = lambda settings: None
     seeded: bool = True  # whether its results depend on the run's seed: then each seed has a folder of its own
     repeated: bool = False  # whether a chain over several seeds repeats it: its figures differ from seed to seed
-    further_inputs: Callable[[Path], dict[str, str]] = no_further_inputs  # hashes of whatever else it reads
+    # of the run's folder: hashes of whatever else it reads
+    further_inputs: Callable[[Path], dict[str, str]] = lambda run_path: {}
     uses: tuple[str, ...] = ()  # stages whose results it takes where they are there
     gathers: bool = False  # whether it reads whatever has finished: in a chain it waits for all before it
-    place: int = _PLACE_BY_DEFAULT  # among stages that could run at the same time: the smallest comes first
 
     @property
     def name(self) -> str:
@@ -78,20 +78,8 @@ class Stage:
 
 
 def available_stages() -> tuple[str, ...]:
-    """Names all stages, each after those that it reads; of several that could be next, by `place`, then by name."""
-    return tuple(_modules())
-
-
-def stage_module(name: str) -> str:
-    """Import name of a stage's module, e.g. ``pipeline.stages.unseen.stage``.
-
-    Raises:
-        ConfigurationError: for an unknown name; the message lists the valid ones.
-    """
-    modules = _modules()
-    if name not in modules:
-        raise ConfigurationError(f"unknown stage {name!r}: choose one of {', '.join(modules)}")
-    return modules[name]
+    """Names all stages, each after those that it reads."""
+    return tuple(_STAGES)
 
 
 def load_stage(name: str) -> Stage:
@@ -101,7 +89,7 @@ def load_stage(name: str) -> Stage:
         ConfigurationError: for an unknown name; the message lists the valid ones.
         StageError: when the stage needs a package that is not installed.
     """
-    stage: Stage = _imported(name, stage_module(name), "STAGE")
+    stage: Stage = _imported(name, 0)
     return stage
 
 
@@ -112,22 +100,8 @@ def settings_of(name: str) -> type:
         ConfigurationError: for an unknown name; the message lists the valid ones.
         StageError: when the stage needs a package that is not installed.
     """
-    module = stage_module(name)
-    file = Path(__file__).parent.joinpath(*module.removeprefix(__name__).split(".")).with_suffix(".py")
-    text = file.read_text(encoding="utf-8")
-    declared = _keywords(text.partition(_DECLARATION)[2])["settings"]
-    for node in ast.parse(text).body:
-        if isinstance(node, ast.ImportFrom) and ast.unparse(declared) in (alias.name for alias in node.names):
-            settings: type = _imported(name, node.module or "", ast.unparse(declared))
-            return settings
-    return load_stage(name).settings
-
-
-def _imported(stage: str, module: str, name: str) -> Any:
-    try:
-        return getattr(importlib.import_module(module), name)
-    except ModuleNotFoundError as error:
-        raise missing_module(stage, error) from error
+    settings: type = _imported(name, 1)
+    return settings
 
 
 def missing_module(stage: str, error: ModuleNotFoundError) -> StageError:
@@ -137,33 +111,11 @@ def missing_module(stage: str, error: ModuleNotFoundError) -> StageError:
     )
 
 
-@functools.cache
-def _modules() -> Mapping[str, str]:
-    """Stage to import name of its module, in the order of `available_stages`."""
-    folder = Path(__file__).parent
-    modules, declared = {}, {}
-    for file in (*folder.glob("*.py"), *folder.glob("*/stage.py")):
-        _, found, declaration = file.read_text(encoding="utf-8").partition(_DECLARATION)
-        if found:
-            name, inside = (file.stem, "") if file.parent == folder else (file.parent.name, ".stage")
-            modules[name] = f"{__name__}.{name}{inside}"
-            words = _keywords(declaration)
-            declared[name] = {word: ast.literal_eval(words[word]) for word in ("reads", "place") if word in words}
-    graph = graphlib.TopologicalSorter({name: values.get("reads", ()) for name, values in declared.items()})
-    graph.prepare()
-    ready, order = [*graph.get_ready()], {}
-    while ready:
-        ready.sort(key=lambda name: (declared[name].get("place", _PLACE_BY_DEFAULT), name))
-        first = ready.pop(0)
-        order[first] = modules[first]
-        graph.done(first)
-        ready += graph.get_ready()
-    return order
-
-
-def _keywords(declaration: str) -> dict[str | None, ast.expr]:
-    """The keywords of the call that a text begins with."""
-    statement = ast.parse(declaration).body[0]
-    if not isinstance(statement, ast.Expr) or not isinstance(statement.value, ast.Call):
-        raise TypeError(f"STAGE must be Stage(...), got {shown(declaration)}")
-    return {word.arg: word.value for word in statement.value.keywords}
+def _imported(stage: str, place: int) -> Any:
+    if stage not in _STAGES:
+        raise ConfigurationError(f"unknown stage {stage!r}: choose one of {', '.join(_STAGES)}")
+    module, _, name = _STAGES[stage][place].partition(":")
+    try:
+        return getattr(importlib.import_module(f"{__name__}.{module}"), name or "STAGE")
+    except ModuleNotFoundError as error:
+        raise missing_module(stage, error) from error

@@ -11,6 +11,7 @@ from pipeline.jobs.pool import Job
 from pipeline.recording.trials import Origin
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.gpu_memory import policy_gb
+from pipeline.stages.learning.aids import training_note
 from pipeline.stages.learning.expert_episodes import require_demonstrations
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.learning.path_following import ROW, PathJob, follow
@@ -25,7 +26,7 @@ from pipeline.stages.learning.plan import (
 )
 from pipeline.stages.learning.settings import BaselinesSettings
 from pipeline.stages.learning.training import PolicyTrainingJob
-from pipeline.tables import write_results
+from pipeline.tables import Results
 from pipeline.task import FEEDER, observed
 
 if TYPE_CHECKING:
@@ -34,12 +35,14 @@ if TYPE_CHECKING:
 SECONDS_AN_EPISODE = 0.3  # of the path follower's; only for the estimate of the end
 
 
-def run_baselines(settings: BaselinesSettings, context: StageContext) -> None:
+def run_baselines(settings: BaselinesSettings, context: StageContext) -> Results:
     """Trains and evaluates every row of the table."""
     followers = path_followers(settings, context) if settings.path_follower else []
-    run_trainings(plan(settings, context), settings, context, beside=followers)
-    write_results(context.path, {"task": {"episode_limit_rl": {"value": settings.task.max_steps}}})
+    trainings = plan(settings, context)
+    run_trainings(trainings, settings, context, beside=followers)
     log_summary(context.path)
+    tables = {"task": {"episode_limit_rl": {"value": settings.task.max_steps}}}
+    return Results(tables, notes={"cathsim_results": training_note(trainings)})
 
 
 def plan(settings: BaselinesSettings, context: StageContext) -> list[PolicyTrainingJob]:
@@ -104,15 +107,6 @@ STAGE = Stage(
     settings=BaselinesSettings,
     run=run_baselines,
     reads=("expert",),
-    writes=(
-        "encoders/<phantom>/<observation>.{pt, json}",
-        "<phantom>/<target>/<row>/seed<k>/{policy.pt, training.csv, training.json, tensorboard/}",
-        "<phantom>/<target>/<row>/seed<k>/evaluation/{deterministic, stochastic}/NNN.mcap",
-        "<phantom>/<target>/path_follower/seed<k>/{follower.pt, evaluation/deterministic/NNN.mcap}",
-        "results.json",
-        "notes.json",
-    ),
     prepare=settle,
     check=check_learning,
-    place=5,
 )

@@ -10,6 +10,7 @@ from pipeline.anatomies.settings import settle
 from pipeline.evaluations.tables import log_summary
 from pipeline.settings.checks import require_modalities
 from pipeline.stages import Stage, StageContext
+from pipeline.stages.learning.aids import training_note
 from pipeline.stages.learning.hyperparameters import with_hyperparameters
 from pipeline.stages.learning.plan import (
     THESIS,
@@ -21,7 +22,7 @@ from pipeline.stages.learning.plan import (
 )
 from pipeline.stages.learning.settings import EnnSettings
 from pipeline.stages.learning.training import PolicyTrainingJob
-from pipeline.tables import write_results
+from pipeline.tables import Results
 from pipeline.task import number_of_actions, observed
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def check_enn(settings: EnnSettings) -> None:
     require_modalities(settings.expert, *settings.modalities)
 
 
-def run_enn(settings: EnnSettings, context: StageContext) -> None:
+def run_enn(settings: EnnSettings, context: StageContext) -> Results:
     """Trains and evaluates every policy."""
     trainings = plan(settings, context)
     outcomes = run_trainings(trainings, settings, context)
@@ -53,8 +54,8 @@ def run_enn(settings: EnnSettings, context: StageContext) -> None:
         "sac_hyperparameters": hyperparameters(settings),
         "task": sizes(settings),
     }
-    write_results(context.path, tables)
     log_summary(context.path)
+    return Results(tables, notes=dict.fromkeys(("ablation", "training_time_h"), training_note(trainings)))
 
 
 def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob]:
@@ -186,15 +187,6 @@ STAGE = Stage(
     settings=EnnSettings,
     run=run_enn,
     reads=("expert",),
-    writes=(
-        "encoders/<phantom>/<observations>.{pt, json}",
-        "<phantom>/<target>/<row>/seed<k>/{policy.pt, training.csv, training.json, tensorboard/}",
-        "<phantom>/<target>/<row>/seed<k>/evaluation/{deterministic, stochastic}/NNN.mcap",
-        "<phantom>/<target>/<row>/seed<k>/expert/NNN.mcap",
-        "results.json",
-        "notes.json",
-    ),
     prepare=settle,
     check=check_enn,
-    place=6,
 )

@@ -19,7 +19,7 @@ from pipeline.settings.kinds import CountOrNone, Episodes, Processes
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.atomic_files import atomic_path, write_json
-from pipeline.tables import Figure, write_figures, write_results
+from pipeline.tables import Figure, Results
 from pipeline.task import DeviceSettings, joint_observations, number_of_actions, require_feeder, require_known_task
 
 OPERATOR, EVALUATION = "sampling_expert", "evaluation"
@@ -82,7 +82,7 @@ def check_expert(settings: ExpertSettings) -> None:
     require_feeder(settings.task, "expert")
 
 
-def run_expert(settings: ExpertSettings, context: StageContext) -> None:
+def run_expert(settings: ExpertSettings, context: StageContext) -> Results:
     """Records every episode."""
     seeds = {
         False: demonstration_seeds(context.seed, settings.episodes),
@@ -98,8 +98,7 @@ def run_expert(settings: ExpertSettings, context: StageContext) -> None:
     for trial in context.folder.resumable(trials, key=lambda trial: trial.label, label="expert episodes"):
         metrics = record_trial(trial, settings, context.path, seed=seeds[trial.evaluation][trial.episode])
         context.folder.mark_done(trial.label, metrics)
-    write_results(context.path, {"task": task_settings(settings, context.seed)})
-    write_figures(context.path, figures(trials, settings, context.path))
+    return Results({"task": task_settings(settings, context.seed)}, figures(trials, settings, context.path))
 
 
 def record_trial(trial: Trial, settings: ExpertSettings, folder: Path, *, seed: int) -> dict[str, Any]:
@@ -195,13 +194,6 @@ STAGE = Stage(
     settings=ExpertSettings,
     run=run_expert,
     reads=("phantoms",),
-    writes=(
-        "<phantom>/<target>/{NNN.mcap, NNN.gif, episodes.png, path.png, path.json}",
-        "<phantom>/<target>/evaluation/NNN.mcap",
-        "results.json",
-        "figures.json",
-    ),
     prepare=settle,
     check=check_expert,
-    place=2,
 )

@@ -19,7 +19,7 @@ from pipeline.stages.learning.force import PRELOAD, TEST_EVERY, ForceJob, Record
 from pipeline.stages.learning.force_from_shape import ShapeForceJob, forces_from_shape
 from pipeline.stages.learning.settings import ForceSettings
 from pipeline.stages.learning.task import LearningTask
-from pipeline.tables import Figure, write_figures, write_notes, write_results
+from pipeline.tables import Figure, Results
 from pipeline.task import require_known_task
 
 THESIS_INPUTS = "V"  # the image alone, with the loss on features and force
@@ -44,7 +44,7 @@ def check_force(settings: ForceSettings) -> None:
     require_known_task(settings.task)
 
 
-def run_force(settings: ForceSettings, context: StageContext) -> None:
+def run_force(settings: ForceSettings, context: StageContext) -> Results:
     """Records disturbed episodes, fits every network and sums them up."""
     recordings, fits = plan(settings, context)
     shapes = shape_jobs(settings, context, recordings)
@@ -56,9 +56,8 @@ def run_force(settings: ForceSettings, context: StageContext) -> None:
         preload=PRELOAD,
         device=settings.device,
     )
-    write_results(context.path, tables(fits, outcomes, shapes))
-    write_notes(context.path, {"force_prediction_mse": force_note([job.given for job in fits], settings.task)})
-    write_figures(context.path, figures(fits, outcomes, context.path))
+    notes = {"force_prediction_mse": force_note([job.given for job in fits], settings.task)}
+    return Results(tables(fits, outcomes, shapes), figures(fits, outcomes, context.path), notes)
 
 
 def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], list[Job]]:
@@ -201,16 +200,6 @@ STAGE = Stage(
     settings=ForceSettings,
     run=run_force,
     reads=("enn",),
-    writes=(
-        "<phantom>/<target>/episodes/NNN.mcap",
-        "<inputs>/<samples>/{predictor.pt, force.json}",
-        "{shape, shape_errors}/force.json",
-        "calibration.png, shares.png",
-        "results.json",
-        "notes.json",
-        "figures.json",
-    ),
     check=check_force,
     repeated=True,
-    place=8,
 )

@@ -19,7 +19,7 @@ from pipeline.stages.learning.expert_episodes import expert_folder, expert_logs,
 from pipeline.stages.learning.imitation import PRELOAD, ImitationJob, imitate
 from pipeline.stages.learning.settings import ImitationSettings
 from pipeline.stages.learning.task import LearningTask
-from pipeline.tables import Figure, write_figures, write_notes, write_results
+from pipeline.tables import Figure, Results
 from pipeline.task import require_known_task
 
 CLONED, DISTURBED, DAGGER = "image_w_enn", "image_w_enn_disturbed", "dagger"
@@ -37,7 +37,7 @@ def check_imitation(settings: ImitationSettings) -> None:
     require_known_task(settings.task)
 
 
-def run_imitation(settings: ImitationSettings, context: StageContext) -> None:
+def run_imitation(settings: ImitationSettings, context: StageContext) -> Results:
     """Fits and evaluates every student."""
     jobs = plan(settings, context)
     outcomes = run_jobs(
@@ -49,10 +49,12 @@ def run_imitation(settings: ImitationSettings, context: StageContext) -> None:
         "imitation_episodes": by_episodes(jobs, outcomes),
         "dagger_rounds": by_round(jobs, outcomes),
     }
-    write_results(context.path, {name: table for name, table in tables.items() if table})
-    write_notes(context.path, {"imitation": imitation_note(job.given for job in jobs)})
-    write_figures(context.path, figures(jobs, outcomes, context.path))
     log_summary(context.path)
+    return Results(
+        {name: table for name, table in tables.items() if table},
+        figures(jobs, outcomes, context.path),
+        {"imitation": imitation_note(job.given for job in jobs)},
+    )
 
 
 def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
@@ -189,16 +191,7 @@ STAGE = Stage(
     settings=ImitationSettings,
     run=run_imitation,
     reads=("enn",),
-    writes=(
-        "<phantom>/<target>/<row>/seed<k>/{policy.pt, training.csv, training.json}",
-        "<phantom>/<target>/<row>/seed<k>/evaluation/{deterministic, stochastic}/NNN.mcap",
-        "success.png",
-        "results.json",
-        "notes.json",
-        "figures.json",
-    ),
     prepare=settle,
     check=check_imitation,
     repeated=True,
-    place=7,
 )

@@ -20,7 +20,7 @@ from pipeline.settings.kinds import UNIQUE, FolderNames, Seed
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.store.errors import ConfigurationError
-from pipeline.tables import Figure, write_figures, write_results
+from pipeline.tables import Figure, Results
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom, SignedDistanceGrid
@@ -82,7 +82,7 @@ def check_phantoms(settings: PhantomsSettings) -> None:
     require_known_phantoms(settings.phantoms, hint="; random ones by stage.random_seeds=[0,1]")
 
 
-def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:
+def run_phantoms(settings: PhantomsSettings, context: StageContext) -> Results:
     """Builds every phantom and writes its files."""
     anatomies = [Anatomy(name) for name in settings.phantoms]
     anatomies += [Anatomy("random", seed) for seed in settings.random_seeds]
@@ -104,12 +104,11 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> None:
         context.folder.mark_done(anatomy.label, phantom.dimensions())
     measured = {a.label: context.folder.result_of(a.label) for a in anatomies}
     models = {a.label: {"convex_hulls": "none", "source": "file" if a.file else "parametric"} for a in anatomies}
-    write_results(context.path, {"phantoms": measured, "aortas": models})
-    if settings.picture:
-        figures = [_figure(a, measured[a.label] or {}) for a in anatomies]
-        write_figures(context.path, figures + [_radiograph_figure(a) for a in anatomies if a.file and a.file.ct])
+    figures = [_figure(a, measured[a.label] or {}) for a in anatomies]
+    figures += [_radiograph_figure(a) for a in anatomies if a.file and a.file.ct]
     for anatomy in anatomies:
         _tell(anatomy.label, context.path / anatomy.label)
+    return Results({"phantoms": measured, "aortas": models}, figures if settings.picture else ())
 
 
 def _tell(label: str, folder: Path) -> None:
@@ -206,14 +205,6 @@ def _radiograph_figure(anatomy: Anatomy) -> Figure:
 STAGE = Stage(
     settings=PhantomsSettings,
     run=run_phantoms,
-    writes=(
-        "<phantom>/{lumen.stl, wall.stl, grid.npz, centrelines.json, targets.json, phantom.json, picture.png}",
-        "<phantom>/import.json (of a file)",
-        "<phantom>/radiograph.png (with its CT)",
-        "results.json",
-        "figures.json",
-    ),
     seeded=False,
     check=check_phantoms,
-    place=1,
 )

@@ -11,8 +11,8 @@ from typing import Annotated
 from annotated_types import Ge, Le
 
 from pipeline.report.figures import ShownFigure, gather_figures
+from pipeline.report.intervals import over_seeds
 from pipeline.report.learning import LearningSection, learning_section
-from pipeline.report.over_seeds import over_seeds
 from pipeline.report.page import PAGE, StageRecord, render_page
 from pipeline.report.table_formats import as_csv, as_latex
 from pipeline.report.tables import join_sweep, metrics, report_tables
@@ -132,9 +132,7 @@ def _inputs(run_path: Path) -> dict[str, str]:
 STAGE = Stage(
     settings=ReportSettings,
     run=run_report,
-    writes=(PAGE, METRICS, f"{TABLES_FOLDER}/<table>.{{csv,tex}}", "figures/", f"{LEARNING_FOLDER}/<figure>.png"),
     seeded=False,
     gathers=True,
     further_inputs=_inputs,
-    place=99,
 )

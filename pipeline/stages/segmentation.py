@@ -11,16 +11,16 @@ from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.evaluation import PRELOAD, learn_segmentation
 from pipeline.stages.networks.settings import SegmentationSettings
 from pipeline.stages.networks.stage import cost_cells, train_and_compare, training_job
-from pipeline.tables import Figure
+from pipeline.tables import Figure, Results
 
 GROUP = "Segmentation"
 LABELS = {"unet": "UNet", "transunet": "TransUnet", "swinunet": "SwinUnet"}
 
 
-def run_segmentation(settings: SegmentationSettings, context: StageContext) -> None:
+def run_segmentation(settings: SegmentationSettings, context: StageContext) -> Results:
     """Trains every network and compares them."""
     jobs = plan(settings, context)
-    train_and_compare(settings, context, jobs, tables, figures, label="segmenters", preload=PRELOAD)
+    return train_and_compare(settings, context, jobs, tables, figures, label="segmenters", preload=PRELOAD)
 
 
 def plan(settings: SegmentationSettings, context: StageContext) -> list[Job]:
@@ -70,11 +70,4 @@ STAGE = Stage(
     settings=SegmentationSettings,
     run=run_segmentation,
     reads=("guide3d",),
-    writes=(
-        "<network>/{predictor.pt, training.json, segmentation.json, examples.npz}",
-        "examples.png, kinds.png, training.png",
-        "results.json",
-        "figures.json",
-    ),
-    place=12,
 )

@@ -11,7 +11,7 @@ from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.evaluation import PRELOAD, learn_shape
 from pipeline.stages.networks.settings import ShapeSettings
 from pipeline.stages.networks.stage import cost_cells, train_and_compare, training_job
-from pipeline.tables import Figure
+from pipeline.tables import Figure, Results
 
 GROUP = "Shape prediction"
 THESIS_ROWS = ("cartesian", "spherical")
@@ -23,10 +23,10 @@ LABELS = {
 }
 
 
-def run_shape(settings: ShapeSettings, context: StageContext) -> None:
+def run_shape(settings: ShapeSettings, context: StageContext) -> Results:
     """Trains every network and compares them."""
     jobs = plan(settings, context)
-    train_and_compare(settings, context, jobs, tables, figures, label="shape networks", preload=PRELOAD)
+    return train_and_compare(settings, context, jobs, tables, figures, label="shape networks", preload=PRELOAD)
 
 
 def plan(settings: ShapeSettings, context: StageContext) -> list[Job]:
@@ -105,12 +105,5 @@ STAGE = Stage(
     settings=ShapeSettings,
     run=run_shape,
     reads=("guide3d",),
-    writes=(
-        "<network>/{predictor.pt, training.json, shape.json, examples.npz}",
-        "<network>_space.png, <network>_reprojection.png, error_along.png, training.png",
-        "results.json",
-        "figures.json",
-    ),
     repeated=True,
-    place=11,
 )

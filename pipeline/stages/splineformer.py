@@ -11,7 +11,7 @@ from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.settings import SplineformerSettings
 from pipeline.stages.networks.splineformer import EXAMPLES, PRELOAD, ComparisonJob, compare, learn_variant
 from pipeline.stages.networks.stage import train_and_compare, training_job
-from pipeline.tables import Figure
+from pipeline.tables import Figure, Results
 
 GROUP = "SplineFormer"
 COMPARISON = "comparison"
@@ -29,10 +29,10 @@ _ALONE = (
 )  # fmt: skip
 
 
-def run_splineformer(settings: SplineformerSettings, context: StageContext) -> None:
+def run_splineformer(settings: SplineformerSettings, context: StageContext) -> Results:
     """Trains the variants and compares them with the segmentation."""
     jobs = plan(settings, context)
-    train_and_compare(settings, context, jobs, tables, figures, label="splineformers", preload=PRELOAD)
+    return train_and_compare(settings, context, jobs, tables, figures, label="splineformers", preload=PRELOAD)
 
 
 def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:
@@ -109,13 +109,5 @@ STAGE = Stage(
     settings=SplineformerSettings,
     run=run_splineformer,
     reads=("guide3d", "segmentation"),
-    writes=(
-        "<variant>/{predictor.pt, training.json, variant.json}",
-        "comparison/{<disturbance>.json, examples.npz}",
-        "comparison.png, errors.png, attention.png, training.png",
-        "results.json",
-        "figures.json",
-    ),
     repeated=True,
-    place=13,
 )

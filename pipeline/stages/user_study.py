@@ -15,7 +15,7 @@ from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import write_json
 from pipeline.store.provenance import hash_file
 from pipeline.store.written_files import is_inside
-from pipeline.tables import Figure, write_figures, write_results
+from pipeline.tables import Figure, Results
 
 if TYPE_CHECKING:
     from pipeline.episodes import EpisodeInfo
@@ -129,7 +129,7 @@ def tables(study: Study) -> dict[str, Any]:
     return measured
 
 
-def run_user_study(settings: UserStudySettings, context: StageContext) -> None:
+def run_user_study(settings: UserStudySettings, context: StageContext) -> Results:
     """Sums the recordings up."""
     logs = logs_of(context.run_path)
     if not logs:
@@ -137,8 +137,7 @@ def run_user_study(settings: UserStudySettings, context: StageContext) -> None:
     study = gather(logs, settings)
     counted = [log.relative_to(context.run_path).as_posix() for log in study.counted]
     write_json(context.path / COUNTED, counted)
-    write_results(context.path, tables(study))
-    write_figures(context.path, figures(study, context.path, settings))
+    return Results(tables(study), figures(study, context.path, settings))
 
 
 def figures(study: Study, folder: Path, settings: UserStudySettings) -> list[Figure]:
@@ -175,8 +174,6 @@ def _recordings(run_path: Path) -> dict[str, str]:
 STAGE = Stage(
     settings=UserStudySettings,
     run=run_user_study,
-    writes=("<phantom>/<target>.png", COUNTED, "results.json", "figures.json"),
     seeded=False,
     further_inputs=_recordings,
-    place=3,
 )

@@ -5,14 +5,22 @@ from __future__ import annotations
 import logging
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
 from pipeline.anatomies.known import require_known_phantoms
-from pipeline.evaluations.force_logs import EpisodeForces, pooled, pooled_wall, read_forces, table_rows
-from pipeline.evaluations.load_cell import ALONE, WIRE
+from pipeline.evaluations.forces import (
+    ALONE,
+    QUANTITIES,
+    WIRE,
+    EpisodeForces,
+    WallForces,
+    pooled,
+    pooled_wall,
+    read_forces,
+)
 from pipeline.jobs.pool import Job, Report, run_jobs
 from pipeline.plots.forces import draw_boxes, draw_distribution, draw_heat, draw_quantities
 from pipeline.settings.checks import validated
@@ -21,7 +29,10 @@ from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import write_text
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import RunFolder
-from pipeline.tables import Figure, write_figures, write_results
+from pipeline.tables import Figure, Results
+
+if TYPE_CHECKING:
+    from cathsim.metrics.forces import ForceComparison
 
 # Observations whose speed is measured: row of the table -> what the environment is asked for.
 SPEED_MODES: dict[str, str | tuple[str, ...]] = {
@@ -31,7 +42,7 @@ SPEED_MODES: dict[str, str | tuple[str, ...]] = {
     "image_mask": ("image", "mask"),
 }
 GROUP = "Force validation"
-VERDICT, DISTRIBUTION, BOXES, QUANTITIES = "verdict.txt", "distribution.png", "boxes.png", "quantities.png"
+VERDICT, DISTRIBUTION, BOXES, LOAD_CELL = "verdict.txt", "distribution.png", "boxes.png", "quantities.png"
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -54,7 +65,7 @@ def check_validate(settings: ValidateSettings) -> None:
     require_known_phantoms([settings.phantom])
 
 
-def run_validate(settings: ValidateSettings, context: StageContext) -> None:
+def run_validate(settings: ValidateSettings, context: StageContext) -> Results:
     """Compares forces, measures the speed, checks the physics, and draws.
 
     Raises:
@@ -66,8 +77,7 @@ def run_validate(settings: ValidateSettings, context: StageContext) -> None:
     tables["training_speed_fps"] = speed_rows(settings, seed=context.seed)
     if settings.physics:
         tables["wire_physics"] = physics_rows(context.folder)
-    write_results(context.path, tables)
-    write_figures(context.path, figures(episodes, settings, context.inputs["phantoms"], context.path))
+    return Results(tables, figures(episodes, settings, context.inputs["phantoms"], context.path))
 
 
 def validate_forces(
@@ -116,6 +126,43 @@ def validate_forces(
     )
     write_text(folder / VERDICT, f"Agrees: {agrees}\n\nDiffers: {differs}\n")
     return {"force_validation": table_rows(comparison, pushed, agrees, differs, wall)}
+
+
+def table_rows(
+    c: ForceComparison, pushed: np.ndarray, agrees: str, differs: str, wall: WallForces | None = None
+) -> dict[str, dict[str, Any]]:
+    """Fills the report's table `force_validation`.
+
+    Args:
+        pushed: (n,) N, forces of the same wire pushed without a planner.
+        wall: what a load cell reads of the same episodes.
+
+    Returns:
+        Row to column to cell.
+    """
+    cells: dict[str, Any] = {
+        "u_statistic": round(c.u_statistic, 1),
+        "p_value": c.mann_whitney_p,
+        "shapiro_p": c.shapiro_p,
+        "levene_p": c.levene_p,
+        "simulated_force_n": [c.mean_n, c.sd_n],
+        "real_force_n": [c.real_mean_n, c.real_sd_n],
+        "samples": c.n,
+        "exceedance_pct": 100 * c.exceedance,
+        "simulated_median_n": c.median_n,
+        "simulated_p95_n": c.p95_n,
+        "simulated_max_n": c.max_n,
+        "contact_pct": 100 * c.contact_share,
+        "pushed_force_n": [float(pushed.mean()), float(pushed.std())],
+        "agrees": agrees,
+        "differs": differs,
+    }
+    if wall is not None:
+        cells |= {name: [float(getattr(wall, name).mean()), float(getattr(wall, name).std())] for name in QUANTITIES}
+    rows = {row: {"value": cell} for row, cell in cells.items()}
+    rows["simulated_force_n"]["n"] = c.n
+    rows["pushed_force_n"]["n"] = len(pushed)
+    return rows
 
 
 def simulator_row(phantom: str) -> dict[str, dict[str, Any]]:
@@ -203,12 +250,12 @@ def figures(episodes: list[EpisodeForces], settings: ValidateSettings, phantoms:
     ]
     wall = pooled_wall(chosen)
     if wall is not None:
-        draw_quantities(wall, *real, folder / QUANTITIES)
+        draw_quantities(wall, *real, folder / LOAD_CELL)
         caption = (
             f"{len(wall.load_cell_n)} steps in {place}. The cell reads the resultant on the vessel, averaged over a "
             "step and filtered, with its noise; opposite walls cancel in it, but not in the sum of magnitudes."
         )
-        shown.insert(1, Figure("What a load cell under the phantom reads", caption, QUANTITIES, GROUP))
+        shown.insert(1, Figure("What a load cell under the phantom reads", caption, LOAD_CELL, GROUP))
     for name in dict.fromkeys(episode.phantom for episode in episodes):
         inside = [episode for episode in episodes if episode.phantom == name]
         file = f"heat/{name}.png"
@@ -223,7 +270,5 @@ STAGE = Stage(
     settings=ValidateSettings,
     run=run_validate,
     reads=("phantoms", "expert"),
-    writes=(f"{DISTRIBUTION}, {BOXES}, {QUANTITIES}, heat/<phantom>.png", VERDICT, "results.json", "figures.json"),
     check=check_validate,
-    place=4,
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -14,8 +13,6 @@ if TYPE_CHECKING:
     import numpy as np
 
 TEMPORARY_PREFIX = ".writing-"
-# No space, quota used up, file larger than the process may write: for the user all three mean "no room".
-_NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 @contextlib.contextmanager
@@ -92,19 +89,6 @@ def remove_unfinished(folder: Path) -> int:
     for leftover in leftovers:
         leftover.unlink(missing_ok=True)
     return len(leftovers)
-
-
-def is_no_room(error: BaseException | None) -> bool:
-    """Tells whether an error, or what caused it, means that no more could be written.
-
-    Returns:
-        True for a full disk, a used-up quota or a file size limit.
-    """
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in _NO_ROOM:
-            return True
-        error = error.__cause__ or error.__context__
-    return False
 
 
 def _flush_to_disk(path: Path) -> None:

@@ -18,7 +18,8 @@ from pipeline.episodes.export.hdf5 import FILE, Hdf5Writer
 from pipeline.episodes.export.layout import ExportError, common_layout
 from pipeline.episodes.export.lerobot import LeRobotWriter
 from pipeline.episodes.export.minari import MinariWriter
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, is_no_room
+from pipeline.store.atomic_files import TEMPORARY_PREFIX
+from pipeline.store.system_errors import is_no_room
 
 WRITERS: dict[str, Callable[[Path, Any, str], Any]] = {
     "lerobot": LeRobotWriter,

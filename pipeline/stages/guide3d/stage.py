@@ -20,7 +20,7 @@ from pipeline.stages.guide3d.reconstruction import ReconstructionJob, gather, re
 from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.stages.guide3d.tables import comparison_row, composition_table, reconstruction_tables
 from pipeline.store.errors import ConfigurationError
-from pipeline.tables import write_figures, write_results
+from pipeline.tables import Results
 
 PRELOAD = (
     "cathsim",
@@ -53,7 +53,7 @@ def check_guide3d(settings: Guide3dSettings) -> None:
             raise ConfigurationError(f"phantom {name} has no branch {unknown[0]!r}: choose from {', '.join(known)}")
 
 
-def run_guide3d(settings: Guide3dSettings, context: StageContext) -> None:
+def run_guide3d(settings: Guide3dSettings, context: StageContext) -> Results:
     """Generates a data set or takes one's own, reconstructs its wires and sums them up."""
     source = _generated(settings, context) if settings.root is None else own_source(settings, context.path)
     source.write(context.path)
@@ -72,8 +72,7 @@ def run_guide3d(settings: Guide3dSettings, context: StageContext) -> None:
         tables |= reconstruction_tables(records)
     sample = sample_figure(data, context.path)
     figures = reconstruction_figures(data, records, context.path)
-    write_results(context.path, tables)
-    write_figures(context.path, [*([sample] if sample else []), *figures])
+    return Results(tables, [*([sample] if sample else []), *figures])
 
 
 def _generated(settings: Guide3dSettings, context: StageContext) -> Source:
@@ -130,14 +129,5 @@ def _reconstructions(settings: Guide3dSettings, context: StageContext, source: S
 STAGE = Stage(
     settings=Guide3dSettings,
     run=run_guide3d,
-    writes=(
-        "dataset/{raw.json, b_spline.json, cvat.xml, truth.json, dataset.json, calibration/, images/} (generated)",
-        "calibration/{camera_<detector>.yaml, distortion_<detector>.npz} (of a data set of one's own)",
-        "source.json, sphere.json, reconstructions.json",
-        "samples.png, reprojection.png, segments.png, overlays.png, space.png",
-        "results.json",
-        "figures.json",
-    ),
     check=check_guide3d,
-    place=10,
 )  # fmt: skip

@@ -13,7 +13,6 @@ from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import Origin
 from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.stages import StageContext
-from pipeline.stages.learning.aids import training_note
 from pipeline.stages.learning.encoders import ENCODERS, EncodersJob, encoder_file, fit_encoders
 from pipeline.stages.learning.expert_episodes import require_demonstrations
 from pipeline.stages.learning.memory import training_gb, training_gpu_gb
@@ -24,14 +23,12 @@ from pipeline.stages.learning.training import (
     PolicyTrainingJob,
     train_and_evaluate,
 )
-from pipeline.tables import write_notes
 from pipeline.task import FEEDER, require_known_task
 
 if TYPE_CHECKING:
     from enn.reinforcement import TrainingSettings
 
 THESIS = "thesis"
-THESIS_TABLES = {"baselines": ("cathsim_results",), "enn": ("ablation", "training_time_h")}  # whose rows stand beside
 _SECONDS_AN_ENCODER_SAMPLE = 3e-3
 
 _LOGGER = logging.getLogger(__name__)
@@ -152,7 +149,6 @@ def run_trainings(
         preload=PRELOAD,
         device=settings.device,
     )
-    write_notes(context.path, dict.fromkeys(THESIS_TABLES[settings.name], training_note(trainings)))
     return {
         training.name: {**results[training.name], "encoder_s": _encoder_s(training, results)} for training in trainings
     }

@@ -35,7 +35,7 @@ from pipeline.stages.networks.training import PREDICTOR
 from pipeline.stages.unseen.task import TEST_PHANTOM, training_arch
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.provenance import hash_file
-from pipeline.tables import write_figures, write_notes, write_results
+from pipeline.tables import Results
 from pipeline.task import TASK, require_feeder, require_known_task, require_same_task, task_from
 
 UNSEEN, CLUTTERED = "unseen_arches", "unseen_arches_clutter"
@@ -64,16 +64,14 @@ def check_navigation(settings: NavigationSettings) -> None:
             )
 
 
-def run_navigation(settings: NavigationSettings, context: StageContext) -> None:
+def run_navigation(settings: NavigationSettings, context: StageContext) -> Results:
     """Trains and tests every navigator and sums them up."""
     jobs = plan(settings, context)
     outcomes = run_jobs(
         context.folder, jobs, workers=settings.workers, label="navigators", preload=PRELOAD, device=settings.device
     )
-    write_results(context.path, tables(settings, context, outcomes))
-    navigators = [job.given for job in jobs if isinstance(job.given, NavigatorJob)]
-    write_notes(context.path, {"navigation": navigation_note(navigators)})
-    write_figures(context.path, figures(settings, context.path, outcomes))
+    notes = {"navigation": navigation_note(job.given for job in jobs if isinstance(job.given, NavigatorJob))}
+    return Results(tables(settings, context, outcomes), figures(settings, context.path, outcomes), notes)
 
 
 def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
@@ -228,21 +226,8 @@ STAGE = Stage(
     settings=NavigationSettings,
     run=run_navigation,
     reads=("expert", "enn", "unseen", "splineformer"),
-    writes=(
-        "perception/{predictor.pt, perception.json}",
-        "episodes/<phantom>/<target>.npz",
-        "<row>/{navigator.pt, training.json}",
-        "<row>/evaluation/<test>/<target>/<phantom>/NNN.mcap",
-        "behaviour_cloning/<phantom>/<target>/{policy.pt, evaluation}",
-        "films/{success, failure}.{gif, mcap}",
-        "curve.png, failures.png",
-        "results.json",
-        "notes.json",
-        "figures.json",
-    ),
     prepare=settle,
     check=check_navigation,
     further_inputs=_recordings,
     repeated=True,
-    place=14,
 )

@@ -9,8 +9,7 @@ from typing import Any
 from cathsim.failure_modes import MODES as FAILURES
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
-from pipeline.plots.imitation import draw_success
-from pipeline.plots.navigation import draw_failures
+from pipeline.plots.imitation import draw_failures, draw_success
 from pipeline.recording.human import FOLDER as HUMAN
 from pipeline.recording.human import SUFFIX
 from pipeline.recording.trials import MODES

@@ -10,7 +10,7 @@ from pipeline.stages import StageContext
 from pipeline.stages.gpu_memory import network_gb
 from pipeline.stages.networks.settings import TrainingSettings
 from pipeline.stages.networks.training import TrainingJob
-from pipeline.tables import Figure, write_figures, write_results
+from pipeline.tables import Figure, Results
 
 PICTURES = ".cache/pictures"  # made again from the data set when needed
 
@@ -57,7 +57,7 @@ def train_and_compare(
     *,
     label: str,
     preload: Sequence[str],
-) -> None:
+) -> Results:
     """Trains every network and writes tables and figures.
 
     Args:
@@ -67,5 +67,4 @@ def train_and_compare(
     outcomes = run_jobs(
         context.folder, list(jobs), workers=settings.workers, label=label, preload=preload, device=settings.device
     )
-    write_results(context.path, tables(settings, outcomes))
-    write_figures(context.path, figures(settings, outcomes, context))
+    return Results(tables(settings, outcomes), figures(settings, outcomes, context))

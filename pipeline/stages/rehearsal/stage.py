@@ -35,7 +35,7 @@ from pipeline.stages.rehearsal.starting_policy import (
 from pipeline.stages.rehearsal.training import train
 from pipeline.stages.rehearsal.turns import DEMONSTRATIONS, EXPERT, most_turns
 from pipeline.store.errors import ConfigurationError
-from pipeline.tables import Figure, write_figures, write_results
+from pipeline.tables import Figure, Results
 from pipeline.task import Task, require_feeder, require_known_task
 
 BEFORE, AFTER = "before", "after"
@@ -56,7 +56,7 @@ def check_rehearsal(settings: RehearsalSettings) -> None:
         with_hyperparameters(REHEARSAL, settings.training)
 
 
-def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
+def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> Results:
     """Imports the scan, tests the policy to start from, rehearses, and tests again."""
     try:
         settle(settings)
@@ -101,13 +101,12 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> None:
     told = ", ".join(f"{name} {count}" for name, count in shown.items() if count) or "none"
     devices = {"wire": task.wire, "catheter": task.catheter or "none"}
     cost = outcomes[TRAINING] | {"starts_from": origin, **devices, "demonstrations": told}
-    write_results(context.path, {"rehearsal": rows, "rehearsal_cost": {phantom.name: cost}})
     figures = [picture(outcomes, tested, phantom, target, context.path) for tested in _rows(start)]
     if FILM in outcomes:
         outcome = "arrives" if outcomes[FILM]["arrived"] else "does not arrive"
         caption = f"An episode in the scan, which {outcome}."
         figures.append(Figure(f"{phantom.name}, {AFTER} the rehearsal, film", caption, film_file(AFTER)))
-    write_figures(context.path, figures)
+    return Results({"rehearsal": rows, "rehearsal_cost": {phantom.name: cost}}, figures)
 
 
 def plan(
@@ -240,18 +239,7 @@ STAGE = Stage(
     settings=RehearsalSettings,
     run=run_rehearsal,
     uses=("unseen",),
-    writes=(
-        "starts.npz",
-        "demonstrations/<policy or expert>_<copy>_<turn>.npz",
-        "seed<k>/{policy.pt, training.csv, training.json}",
-        "seed<k>/further<n>/{policy.pt, training.csv, training.json}",
-        "{before,after}/<test set>/<copy>/NNN.mcap",
-        "{before,after}.png",
-        "after.gif",
-        "results.json",
-    ),
     prepare=settle,
     check=check_rehearsal,
     further_inputs=policy_hashes,
-    place=10,
 )

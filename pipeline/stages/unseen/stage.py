@@ -20,7 +20,7 @@ from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.tables import curve, registration
 from pipeline.stages.unseen.task import VARIETY
 from pipeline.store.errors import ConfigurationError
-from pipeline.tables import write_results
+from pipeline.tables import Results
 from pipeline.task import require_feeder, require_known_task
 
 
@@ -53,7 +53,7 @@ def check_unseen(settings: UnseenSettings) -> None:
     require_feeder(settings.task, "unseen")
 
 
-def run_unseen(settings: UnseenSettings, context: StageContext) -> None:
+def run_unseen(settings: UnseenSettings, context: StageContext) -> Results:
     """Trains and tests every policy."""
     jobs = plan(settings, context.path, context.seed, context.budget)
     outcomes = run_jobs(
@@ -67,22 +67,14 @@ def run_unseen(settings: UnseenSettings, context: StageContext) -> None:
     tables = {"generalisation_curve": curve(jobs, outcomes)}
     if settings.registration_noise_mm:
         tables["registration"] = registration(settings, outcomes[ROADMAP_TESTS]["tests"])
-    write_results(context.path, tables)
     log_summary(context.path)
+    return Results(tables)
 
 
 STAGE = Stage(
     settings=UnseenSettings,
     run=run_unseen,
-    writes=(
-        "starts/<arch>.npz",
-        "demonstrations/<target>_<arch>.npz",
-        "<row>/seed<k>/{policy.pt or image_policy.pt, training.csv, training.json}",
-        "<row>/seed<k>/evaluation/<test set>/<target>/<mode>/<phantom>/NNN.mcap",
-        "results.json",
-    ),
     prepare=settle,
     check=check_unseen,
     repeated=True,
-    place=9,
 )

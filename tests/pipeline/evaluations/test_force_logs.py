@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from cathsim.metrics.forces import compare_forces
-from pipeline.evaluations.force_logs import pooled, read_forces, table_rows
+from pipeline.evaluations.forces import pooled, read_forces
+from pipeline.stages.validate import table_rows
 from tests.pipeline.evaluations.evaluation_logs import write_force_log
 
 

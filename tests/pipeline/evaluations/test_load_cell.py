@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.evaluations.force_logs import EpisodeForces, pooled_wall, read_forces
-from pipeline.evaluations.load_cell import QUANTITIES, WallForces, device_of, wall_forces
+from pipeline.evaluations.forces import (
+    QUANTITIES,
+    EpisodeForces,
+    WallForces,
+    device_of,
+    pooled_wall,
+    read_forces,
+    wall_forces,
+)
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.plots.forces import draw_quantities
 from tests.pipeline.evaluations.evaluation_logs import write_evaluation

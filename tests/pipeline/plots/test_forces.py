@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from pipeline.evaluations.force_logs import EpisodeForces
+from pipeline.evaluations.forces import EpisodeForces
 from pipeline.plots.forces import draw_heat
 
 

@@ -12,7 +12,7 @@ import pytest
 from cathsim import NavigateEnv
 from pipeline.episodes import EpisodeInfo, EpisodeOutcome, EpisodeReader, EpisodeReadError, EpisodeWriter
 from pipeline.episodes.annotate import annotate
-from pipeline.evaluations.force_logs import read_forces
+from pipeline.evaluations.forces import read_forces
 from pipeline.evaluations.reading import read_logs
 from pipeline.recording.record import record_episode
 from pipeline.recording.replay import ReplayError, replay

@@ -13,8 +13,7 @@ from pipeline.report.headlines import (
     headline_specs,
     headlines,
 )
-from pipeline.report.intervals import difference_of_shares, mean_interval, share_interval
-from pipeline.report.over_seeds import OverSeeds
+from pipeline.report.intervals import OverSeeds, difference_of_shares, mean_interval, share_interval
 from pipeline.report.tables import report_tables
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.report.over_seeds import OverSeeds, over_seeds
+from pipeline.report.intervals import OverSeeds, over_seeds
 
 
 def test_every_seed_counts_alike_and_settings_do_not() -> None:

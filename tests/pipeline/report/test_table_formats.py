@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.report.over_seeds import OverSeeds
+from pipeline.report.intervals import OverSeeds
 from pipeline.report.table_formats import as_csv, as_latex, format_over_seeds
 from pipeline.report.tables import metrics, report_tables
 from pipeline.tables import format_cell

@@ -22,7 +22,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     settings = ExpertSettings(phantoms=["type_1"], targets=["bca"], episodes=1, evaluation_episodes=2, film=False,
                               task=Task(max_steps=4), threads=1)  # fmt: skip
-    run_expert(settings, context(folder, "expert", reads=()))
+    run_expert(settings, context(folder, "expert", reads=())).write(folder / "expert")
     return folder / "expert"
 
 
@@ -50,7 +50,7 @@ def test_tables_hold_evaluations_alone_and_the_number_of_actions(run: Path) -> N
 def test_a_catheter_alone_is_steered_and_stands_apart_in_the_tables(tmp_path: Path) -> None:
     settings = ExpertSettings(phantoms=["type_1"], targets=["bca"], episodes=1, evaluation_episodes=1, film=False,
                               task=Task(max_steps=2), wire="none", catheter="vertebral", threads=1)  # fmt: skip
-    run_expert(settings, context(tmp_path, "expert", reads=()))
+    run_expert(settings, context(tmp_path, "expert", reads=())).write(tmp_path / "expert")
     log = tmp_path / "expert/type_1/bca/evaluation/000.mcap"
     assert not check(log).problems
     with EpisodeReader(log) as reader:

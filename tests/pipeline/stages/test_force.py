@@ -41,7 +41,7 @@ def settings(**changed) -> ForceSettings:
 def results(run: Path) -> dict:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(force, "run_jobs", in_this_process)
-        force.run_force(settings(), context(run, "force"))
+        force.run_force(settings(), context(run, "force")).write(run / "force")
     return json.loads((run / "force" / "results.json").read_text())
 
 

@@ -47,7 +47,7 @@ def settings(**changed) -> ImitationSettings:
 def test_a_run_leaves_students_logs_tables_and_a_figure(enn: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(imitation, "run_jobs", in_this_process)
     place = context(enn.parent, "imitation")
-    imitation.run_imitation(settings(), place)
+    imitation.run_imitation(settings(), place).write(place.path)
     results = json.loads((place.path / "results.json").read_text())
     rows = {"image_w_enn_2", "image_w_enn", "image_w_enn_disturbed", "dagger"}
     assert {row.removeprefix("bca/") for row in tables_from_logs(place.path)["imitation"]} == rows

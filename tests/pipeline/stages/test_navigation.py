@@ -96,7 +96,7 @@ def results(run: Path) -> dict:
         patch.setattr(navigation, "run_jobs", in_this_process)
         patch.setattr(navigation, "training_arch", lambda seed: ("random", 3))
         patch.setattr(navigation, "unseen_arches", lambda count: range(3, 3 + count))
-        navigation.run_navigation(SETTINGS, context(run, "navigation", reads=READS))
+        navigation.run_navigation(SETTINGS, context(run, "navigation", reads=READS)).write(run / "navigation")
     return json.loads((run / "navigation" / "results.json").read_text())
 
 

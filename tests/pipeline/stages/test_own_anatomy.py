@@ -21,7 +21,7 @@ from pipeline.evaluations.tables import tables_from_logs
 from pipeline.recording.record import record_episode
 from pipeline.recording.replay import film_of, replay
 from pipeline.report import learning_figures
-from pipeline.stages import load_stage, stage_module
+from pipeline.stages import load_stage
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, entry_place
@@ -73,13 +73,15 @@ def settled(stage: str, *overrides: str) -> Any:
 def run_stage(stage: str, folder: Path, *overrides: str) -> Path:
     """Runs a stage's jobs in this process."""
     settings = settled(stage, *overrides, *TINY[stage], "task.max_steps=4")
-    module = importlib.import_module(stage_module(stage))
+    module = importlib.import_module(load_stage(stage).run.__module__)
     reads = ("expert", "enn", "unseen", "splineformer")
     with pytest.MonkeyPatch.context() as patch:
         for user in (module, importlib.import_module("pipeline.stages.learning.plan")):
             if hasattr(user, "run_jobs"):
                 patch.setattr(user, "run_jobs", in_this_process)
-        load_stage(stage).run(settings, context(folder, stage, reads=reads))
+        results = load_stage(stage).run(settings, context(folder, stage, reads=reads))
+        assert results is not None
+        results.write(folder / stage)
     return folder / stage
 
 

@@ -54,8 +54,8 @@ def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_stage_phantoms_draws_the_contrast_run_in_the_ct(scan: dict[str, Any], tmp_path: Path) -> None:
-    run_phantoms(PhantomsSettings(**scan, resolution_mm=2.0), context(tmp_path, "phantoms"))
     stage = tmp_path / "phantoms"
+    run_phantoms(PhantomsSettings(**scan, resolution_mm=2.0), context(tmp_path, "phantoms")).write(stage)
     shown = json.loads((stage / "figures.json").read_text())
     assert "arch/radiograph.png" in json.dumps(shown)
     picture = np.asarray(Image.open(stage / "arch" / "radiograph.png"), float)

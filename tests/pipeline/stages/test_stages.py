@@ -1,4 +1,4 @@
-"""The registry of stages: found by scanning, in an order that follows what they read, without being imported."""
+"""The registry of stages: in an order that follows what they read, without being imported."""
 
 from __future__ import annotations
 
@@ -53,13 +53,13 @@ def run_count(settings: CountSettings, context: Any) -> None:
     write_json(context.path / "numbers.json", list(range(0, settings.numbers * settings.step, settings.step)))
 
 
-STAGE = Stage(settings=CountSettings, run=run_count, reads=("user_study",), writes=("numbers.json",))
+STAGE = Stage(settings=CountSettings, run=run_count, reads=("user_study",))
 '''
 
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the pipeline with one more stage, which two files make."""
+    """A copy of the pipeline with one more stage, which two files and a line make."""
     folder = tmp_path_factory.mktemp("project")
     source = Path(pipeline.__file__).parent
     shutil.copytree(source, folder / "pipeline", ignore=shutil.ignore_patterns("__pycache__", "conf"))
@@ -67,6 +67,11 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copy(source.parent / "Makefile", folder)
     (folder / "conf" / "stage" / "count.yaml").write_text(YAML)
     (folder / "pipeline" / "stages" / "count.py").write_text(MODULE)
+    registry = folder / "pipeline" / "stages" / "__init__.py"
+    report = '    "report": ('
+    registry.write_text(
+        registry.read_text().replace(report, f'    "count": ("count", "count:CountSettings"),\n{report}')
+    )
     return folder
 
 
@@ -81,7 +86,9 @@ def in_project(project: Path) -> Callable[..., subprocess.CompletedProcess[str]]
     return run
 
 
-def test_two_files_add_a_stage(project: Path, in_project: Callable[..., subprocess.CompletedProcess[str]]) -> None:
+def test_two_files_and_a_line_add_a_stage(
+    project: Path, in_project: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
     python = (sys.executable, "-m")
     assert "count        Counts to a number." in in_project(*python, "pipeline", "--help").stdout
     assert "stage: Counts to a number." in in_project("make", "help").stdout

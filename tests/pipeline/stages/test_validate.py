@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from cathsim.physics_checks import AIM_PCT
-from pipeline.evaluations.force_logs import episode_forces
+from pipeline.evaluations.forces import episode_forces
 from pipeline.stages.validate import ValidateSettings, check_validate, physics_rows, run_validate, validate_forces
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.run_folder import Identity, RunFolder
@@ -34,7 +34,7 @@ def test_stage_writes_tables_and_figures(tmp_path: Path, anatomy_cache: Path, mo
     folder.mkdir()
     settings = ValidateSettings(speed_steps=8, speed_rounds=1, physics=False)
     context = SimpleNamespace(path=folder, inputs={"expert": expert, "phantoms": phantoms}, seed=0)
-    run_validate(settings, context)  # type: ignore[arg-type]
+    run_validate(settings, context).write(folder)  # type: ignore[arg-type]
     tables = read_results(folder)
     forces = tables["force_validation"]
     assert forces["samples"]["value"] == 2 * STEPS  # the phantom of the real experiments alone

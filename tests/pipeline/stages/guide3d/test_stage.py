@@ -32,7 +32,7 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(guide3d, "run_jobs", in_this_process)
         guide3d.check_guide3d(settings)
-        guide3d.run_guide3d(settings, context(run, "guide3d", ()))
+        guide3d.run_guide3d(settings, context(run, "guide3d", ())).write(run / "guide3d")
     return run / "guide3d"
 
 
@@ -45,7 +45,7 @@ def own(tmp_path: Path) -> Path:
 
 def run_own(root: Path, tmp_path: Path, **changed) -> Path:
     stage = context(tmp_path / "run", "guide3d", ())
-    guide3d.run_guide3d(Guide3dSettings(root=str(root), **changed), stage)
+    guide3d.run_guide3d(Guide3dSettings(root=str(root), **changed), stage).write(stage.path)
     return stage.path
 
 

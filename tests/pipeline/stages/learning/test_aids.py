@@ -14,7 +14,7 @@ from pipeline.stages.learning.imitation import ImitationJob
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.learning.training import PolicyTrainingJob
 from pipeline.stages.report import notes_of
-from pipeline.tables import write_notes
+from pipeline.tables import Results
 from pipeline.task import Task
 
 DESK = PolicyTrainingJob(
@@ -93,7 +93,7 @@ def test_imitation_says_whose_weight_matches_features() -> None:
 def test_the_report_gathers_notes_of_a_sweep_once(tmp_path: Path) -> None:
     for name, text in (("enn", "one"), ("enn@seed=1", "one"), ("enn@stage.decisions=9", "two")):
         (tmp_path / name).mkdir()
-        write_notes(tmp_path / name, {"ablation": text})
+        Results({}, notes={"ablation": text}).write(tmp_path / name)
     (tmp_path / "phantoms").mkdir()
     found = notes_of(tmp_path, ["enn", "enn@seed=1", "enn@stage.decisions=9", "phantoms"])
     assert found == {"ablation": ["one", "two"]}

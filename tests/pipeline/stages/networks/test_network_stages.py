@@ -33,7 +33,7 @@ def shapes(run: Path) -> dict:
     settings = ShapeSettings(rows=["spherical", "cartesian", "fgrn"], size="smoke", device="cpu")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(network_stage, "run_jobs", in_this_process)
-        shape.run_shape(settings, context(run, "shape", reads=("guide3d",)))
+        shape.run_shape(settings, context(run, "shape", reads=("guide3d",))).write(run / "shape")
     return json.loads((run / "shape" / "results.json").read_text())
 
 
@@ -42,7 +42,8 @@ def masks(run: Path) -> dict:
     settings = SegmentationSettings(rows=["unet", "swinunet"], size="smoke", device="cpu", test_images=4)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(network_stage, "run_jobs", in_this_process)
-        segmentation.run_segmentation(settings, context(run, "segmentation", reads=("guide3d",)))
+        found = segmentation.run_segmentation(settings, context(run, "segmentation", reads=("guide3d",)))
+        found.write(run / "segmentation")
     return json.loads((run / "segmentation" / "results.json").read_text())
 
 

@@ -56,7 +56,7 @@ SETTINGS = SplineformerSettings(
 def results(run: Path) -> dict:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(network_stage, "run_jobs", in_this_process)
-        splineformer.run_splineformer(SETTINGS, context(run, "splineformer", reads=READS))
+        splineformer.run_splineformer(SETTINGS, context(run, "splineformer", reads=READS)).write(run / "splineformer")
     return json.loads((run / "splineformer" / "results.json").read_text())
 
 

@@ -87,7 +87,7 @@ def test_it_starts_from_a_policy_and_goes_on_after_an_interruption(
 
 def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path) -> None:
     settings = RehearsalSettings(**TINY | {"target": "bca", "workers": 1, "test_copies": 1, "choose_catheter": False})
-    run_rehearsal(settings, context(tmp_path, "rehearsal"))
+    run_rehearsal(settings, context(tmp_path, "rehearsal")).write(tmp_path / "rehearsal")
     results = json.loads((tmp_path / "rehearsal/results.json").read_text())
     cells = {f"type_1/{tested} {kind}" for tested in ("before", "after") for kind in ("scan", "copies")}
     assert set(results["rehearsal"]) == cells  # from a shipped policy

@@ -1,22 +1,76 @@
-"""Contact forces read from episode logs, and the rows of the table that compares them with real ones."""
+"""Contact forces read from episode logs, what a load cell under the phantom reads of them, and the device of a log."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.evaluations.load_cell import QUANTITIES, WIRE, WallForces, device_of, wall_forces
 from pipeline.settings.checks import shown
 
-if TYPE_CHECKING:
-    from cathsim.metrics.forces import ForceComparison
-
 Array = NDArray[np.float64]
+
+QUANTITIES = ("load_cell_n", "magnitude_sum_n", "largest_contact_n")
+WIRE = "wire"  # the device of a log that names no catheter
+ALONE = " alone"  # behind the name of a catheter in which no wire lay
+
+
+@dataclass(frozen=True)
+class WallForces:
+    """Forces between device and vessel in an episode, a value a step.
+
+    Attributes:
+        load_cell_n: magnitude of the readings of a load cell of the default calibration, N. Shape (T,).
+        magnitude_sum_n: mean of the sum of the contacts' magnitudes, N. Shape (T,).
+        largest_contact_n: largest single contact, N. Shape (T,).
+    """
+
+    load_cell_n: Array
+    magnitude_sum_n: Array
+    largest_contact_n: Array
+
+    def moments(self) -> dict[str, list[float]]:
+        """Mean and mean square of each quantity, N and N^2."""
+        values = {name: getattr(self, name) for name in QUANTITIES}
+        return {name: [float(value.mean()), float((value**2).mean())] for name, value in values.items()}
+
+
+def wall_forces(arrays: Mapping[str, NDArray[Any]], *, interval: float, seed: int) -> WallForces | None:
+    """Reads the forces of a log's steps, the state after reset left out.
+
+    Args:
+        arrays: of `EpisodeReader.load_arrays`.
+        interval: from one step to the next, s.
+        seed: of the cell's noise.
+
+    Returns:
+        None for a log from before these quantities were kept, or with values that are not finite.
+    """
+    from cathsim.metrics.load_cell import LoadCell
+
+    names = [*(f"extra/load_{axis}_n" for axis in "xyz"), "extra/magnitude_sum_n", "extra/largest_contact_n"]
+    steps = np.asarray(arrays["step"]) > 0
+    if not steps.any() or any(name not in arrays or not np.isfinite(arrays[name][steps]).all() for name in names):
+        return None
+    loads = np.column_stack([arrays[name][steps] for name in names[:3]])
+    readings = LoadCell().read(loads, interval=interval, generator=np.random.default_rng(seed))
+    return WallForces(
+        load_cell_n=np.linalg.norm(readings, axis=1),
+        magnitude_sum_n=arrays[names[3]][steps],
+        largest_contact_n=arrays[names[4]][steps],
+    )
+
+
+def device_of(configuration: Mapping[str, Any]) -> str:
+    """The catheter that a log names, with "alone" where no wire lay in it, or the wire alone."""
+    if not configuration.get("catheter"):
+        return WIRE
+    name = str(configuration.get("catheter_preset") or "own catheter")
+    return f"{name}{ALONE}" if configuration.get("wire", "") is None else name
 
 
 @dataclass(frozen=True)
@@ -91,40 +145,3 @@ def pooled_wall(episodes: Sequence[EpisodeForces]) -> WallForces | None:
     if not there:
         return None
     return WallForces(**{name: np.concatenate([getattr(one, name) for one in there]) for name in QUANTITIES})
-
-
-def table_rows(
-    c: ForceComparison, pushed: Array, agrees: str, differs: str, wall: WallForces | None = None
-) -> dict[str, dict[str, Any]]:
-    """Fills the report's table `force_validation`.
-
-    Args:
-        pushed: (n,) N, forces of the same wire pushed without a planner.
-        wall: what a load cell reads of the same episodes.
-
-    Returns:
-        Row to column to cell.
-    """
-    cells: dict[str, Any] = {
-        "u_statistic": round(c.u_statistic, 1),
-        "p_value": c.mann_whitney_p,
-        "shapiro_p": c.shapiro_p,
-        "levene_p": c.levene_p,
-        "simulated_force_n": [c.mean_n, c.sd_n],
-        "real_force_n": [c.real_mean_n, c.real_sd_n],
-        "samples": c.n,
-        "exceedance_pct": 100 * c.exceedance,
-        "simulated_median_n": c.median_n,
-        "simulated_p95_n": c.p95_n,
-        "simulated_max_n": c.max_n,
-        "contact_pct": 100 * c.contact_share,
-        "pushed_force_n": [float(pushed.mean()), float(pushed.std())],
-        "agrees": agrees,
-        "differs": differs,
-    }
-    if wall is not None:
-        cells |= {name: [float(getattr(wall, name).mean()), float(getattr(wall, name).std())] for name in QUANTITIES}
-    rows = {row: {"value": cell} for row, cell in cells.items()}
-    rows["simulated_force_n"]["n"] = c.n
-    rows["pushed_force_n"]["n"] = len(pushed)
-    return rows

@@ -1,0 +1,176 @@
+"""Which devices reach a target: policies that steer different devices play in copies of the scan.
+
+How far an ostium is set back tells it roughly (`pipeline.anatomies.take_offs`); a few episodes tell more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.anatomies.settings import fitted_task
+from pipeline.task import Task
+
+if TYPE_CHECKING:
+    from cathsim.anatomy import Phantom
+    from cathsim.rehearsal.environment import NavigateCopiesEnv
+    from enn.policy import Policy
+
+FIRST, TRIALS = 3, 6  # episodes of the usual devices, which are taken if all of them arrive; else of each policy
+CHANCE = 0.25  # of a few episodes by which success may differ and mean nothing
+GENTLE = 0.15  # N, 95th percentile: what presses less is not chosen for that
+SHARE = 0.5  # of what may differ on the day, by which the copies for a choice differ from the scan
+Trial = tuple[bool, list[float]]  # of an episode: whether it arrived, the largest force of each step, N
+
+
+@dataclass(frozen=True)
+class Tried:
+    """How a policy fared with its devices.
+
+    Attributes:
+        reached: episodes in which the target was reached.
+        episodes: all of them.
+        steps: mean of all episodes, of those that failed all of theirs.
+        force_p95: 95th percentile of the largest resultant force of each step, over all steps, N.
+    """
+
+    reached: int
+    episodes: int
+    steps: float
+    force_p95: float
+
+    @property
+    def share(self) -> float:
+        """Of the episodes, those in which the target was reached."""
+        return self.reached / self.episodes
+
+    def __str__(self) -> str:
+        return f"{self.reached} of {self.episodes} ({self.force_p95:.2f} N)"
+
+    @classmethod
+    def of(cls, trials: Sequence[Trial]) -> Tried:
+        """What some trials come to, at least one."""
+        forces = np.concatenate([forces for _, forces in trials])
+        reached = sum(reached for reached, _ in trials)
+        return cls(reached, len(trials), len(forces) / len(trials), float(np.percentile(forces, 95)))
+
+
+def try_in_copies(
+    policy: Policy,
+    environment: NavigateCopiesEnv,
+    seed: int,
+    *,
+    cases: Sequence[int],
+    tick: Callable[[float], None] = lambda done: None,
+) -> list[Trial]:
+    """Lets a policy by a roadmap play one episode in each of some copies of an environment, its actions drawn.
+
+    Args:
+        environment: with the devices of the policy and its observations, one target, and as many cases as copies.
+        seed: of the episode in case 0; that in case k has the k-th after it.
+        cases: which copies.
+        tick: is given the share of the episodes that are done.
+
+    Returns:
+        For each episode whether it reached the target, and the largest resultant force of its steps, N.
+    """
+    trials: list[Trial] = []
+    tick(0.0)
+    for case in cases:
+        controller = policy.controller(deterministic=False, seed=seed + case)
+        observation, info = environment.reset(seed=seed + case, options={"case": case})
+        ended = reached = False
+        forces: list[float] = []
+        while not ended:
+            observation, _, reached, truncated, info = environment.step(controller(observation, info))
+            forces.append(float(info["force"]))
+            ended = bool(reached or truncated)
+        trials.append((bool(reached), forces))
+        tick(len(trials) / len(cases))
+    return trials
+
+
+def best_in_copies(
+    policies: Sequence[Policy], tasks: Sequence[Task], phantom: Phantom, target: Any, *, usual: int, seed: int
+) -> int:
+    """Number of the policy whose devices are to be taken in an anatomy, by episodes in copies of it.
+
+    Args:
+        policies: by a roadmap.
+        tasks: of each, its devices and rules; their wires are longer where the way asks for it.
+        target: its name, or a point in m.
+        usual: as of `best_devices`.
+        seed: of the first episode of each.
+    """
+    from cathsim.rehearsal.environment import NavigateCopiesEnv
+    from cathsim.rehearsal.perturbation import Perturbation
+
+    def tried(policy: Policy, task: Task, copies: int) -> Tried:
+        fitted = fitted_task(replace(task, wire_length_mm=0.0), phantom, [target])
+        task = max(task, fitted, key=lambda one: one.guidewire().length)
+        environment = NavigateCopiesEnv(
+            phantom,
+            (target,),
+            copies=range(1, TRIALS + 1),
+            perturbation=Perturbation().scaled(SHARE),
+            observation=policy.keys,
+            **task.devices(),
+            **task.rules(),
+        )
+        outcome = Tried.of(try_in_copies(policy, environment, seed, cases=range(copies)))
+        environment.close()
+        return outcome
+
+    return best_devices([partial(tried, *each) for each in zip(policies, tasks, strict=True)], usual)
+
+
+def best_devices(tries: Sequence[Callable[[int], Tried]], usual: int) -> int:
+    """Number of the devices to take: the usual ones if they arrive in the first copies, else `soonest` of all.
+
+    Args:
+        tries: play so many episodes with the devices of one policy, each in a copy of its own.
+        usual: number of the devices that are taken without trials.
+    """
+    if tries[usual](FIRST).reached == FIRST:
+        return usual
+    return soonest([one(TRIALS) for one in tries], usual)
+
+
+def soonest(tried: Sequence[Tried], usual: int = 0) -> int:
+    """Number of those that reached the target most often; among equals the usual ones, then the soonest."""
+    numbers = range(len(tried))
+    return max(numbers, key=lambda number: (tried[number].share, number == usual, -tried[number].steps))
+
+
+def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
+    """Number of those that press least among those that reach the target in half of the copies.
+
+    Where none does, it is `soonest` of those that ever reach it and do not press too hard, or else of all.
+    Whoever reaches it in a share of the copies that is lower than the best one's by more than `CHANCE` is left out
+    unless the others press hard. Of those that press with at most `GENTLE` the ones that reach it most often are taken.
+    Where all that reach it in half press too hard, it is the gentlest of all that ever reach it and do not.
+
+    Args:
+        limit: 95th percentile of the force from which on they press too hard, N.
+    """
+    half = [number for number, one in enumerate(tried) if one.share >= 0.5]
+    softer = [number for number, one in enumerate(tried) if one.reached and one.force_p95 <= limit]
+    if not half:
+        among: Sequence[int] = softer or range(len(tried))
+        return among[soonest([tried[number] for number in among])]
+    most = max(one.share for one in tried)
+    often = [number for number in half if tried[number].share >= most - CHANCE]
+
+    def rank(number: int) -> tuple[float, float, float]:
+        force = tried[number].force_p95
+        return max(force, GENTLE), -tried[number].share, force
+
+    least = min(often, key=rank)
+    if tried[least].force_p95 <= limit:
+        return least
+    return min([number for number in softer if number in half] or softer or half, key=rank)
