@@ -13,7 +13,7 @@ takes as many steps as the feeders need for what is inserted, and the devices of
 sheath, for what is left of the episode. With `--among` the first of two policies or more, or where the target is steep
 the second, plays an episode in each of three copies of the arch, whose walls, place, motion and wire differ from it by
 half of what a patient's may from a scan. If it fails in one of them, all of these policies play in six copies, and the
-one that arrives most often steers the episode (`pipeline.anatomies.device_trials`). Prints a row a type with Wilson's
+one that arrives most often steers the episode (`enn.device_trials`). Prints a row a type with Wilson's
 95 % interval, which branches were missed, and one JSON object as its last line.
 """
 
@@ -43,11 +43,11 @@ from cathsim.observations.xray import XrayEnvironment
 from cathsim.rehearsal.environment import NavigateCopiesEnv
 from cathsim.rehearsal.perturbation import Perturbation
 from cathsim.robot.pace import PACES
+from enn.device_trials import TRIALS, Tried, best_devices, try_in_copies
 from enn.policy import Policy
 from enn.retrying import RetryingController
 from enn.shipped import read_policy
-from pipeline.anatomies.device_trials import SHARE, TRIALS, Tried, best_devices, try_in_copies
-from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, set_back_mm
+from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, SHARE, set_back_mm
 from pipeline.task import TASK, task_in_random_arches
 
 FIRST_TRIAL = 1_000_000  # seed of the trials with --among, beyond those of the episodes

@@ -15,7 +15,7 @@ policy for targets set back by --steep-from mm or more, which the scan tells bef
 its own, or those of --catheter and --wire.
 With --among the first policy, or from --steep-from mm on the second, plays an episode in each of three copies of the
 anatomy; if it fails in one of them, all of these policies, which see a roadmap, play in six copies, and the one that
-arrives most often plays the episodes (`pipeline.anatomies.device_trials`).
+arrives most often plays the episodes (`enn.device_trials`).
 With --attempts a device that has not arrived after --max-steps is drawn back and tried again, with the actions drawn
 anew where they are drawn at all; the first attempt is the episode without it. Successes are counted by attempts, too.
 With --then what --steep has not reached in its last attempt is tried as often with another policy of its devices, and
@@ -51,9 +51,8 @@ from enn.policy import Policy
 from enn.retrying import RetryingController, steps_of_attempts
 from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
-from pipeline.anatomies.device_trials import best_in_copies
 from pipeline.anatomies.known import GENERATED_TARGETS, TARGETS
-from pipeline.anatomies.take_offs import catheter_better_mm, set_back_mm
+from pipeline.anatomies.take_offs import best_in_copies, catheter_better_mm, set_back_mm
 from pipeline.clutter import clutter_of
 from pipeline.stages.unseen.task import STEEP, TEST_PHANTOM, TRUNK, UnseenTask, arch_of_test
 from pipeline.task import TASK, task_in_random_arches

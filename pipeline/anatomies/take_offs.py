@@ -1,16 +1,21 @@
-"""What is done where a wire alone seldom gets in: ostia far behind the top of the arch."""
+"""Devices for an anatomy, by how far an ostium lies behind the top of the arch, or by episodes in copies of it."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
+from pipeline.anatomies.settings import fitted_task
 from pipeline.task import DESCENDING, Task
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
     from cathsim.anatomy.point_target import TargetLike
+    from enn.device_trials import Tried
+    from enn.policy import Policy
 
 # mm; a policy of the wire alone reached most targets below it, and few of those far beyond (docs/results/generalist.md)
 STEEP_MM = 13.0
@@ -21,6 +26,7 @@ SOFTER_WIRES = ("radifocus_angled", "radifocus_angled_025")
 _SOFTER = f"{CATHETER}_4f"
 # mm; from here on the shipped policies of wire and catheter reach more targets than those of the wire alone (same page)
 CATHETER_BETTER_MM = 5.0
+SHARE = 0.5  # of what may differ on the day, by which the copies for a choice differ from the scan
 _BETTER_MM = {("generalist_jb2", "lcca"): 0.0, ("generalist_jb2", "lsa"): 0.0}  # of others: policy and branch
 
 _LOGGER = logging.getLogger(__name__)
@@ -85,3 +91,38 @@ def softened(task: Task) -> Task:
         return task
     wire = SOFTER_WIRES[-1] if task.wire == Task().wire else task.wire
     return replace(task, wire=wire, catheter=_SOFTER)
+
+
+def best_in_copies(
+    policies: Sequence[Policy], tasks: Sequence[Task], phantom: Phantom, target: TargetLike, *, usual: int, seed: int
+) -> int:
+    """Number of the policy whose devices are to be taken in an anatomy, by episodes in copies of it.
+
+    Args:
+        policies: by a roadmap.
+        tasks: of each, its devices and rules; their wires are longer where the way asks for it.
+        target: its name, or a point in m.
+        usual: as of `enn.device_trials.best_devices`.
+        seed: of the first episode of each.
+    """
+    from cathsim.rehearsal.environment import NavigateCopiesEnv
+    from cathsim.rehearsal.perturbation import Perturbation
+    from enn.device_trials import TRIALS, Tried, best_devices, try_in_copies
+
+    def tried(policy: Policy, task: Task, copies: int) -> Tried:
+        fitted = fitted_task(replace(task, wire_length_mm=0.0), phantom, [target])
+        task = max(task, fitted, key=lambda one: one.guidewire().length)
+        environment = NavigateCopiesEnv(
+            phantom,
+            (target,),
+            copies=range(1, TRIALS + 1),
+            perturbation=Perturbation().scaled(SHARE),
+            observation=policy.keys,
+            **task.devices(),
+            **task.rules(),
+        )
+        outcome = Tried.of(try_in_copies(policy, environment, seed, cases=range(copies)))
+        environment.close()
+        return outcome
+
+    return best_devices([partial(tried, *each) for each in zip(policies, tasks, strict=True)], usual)

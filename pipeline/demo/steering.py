@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
-from pipeline.anatomies.device_trials import best_in_copies
 from pipeline.anatomies.known import TARGETS
-from pipeline.anatomies.take_offs import WITH_POLICIES, catheter_better_mm, set_back_mm, softened
+from pipeline.anatomies.take_offs import WITH_POLICIES, best_in_copies, catheter_better_mm, set_back_mm, softened
 from pipeline.seeds import ARCHES, held_out_seeds, unseen_arches
 from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
 from pipeline.store.errors import ConfigurationError
@@ -182,7 +181,7 @@ def open_scene(
         attempts: of the policy, each as long as an episode of its training.
         catheter: where the target's ostium is set back far enough (`catheter_better_mm`), take the policy that steers a
             catheter over the wire, too, if there is one; in a file's anatomy with a model by a roadmap, what trials in
-            copies of it say (`pipeline.anatomies.device_trials`).
+            copies of it say (`enn.device_trials`).
         ct: path of the CT that the anatomy was segmented from, which X-ray images then show around the vessels.
 
     Raises:

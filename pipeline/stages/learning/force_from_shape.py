@@ -18,7 +18,6 @@ from pipeline.stages.learning.force import TEST_EVERY
 from pipeline.store.atomic_files import write_json
 
 if TYPE_CHECKING:
-    from cathsim import Phantom
     from enn.trajectory import Trajectory
 
 RECORD = "force.json"
@@ -76,6 +75,7 @@ def test_frames(job: ShapeForceJob, report: Report) -> tuple[NDArray[np.float64]
         were refused.
     """
     from cathsim import load_phantom
+    from cathsim.statics.shape_series import forces_of_shapes
     from enn.force.samples import split_episodes
 
     groups = [read_episodes(sorted(folder.glob("*.mcap"))) for folder in job.logs]
@@ -83,8 +83,9 @@ def test_frames(job: ShapeForceJob, report: Report) -> tuple[NDArray[np.float64]
     phantom, parts, refused = load_phantom(job.phantom), [], 0
     for number, episode in enumerate(episodes):
         generator = np.random.default_rng((job.seed, number)) if job.disturbed else None
-        forces, out = _episode_forces(episode, phantom, generator)
-        parts.append(forces)
+        shapes = episode.observations["shape"].astype(float)
+        forces, out = forces_of_shapes(shapes, _feeders(episode), episode.metadata["devices"], phantom, generator)
+        parts.append(forces[1:])  # the first is the state after the reset, in which no step has ended
         refused += out
         report((number + 1) / len(episodes), f"episode {number + 1} of {len(episodes)}")
     if refused:
@@ -96,47 +97,6 @@ def test_frames(job: ShapeForceJob, report: Report) -> tuple[NDArray[np.float64]
 
 
 test_frames.__test__ = False  # type: ignore[attr-defined]  # no test, for pytest
-
-
-def _episode_forces(
-    episode: Trajectory, phantom: Phantom, generator: np.random.Generator | None
-) -> tuple[NDArray[np.float64], int]:
-    """Estimated forces (T,) N of an episode's steps, and how many curves were refused."""
-    from cathsim.devices.pair import DevicePair
-    from cathsim.statics import (
-        ContactForceEstimator,
-        DrawnErrors,
-        Uncertainty,
-        drawn_errors,
-        inserted_part,
-        noisy_curve,
-    )
-
-    devices = episode.metadata["devices"]
-    outer = devices.get("catheter") or devices["wire"]
-    device, sizes = devices["wire"] if outer is devices["wire"] else DevicePair(**devices), Uncertainty()
-    known = DrawnErrors(phantom, device, 0.0, 0.0)
-    if generator is not None:
-        known = drawn_errors(phantom, device, sizes, generator)
-    estimator = ContactForceEstimator(known.phantom, known.device, friction=outer.friction)
-    shapes, feeders = episode.observations["shape"].astype(float), _feeders(episode)
-    forces, refused = np.zeros(len(episode)), 0
-    for moment, points in enumerate(shapes):
-        curve = inserted_part(points, float(feeders[moment, :, 0].max()))
-        if generator is not None:
-            curve = noisy_curve(curve, sizes.curve, generator)
-        wrong = feeders[moment] + (known.insertion, known.rotation)
-        wrong[:, 0] = np.clip(wrong[:, 0], 0.0, estimator.max_insertion)
-        (insertion, rotation), *others = wrong.tolist()
-        try:
-            found = estimator.update(curve, insertion, rotation, catheter=tuple(others[0]) if others else None)
-        except ValueError as error:
-            _LOGGER.debug("%s, moment %d: %s", episode.label, moment, error)
-            refused += moment > 0
-            continue
-        if moment > 0:  # the first is the state after the reset, in which no step has ended
-            forces[moment - 1] = found.resultant.value
-    return forces, refused
 
 
 def _feeders(episode: Trajectory) -> NDArray[np.float64]:

@@ -18,7 +18,8 @@ from pipeline.task import Task
 
 if TYPE_CHECKING:
     from cathsim.rehearsal.environment import NavigateCopiesEnv
-    from pipeline.anatomies.device_trials import Tried
+    from enn.device_trials import Tried
+    from enn.reinforcement.rehearsal_rules import RehearsalRules
 
 SCAN, COPIES = "scan", "copies"  # sets of tests, and their folders
 # Modules that every job needs.
@@ -60,6 +61,13 @@ class RehearsalJob:
     def training_cases(self) -> tuple[int, ...]:
         """The copies of the training, in the order of its cases: the scan itself and others."""
         return (0, *training_copies(self.origin.training_seed, self.settings.copies))
+
+    @property
+    def rules(self) -> RehearsalRules:
+        """Who demonstrates, and how long is trained."""
+        from enn.reinforcement.rehearsal_rules import RehearsalRules
+
+        return RehearsalRules(demonstrations=self.settings.demonstrations, expert=self.settings.expert)
 
     @property
     def own_folder(self) -> Path:

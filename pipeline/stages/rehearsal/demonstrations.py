@@ -10,7 +10,7 @@ One file an episode, ``demonstrations/<policy or expert>_<copy>_<turn>.npz`` in 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,8 +25,6 @@ from pipeline.stages.rehearsal.turns import (
     DEMONSTRATIONS,
     EXPERT,
     demonstration_file,
-    first_turn,
-    in_share,
     policy_names,
     turn_of,
 )
@@ -44,7 +42,6 @@ if TYPE_CHECKING:
     from enn.trajectory import Trajectory
 
 PARTS = 2  # of the copies, beside each other
-MOSTLY, SURELY = 0.75, 0.8  # shares of its first episodes, and of all that were played: half of the training is enough
 ENOUGH, LEAST = 6, 3  # episodes of the expert that arrive, in each part; fewer gentle ones: it plays as usual, too
 STEPS = 100_000  # that the expert simulates for an episode at most
 TRIED = {True: 5, False: 3}  # episodes of a gentle expert, of the usual one: it gives up where none of them arrives
@@ -126,30 +123,6 @@ def _episodes_of_expert(
         outcomes.append(arrived(file))
     environment.close()
     return outcomes
-
-
-def mostly_arrives(job: RehearsalJob, elsewhere: Callable[[], Sequence[bool]]) -> bool:
-    """Whether the policy that a rehearsal starts from mostly arrives, but not always: `docs/results/rehearsal.md`.
-
-    In three quarters of its first demonstrations, not in all of them, and in four fifths of these, of the
-    trials of its devices and of episodes elsewhere together.
-    Where it always arrives it has little to learn, and faster learning has unlearnt some of it. The first ones alone
-    can be lucky: a policy that arrived in 15 of its 17 did in 3 of 8 trials, and in 14 of 30 test copies.
-
-    Args:
-        elsewhere: plays it in copies that the training does not have, and says where it arrived; called where its first
-            demonstrations say that it mostly does.
-    """
-    outcomes = first_turn(job)
-    if not outcomes or not MOSTLY * len(outcomes) <= sum(outcomes) < len(outcomes):
-        return False
-    return in_share(job, [*outcomes, *elsewhere()], SURELY)
-
-
-def always_arrives(job: RehearsalJob) -> bool:
-    """Whether the policy that a rehearsal starts from arrives in all of its first demonstrations and device trials."""
-    outcomes = first_turn(job)
-    return bool(outcomes) and in_share(job, outcomes, 1.0)
 
 
 class _Steered:

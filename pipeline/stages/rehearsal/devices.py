@@ -7,11 +7,11 @@ them reaches the target, and where there are no such policies, the shape of the 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from pipeline.anatomies.device_trials import Trial, Tried, gentlest, try_in_copies
+from enn.device_trials import Trial, Tried, gentlest, try_in_copies, try_until_gentle
 from pipeline.anatomies.take_offs import CATHETER, SOFTER_WIRES, WITH_POLICIES, softened, with_catheter_where_steep
 from pipeline.jobs.freed_memory import map_simulations
 from pipeline.jobs.pool import Job, run_jobs
@@ -57,36 +57,26 @@ def with_chosen_devices(
     if len(first) < 2:
         return with_catheter_where_steep(phantom, target, task, choose=True), None
 
-    def fared(those: Mapping[str, RehearsalJob], turn: int = 0) -> list[list[Trial]]:
-        parts = {name: [_part(name, given, PARTS * turn + k) for k in range(PARTS)] for name, given in those.items()}
-        jobs = [job for both in parts.values() for job in both]
-        label = f"devices in {phantom.name}"
-        outcomes = run_jobs(context.folder, jobs, workers=settings.workers, label=label, preload=PRELOAD)
-        return [[trial for job in both for trial in outcomes[job.key]] for both in parts.values()]
+    jobs = dict(first)
 
-    usual = next(iter(first))
-    jobs = {usual: first[usual]}
-    trials = fared(jobs)
-    alone = Tried.of(trials[0])
-    if alone.reached < alone.episodes:  # else the wire alone is enough
-        jobs = first
-    if alone.reached and alone.force_p95 > PRESSING:
-        jobs = jobs | _trials(settings, context, target, _with_softer_wires(task))
-    if len(jobs) > 1:
-        trials = fared(jobs)
-    tried = [Tried.of(one) for one in trials]
-    if any(one.reached for one in tried) and tried[gentlest(tried, PRESSING)].force_p95 > PRESSING:
-        # that nothing gentler arrives may be chance
-        softer = {name: number for number, name in enumerate(jobs) if tried[number].force_p95 <= PRESSING}
-        more = fared({name: jobs[name] for name in softer}, turn=1) if softer else []
-        for number, further in zip(softer.values(), more, strict=True):
-            tried[number] = Tried.of(trials[number] + further)
-    told = ", ".join(f"{name} {one}" for name, one in zip(jobs, tried, strict=True))
+    def play(names: Sequence[str], turn: int) -> list[list[Trial]]:
+        parts = [[_part(name, jobs[name], PARTS * turn + k) for k in range(PARTS)] for name in names]
+        asked, label = [job for both in parts for job in both], f"devices in {phantom.name}"
+        outcomes = run_jobs(context.folder, asked, workers=settings.workers, label=label, preload=PRELOAD)
+        return [[trial for job in both for trial in outcomes[job.key]] for both in parts]
+
+    def softer() -> Sequence[str]:
+        wires = _trials(settings, context, target, _with_softer_wires(task))
+        jobs.update(wires)
+        return list(wires)
+
+    tried = try_until_gentle(list(first), softer, play, PRESSING)
+    told = ", ".join(f"{name} {one}" for name, one in tried.items())
     _LOGGER.info("copies of %s in which a policy reached %s, and how it pressed: %s", phantom.name, target, told)
-    if not any(one.reached for one in tried):
+    if not any(one.reached for one in tried.values()):
         return with_catheter_where_steep(phantom, target, task, choose=True), None
-    chosen = gentlest(tried, PRESSING)
-    return list(jobs.values())[chosen].task, tried[chosen]
+    chosen = list(tried)[gentlest(list(tried.values()), PRESSING)]
+    return jobs[chosen].task, tried[chosen]
 
 
 def _with_catheters(task: Task) -> dict[str, Task]:

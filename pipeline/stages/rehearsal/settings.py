@@ -27,10 +27,9 @@ from pipeline.task import DeviceSettings, Task
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
-    from pipeline.anatomies.device_trials import Tried
+    from enn.device_trials import Tried
 
 SAC, PPO = "sac", "ppo"
-NEEDED, ALWAYS, NEVER = "needed", "always", "never"
 PRICES_OF_FORCE = {False: 0.1, True: 0.3}  # 1/N, by whether there are two devices (docs/results/rehearsal.md)
 PRESSING, PRICE_OF_PRESSING = 0.3, 1.0  # N; 1/N for a wire alone that always arrives and presses more
 _Millimetres = Annotated[float, Ge(0), Le(20)]
@@ -70,7 +69,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     # episodes that arrive, of other policies of the same devices where that which it starts from seldom does; 0: none
     demonstrations: Annotated[int, Ge(0), Le(1000)] = 12
     # by the sampling expert: where policies show less than a third of them, always, or never
-    expert: Annotated[str, one_of(NEEDED, ALWAYS, NEVER)] = NEEDED
+    expert: Annotated[str, one_of("needed", "always", "never")] = "needed"
     algorithm: Annotated[str, one_of(SAC, PPO)] = SAC
     decisions: Decisions = 20_000
     # of them that is enough where the policy to start from arrives in three quarters of the training's copies, but not

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from enn.device_trials import Tried
 from pipeline.anatomies.anatomy_file import load_anatomy
-from pipeline.anatomies.device_trials import Tried
 from pipeline.anatomies.settings import check_anatomies, fitted_steps, fitted_task, settle
 from pipeline.anatomies.take_offs import with_catheter_where_steep
 from pipeline.jobs.pool import Job, run_jobs
@@ -33,7 +33,7 @@ from pipeline.stages.rehearsal.starting_policy import (
     with_devices_of,
 )
 from pipeline.stages.rehearsal.training import train
-from pipeline.stages.rehearsal.turns import DEMONSTRATIONS, EXPERT, most_turns
+from pipeline.stages.rehearsal.turns import DEMONSTRATIONS, EXPERT
 from pipeline.store.errors import ConfigurationError
 from pipeline.tables import Figure, Results
 from pipeline.task import Task, require_feeder, require_known_task
@@ -145,7 +145,7 @@ def plan(
 def _demonstrations(job: RehearsalJob) -> list[Job]:
     """The turns that there may be, each after the one before; those that nobody has are left out when it is known."""
     jobs: list[Job] = []
-    for turn in range(most_turns(job)):
+    for turn in range(job.rules.most_turns(len(job.shown_by))):
         before = tuple(one.key for one in jobs[-PARTS:])
         weight = 0.0 if turn else _SECONDS["shown"] * len(job.training_cases) / PARTS
         jobs += [

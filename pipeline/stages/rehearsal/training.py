@@ -16,15 +16,14 @@ from pipeline.recording.trials import POLICY
 from pipeline.seeds import validation_copies
 from pipeline.stages.learning.training import words
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.demonstrations import always_arrives, mostly_arrives, read_demonstrations
+from pipeline.stages.rehearsal.demonstrations import read_demonstrations
 from pipeline.stages.rehearsal.hyperparameters import (
-    ENOUGH,
-    EVALUATIONS,
     held_steps,
     threads_of,
     training_settings,
 )
 from pipeline.stages.rehearsal.settings import SAC
+from pipeline.stages.rehearsal.turns import first_turn
 from pipeline.store.atomic_files import atomic_path, write_arrays
 from pipeline.store.costs import processor_s
 from pipeline.store.errors import stopping_the_stage
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
 
 STARTS = "starts.npz"
 FURTHER = "further"  # folder, in the training's, of each that goes on from it: further1, further2, ...
-OFTEN = 0.9  # share of the latest episodes that arrive: more training is not worth its time
 _LAID = 0.1  # of the training's job
 
 
@@ -50,9 +48,11 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     from enn.policy import Policy
     from enn.reinforcement.checkpoint import CheckpointError
     from enn.reinforcement.rehearsal import first_evaluation, rehearse
+    from enn.reinforcement.rehearsal_rules import in_share
 
     map_simulations()
     settings, seed = job.settings, job.origin.training_seed
+    rules, outcomes = job.rules, first_turn(job)
     begun = processor_s()
     copies = job.training_cases
     starts, shown = _laid_starts(job, copies, report), read_demonstrations(job.folder)
@@ -62,7 +62,8 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
         policy = None if job.start is None else Policy.load(job.start, report.device)
         environment = partial(copies_environment, job, observe_every=held_steps(job))
         may_be_fewer = settings.share_of_decisions < 1 and settings.algorithm == SAC
-        evaluations = ENOUGH if may_be_fewer and always_arrives(job) else EVALUATIONS
+        always = in_share(outcomes, job.tried, 1.0)
+        evaluations = rules.fewer_evaluations if may_be_fewer and always else None
         usual = training_settings(job, report.device, evaluations=evaluations)
         shorter = training_settings(job, report.device, fewer=True)
         played: list[EvaluationResult] = []
@@ -93,11 +94,11 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
                 **given,
             )
 
-        fewer = may_be_fewer and mostly_arrives(job, elsewhere)
+        fewer = may_be_fewer and rules.mostly_arrives(outcomes, job.tried, elsewhere)
         first = played[0] if played else None
         results.append(trained(policy, shorter if fewer else usual, "", first_result=first))
         for number in range(1, settings.further_trainings + 1):
-            if settings.algorithm != SAC or not sometimes_arrives(results[-1]):
+            if settings.algorithm != SAC or not rules.sometimes_arrives(results[-1]):
                 break
             results.append(trained(results[-1].policy, shorter, f"{FURTHER}{number}"))
             with atomic_path(job.own_folder / POLICY) as path:
@@ -108,15 +109,6 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
         "decisions": int(sum(result.timings["decisions"] for result in results)),
         "further_trainings": len(results) - 1,
     }
-
-
-def sometimes_arrives(result: TrainingResult) -> bool:
-    """Whether a policy arrives, but not mostly, so that it is worth to train further: `docs/results/rehearsal.md`.
-
-    It goes by the training's latest episodes from the usual start: they are more than those of an evaluation.
-    """
-    shares = [row["success"] for row in result.curve if row["success"] is not None]
-    return bool(shares) and 0 < shares[-1] < OFTEN
 
 
 def _laid_starts(job: RehearsalJob, copies: Sequence[int], report: Report) -> list[np.ndarray]:

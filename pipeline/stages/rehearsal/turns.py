@@ -1,47 +1,27 @@
-"""Turns of a rehearsal's demonstrations: who plays next, by how often those before arrived.
-
-In a turn one policy plays an episode in every copy of the training. The policy that the rehearsal starts from is asked
-first. Where it seldom arrives it has nothing to learn from, and every other policy of the same devices is asked, by a
-roadmap or by X-ray images, then the best of them again. Where they show next to nothing, or there is none for these
-devices, the sampling expert has a turn; where the settings say so it has the first one in any case.
+"""The files of a rehearsal's demonstrations, and whose turn it is by what lies in them.
 
 Copies are divided among processes, which play a turn beside each other. What a turn rests on is the files of those
-before, so that it is the same however often the work was interrupted.
+before, so that it is the same however often the work was interrupted. Rules: `enn.reinforcement.rehearsal_rules`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pipeline.recording.demonstration_files import arrived
 from pipeline.stages.rehearsal.copies import RehearsalJob
-from pipeline.stages.rehearsal.settings import ALWAYS, NEEDED, NEVER
+
+if TYPE_CHECKING:
+    from enn.reinforcement.rehearsal_rules import Turn
 
 DEMONSTRATIONS = "demonstrations"  # folder, and first part of the jobs' names
 EXPERT = "expert"
-OFTEN = 0.5  # share of episodes, with the trials of its devices: a policy that arrives as often learns from its own
-ROUNDS = 4  # turns of one policy at most
-FEW = 3  # one in so many of the demonstrations wanted: where policies show fewer, the expert is asked
 
 
-@dataclass(frozen=True)
-class Turn:
-    """Who plays.
-
-    Attributes:
-        policy: file; None: the sampling expert.
-        number: of the turns of that policy, from 0.
-    """
-
-    policy: Path | None
-    number: int = 0
-
-
-def turn_of(job: RehearsalJob) -> Turn | None:
+def turn_of(job: RehearsalJob) -> Turn[Path] | None:
     """Who plays in the job's turn; None: enough is shown, or nobody is left who may show more."""
-    turns = _turns(job)
+    turns = job.rules.turns(job.shown_by, job.start, job.tried)
     try:
         turn = next(turns)
         for _ in range(job.turn):
@@ -49,45 +29,6 @@ def turn_of(job: RehearsalJob) -> Turn | None:
     except StopIteration:
         return None
     return turn
-
-
-def most_turns(job: RehearsalJob) -> int:
-    """Turns that there may be."""
-    asked = len(job.shown_by)
-    return asked + (ROUNDS - 1 if asked else 0) + (job.settings.expert != NEVER)
-
-
-def _turns(job: RehearsalJob) -> Generator[Turn, list[bool], None]:
-    """Turns one after the other; whoever asks sends where the episodes of the last one arrived."""
-    settings, shown = job.settings, 0
-    if settings.expert == ALWAYS:
-        shown += sum((yield Turn(None)))
-    arrivals: dict[Path, int] = {}
-    best: Path | None = None
-    for path in job.shown_by:
-        if shown >= settings.demonstrations:
-            return
-        outcomes = yield Turn(path)
-        arrivals[path] = sum(outcomes)
-        shown += arrivals[path]
-        if path == job.start and in_share(job, outcomes, OFTEN):
-            break
-    else:
-        # others first: what the start shows it can do already (docs/results/rehearsal.md)
-        best = max(arrivals, key=lambda path: (arrivals[path] > 0 and path != job.start, arrivals[path]), default=None)
-    for number in range(1, ROUNDS):
-        if best is None or not arrivals[best] or shown >= settings.demonstrations:
-            break
-        arrivals[best] = sum((yield Turn(best, number)))  # a turn in which nobody arrives is the last one
-        shown += arrivals[best]
-    if settings.expert == NEEDED and shown * FEW < settings.demonstrations:
-        yield Turn(None)
-
-
-def in_share(job: RehearsalJob, outcomes: Sequence[bool], share: float) -> bool:
-    """Whether a policy arrives in a share of some episodes and of the trials of its devices together."""
-    reached, episodes = (0, 0) if job.tried is None else (job.tried.reached, job.tried.episodes)
-    return sum(outcomes) + reached >= share * (len(outcomes) + episodes)
 
 
 def first_turn(job: RehearsalJob) -> list[bool]:
@@ -98,7 +39,7 @@ def first_turn(job: RehearsalJob) -> list[bool]:
     return [arrived(file) for file in files] if all(file.is_file() for file in files) else []
 
 
-def _outcomes(job: RehearsalJob, turn: Turn) -> list[bool]:
+def _outcomes(job: RehearsalJob, turn: Turn[Path]) -> list[bool]:
     """Where the episodes of a turn arrived."""
     if turn.policy is None:
         return [arrived(file) for file in sorted((job.folder / DEMONSTRATIONS).glob(f"{EXPERT}_*.npz"))]

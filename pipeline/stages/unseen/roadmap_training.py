@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from enn.reinforcement.training import TrainingSettings
 
 EVALUATIONS = 5  # of a training
-STOP_AFTER = 2  # perfect evaluations: a few anatomies are soon learnt
-BANK_CAPACITY, BANK_SHARE = 64, 0.5  # states of a case; fresh starts are what hard cases lack
 _ACTS_FIRST = 0.05  # of the decisions, where a training starts from a policy: it fills the replay buffer
 
 
@@ -29,35 +27,26 @@ def training_settings(
     evaluations: int = EVALUATIONS,
     start: Policy | None = None,
 ) -> TrainingSettings:
-    """Those of the roadmap policies: a wider network than for one anatomy, and a reset bank with its cases.
+    """Those of the roadmap policies.
 
     Args:
         anatomies: how many the policy is trained on.
         evaluations: on the validation anatomies, the best of which decides.
         start: the policy that it starts from.
     """
-    from enn.reinforcement.rehearsal import starting_from
-    from enn.reinforcement.training import DESK_SAC
+    from enn.reinforcement.rehearsal import MANY_CASES, starting_from
 
     training = replace(
-        DESK_SAC,
-        keys=ROADMAP_KEYS,
+        MANY_CASES,
         hidden=(settings.hidden, settings.hidden),
-        batch_size=256,
-        gradient_steps=0.5,
-        n_envs=16,
         decisions=decisions,
         buffer_size=max(decisions, 1000),
-        learning_starts=min(DESK_SAC.learning_starts, decisions // 4),
+        learning_starts=min(MANY_CASES.learning_starts, decisions // 4),
         action_repeat=decision_steps(settings.task),
-        reset_bank_share=BANK_SHARE,
-        reset_bank_capacity=BANK_CAPACITY,
         reset_bank_cases=anatomies * len(settings.learnt_targets()),
         evaluate_every=max(decisions // evaluations, 1),
         evaluation_episodes=settings.validation_episodes,
-        stop_after=STOP_AFTER,
         tensorboard=True,
-        keep_critics=True,  # a rehearsal starts from it
     )
     if start is not None:
         training = starting_from(training, start, _ACTS_FIRST)

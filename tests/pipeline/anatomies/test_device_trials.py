@@ -10,16 +10,16 @@ import pytest
 
 from cathsim import load_phantom
 from cathsim.rehearsal.environment import NavigateCopiesEnv
-from pipeline.anatomies.device_trials import (
+from enn.device_trials import (
     FIRST,
     TRIALS,
     Tried,
     best_devices,
-    best_in_copies,
     gentlest,
     soonest,
     try_in_copies,
 )
+from pipeline.anatomies.take_offs import best_in_copies
 from pipeline.task import Task
 
 

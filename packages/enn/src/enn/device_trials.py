@@ -1,30 +1,22 @@
-"""Which devices reach a target: policies that steer different devices play in copies of the scan.
-
-How far an ostium is set back tells it roughly (`pipeline.anatomies.take_offs`); a few episodes tell more.
-"""
+"""Which devices reach a target: policies that steer different devices play a few episodes in copies of an anatomy."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.anatomies.settings import fitted_task
-from pipeline.task import Task
-
 if TYPE_CHECKING:
-    from cathsim.anatomy import Phantom
-    from cathsim.rehearsal.environment import NavigateCopiesEnv
+    import gymnasium
+
     from enn.policy import Policy
 
 FIRST, TRIALS = 3, 6  # episodes of the usual devices, which are taken if all of them arrive; else of each policy
 CHANCE = 0.25  # of a few episodes by which success may differ and mean nothing
 GENTLE = 0.15  # N, 95th percentile: what presses less is not chosen for that
-SHARE = 0.5  # of what may differ on the day, by which the copies for a choice differ from the scan
 Trial = tuple[bool, list[float]]  # of an episode: whether it arrived, the largest force of each step, N
 
 
@@ -62,7 +54,7 @@ class Tried:
 
 def try_in_copies(
     policy: Policy,
-    environment: NavigateCopiesEnv,
+    environment: gymnasium.Env[Any, Any],
     seed: int,
     *,
     cases: Sequence[int],
@@ -71,7 +63,7 @@ def try_in_copies(
     """Lets a policy by a roadmap play one episode in each of some copies of an environment, its actions drawn.
 
     Args:
-        environment: with the devices of the policy and its observations, one target, and as many cases as copies.
+        environment: with the devices of the policy and its observations; `reset` takes ``options={"case": k}``.
         seed: of the episode in case 0; that in case k has the k-th after it.
         cases: which copies.
         tick: is given the share of the episodes that are done.
@@ -95,40 +87,6 @@ def try_in_copies(
     return trials
 
 
-def best_in_copies(
-    policies: Sequence[Policy], tasks: Sequence[Task], phantom: Phantom, target: Any, *, usual: int, seed: int
-) -> int:
-    """Number of the policy whose devices are to be taken in an anatomy, by episodes in copies of it.
-
-    Args:
-        policies: by a roadmap.
-        tasks: of each, its devices and rules; their wires are longer where the way asks for it.
-        target: its name, or a point in m.
-        usual: as of `best_devices`.
-        seed: of the first episode of each.
-    """
-    from cathsim.rehearsal.environment import NavigateCopiesEnv
-    from cathsim.rehearsal.perturbation import Perturbation
-
-    def tried(policy: Policy, task: Task, copies: int) -> Tried:
-        fitted = fitted_task(replace(task, wire_length_mm=0.0), phantom, [target])
-        task = max(task, fitted, key=lambda one: one.guidewire().length)
-        environment = NavigateCopiesEnv(
-            phantom,
-            (target,),
-            copies=range(1, TRIALS + 1),
-            perturbation=Perturbation().scaled(SHARE),
-            observation=policy.keys,
-            **task.devices(),
-            **task.rules(),
-        )
-        outcome = Tried.of(try_in_copies(policy, environment, seed, cases=range(copies)))
-        environment.close()
-        return outcome
-
-    return best_devices([partial(tried, *each) for each in zip(policies, tasks, strict=True)], usual)
-
-
 def best_devices(tries: Sequence[Callable[[int], Tried]], usual: int) -> int:
     """Number of the devices to take: the usual ones if they arrive in the first copies, else `soonest` of all.
 
@@ -145,6 +103,44 @@ def soonest(tried: Sequence[Tried], usual: int = 0) -> int:
     """Number of those that reached the target most often; among equals the usual ones, then the soonest."""
     numbers = range(len(tried))
     return max(numbers, key=lambda number: (tried[number].share, number == usual, -tried[number].steps))
+
+
+def try_until_gentle(
+    names: Sequence[str],
+    softer: Callable[[], Sequence[str]],
+    play: Callable[[Sequence[str], int], Sequence[Sequence[Trial]]],
+    limit: float,
+) -> dict[str, Tried]:
+    """Tries devices of one anatomy, the first of them alone, others only where it fails or presses too hard.
+
+    Where the `gentlest` of those that arrive press too hard, the gentler ones play in as many further copies: that
+    they did not arrive may have been chance.
+
+    Args:
+        names: of the devices, the usual ones first.
+        softer: names of further ones, asked where the usual ones arrive and press too hard.
+        play: plays the copies of a turn with some of them: their names and the turn, from 0, to the trials of each.
+        limit: 95th percentile of the force from which on devices press too hard, N.
+
+    Returns:
+        By name what came of those that were tried.
+    """
+    asked = list(names[:1])
+    trials = play(asked, 0)
+    usual = Tried.of(trials[0])
+    if usual.reached < usual.episodes:
+        asked = list(names)
+    if usual.reached and usual.force_p95 > limit:
+        asked += softer()
+    if len(asked) > 1:
+        trials = play(asked, 0)
+    tried = [Tried.of(one) for one in trials]
+    if any(one.reached for one in tried) and tried[gentlest(tried, limit)].force_p95 > limit:
+        soft = [number for number, one in enumerate(tried) if one.force_p95 <= limit]
+        further = play([asked[number] for number in soft], 1) if soft else []
+        for number, more in zip(soft, further, strict=True):
+            tried[number] = Tried.of([*trials[number], *more])
+    return dict(zip(asked, tried, strict=True))
 
 
 def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:

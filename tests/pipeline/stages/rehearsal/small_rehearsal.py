@@ -12,7 +12,6 @@ from pipeline.recording.trials import Origin
 from pipeline.stages.rehearsal.copies import RehearsalJob
 from pipeline.stages.rehearsal.demonstrations import PARTS, nothing_to_record, record_demonstrations
 from pipeline.stages.rehearsal.settings import RehearsalSettings
-from pipeline.stages.rehearsal.turns import most_turns
 from pipeline.task import Task
 
 GENERALIST = next(file for file in weight_files() if file.stem == "generalist")
@@ -41,7 +40,7 @@ def job_of(folder: Path, **changed: Any) -> RehearsalJob:
 def all_demonstrations(job: RehearsalJob) -> dict[str, list[int]]:
     """Every turn of a rehearsal's demonstrations: by policy, episodes played and arrived."""
     told: dict[str, list[int]] = {}
-    for turn in range(most_turns(job)):
+    for turn in range(job.rules.most_turns(len(job.shown_by))):
         given = [replace(job, turn=turn, part=part) for part in range(PARTS)]
         if any(nothing_to_record(one) is not None for one in given):
             break

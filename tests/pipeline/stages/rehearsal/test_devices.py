@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from cathsim import load_phantom
-from pipeline.anatomies.device_trials import Trial, Tried, try_in_copies
+from enn.device_trials import Trial, Tried, try_in_copies
 from pipeline.jobs.worker import Report
 from pipeline.seeds import training_copies
 from pipeline.stages.rehearsal import devices
@@ -47,7 +47,7 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
                 return outcomes[trials[0] + " again" * (len(trials) > 2)]
 
         monkeypatch.setattr(devices, "run_jobs", run)
-        monkeypatch.setattr(devices, "Tried", Told)
+        monkeypatch.setattr("enn.device_trials.Tried", Told)
         monkeypatch.setattr(devices, "with_catheter_where_steep", lambda *_, choose: BY_SHAPE)
         settings = RehearsalSettings(**changed)
         return with_chosen_devices(settings, context(tmp_path, "rehearsal"), phantom, target, task or Task())

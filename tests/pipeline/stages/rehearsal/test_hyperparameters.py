@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.anatomies.device_trials import Tried
-from pipeline.stages.rehearsal.demonstrations import always_arrives, mostly_arrives
-from pipeline.stages.rehearsal.hyperparameters import ENOUGH, training_settings
+from enn.device_trials import Tried
+from enn.reinforcement.rehearsal_rules import in_share
+from pipeline.stages.rehearsal.copies import RehearsalJob
+from pipeline.stages.rehearsal.hyperparameters import training_settings
+from pipeline.stages.rehearsal.turns import first_turn
 from pipeline.store.atomic_files import write_arrays
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
 
@@ -54,12 +56,16 @@ def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
         assert others is not None  # it is not played where the first round says enough
         return others
 
-    assert not mostly_arrives(job, elsewhere)  # of nothing
-    fewer = mostly_arrives(dataclasses.replace(job, start=GENERALIST), elsewhere)
+    assert not job.rules.mostly_arrives(first_turn(job), tried, elsewhere)  # of nothing
+    fewer = job.rules.mostly_arrives(first_turn(dataclasses.replace(job, start=GENERALIST)), tried, elsewhere)
     training = training_settings(job, "cpu", fewer=fewer)
     assert (training.decisions, training.evaluate_every) == (decisions, decisions // 3)
     assert training.learning_rate * decisions == pytest.approx(48 * training_settings(job, "cpu").learning_rate)
     assert training_settings(job_of(tmp_path, algorithm="ppo"), "cpu", fewer=True).decisions == 48
+
+
+def always_arrives(job: RehearsalJob) -> bool:
+    return in_share(first_turn(job), job.tried, 1.0)
 
 
 def test_a_policy_that_always_arrives_is_trained_until_the_last_evaluation_but_one(tmp_path: Path) -> None:
@@ -71,7 +77,10 @@ def test_a_policy_that_always_arrives_is_trained_until_the_last_evaluation_but_o
     assert always_arrives(dataclasses.replace(job, tried=Tried(8, 8, 100.0, 0.1)))
     assert not always_arrives(dataclasses.replace(job, tried=Tried(7, 8, 100.0, 0.1)))
     assert not always_arrives(dataclasses.replace(job, start=None))
-    usual, shorter = training_settings(job, "cpu"), training_settings(job, "cpu", evaluations=ENOUGH)
+    usual, shorter = (
+        training_settings(job, "cpu"),
+        training_settings(job, "cpu", evaluations=job.rules.fewer_evaluations),
+    )
     assert (usual.decisions, shorter.decisions) == (48, 32)
     assert usual.evaluate_every == shorter.evaluate_every == 16
     assert usual.learning_rate == shorter.learning_rate

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.anatomies.device_trials import Tried
+from enn.device_trials import Tried
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.task import Task
 

@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from enn.reinforcement.evaluation import LatestPolicy
+from enn.reinforcement.rehearsal_rules import RehearsalRules
 from enn.reinforcement.training import TrainingResult
 from pipeline.jobs.worker import Report
-from pipeline.stages.rehearsal.copies import RehearsalJob
-from pipeline.stages.rehearsal.training import sometimes_arrives, train
+from pipeline.stages.rehearsal.training import train
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
 
 
@@ -27,14 +27,14 @@ def test_a_training_whose_latest_episodes_sometimes_arrive_is_worth_another(
 ) -> None:
     curve = [{"success": share} for share in shares]
     result = TrainingResult(policy=None, curve=curve, timings={}, evaluation=None)  # type: ignore[arg-type]
-    assert sometimes_arrives(result) == further
+    assert RehearsalRules().sometimes_arrives(result) == further
 
 
 def test_a_further_training_starts_from_the_one_before_and_its_policy_is_taken(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, anatomy_cache: Path
 ) -> None:
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-    monkeypatch.setattr("pipeline.stages.rehearsal.training.sometimes_arrives", lambda result: True)
+    monkeypatch.setattr(RehearsalRules, "sometimes_arrives", lambda self, result: True)
     job = dataclasses.replace(job_of(tmp_path, share_of_decisions=0.5, further_trainings=2), start=GENERALIST)
     told: list[float] = []
     cost = train(job, Report(lambda message: told.append(message.fraction)))
@@ -59,7 +59,8 @@ def test_what_was_played_to_choose_the_length_is_the_first_evaluation(
     monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     asked, counts = list[bool](), {"play": 0, "evaluate": 0}
 
-    def mostly_arrives(job: RehearsalJob, elsewhere: Callable[[], Sequence[bool]]) -> bool:
+    def mostly_arrives(self: RehearsalRules, *given: Any) -> bool:
+        elsewhere: Callable[[], Sequence[bool]] = given[-1]
         asked.extend(elsewhere())
         return True
 
@@ -74,7 +75,7 @@ def test_what_was_played_to_choose_the_length_is_the_first_evaluation(
 
     count("play")
     count("evaluate")
-    monkeypatch.setattr("pipeline.stages.rehearsal.training.mostly_arrives", mostly_arrives)
+    monkeypatch.setattr(RehearsalRules, "mostly_arrives", mostly_arrives)
     job = dataclasses.replace(job_of(tmp_path, share_of_decisions=0.5), start=GENERALIST)
     assert train(job, Report())["decisions"] == 24
     assert len(asked) == 2  # the scan and a copy

@@ -34,25 +34,30 @@ SHOWN_SLOWER, SHOWN_FIRST, SHOWN_SHARE = 0.3, 0.05, 0.25
 SHOWN_CLONED = 1.0  # weight of that
 TEST_SEED = 0  # of the first episode of `play_cases`; the k-th has the k-th after it
 
-# The actor and the critics are as wide as those for many anatomies, whose weights it may start from.
-REHEARSAL = replace(
+# Of a policy by a roadmap in many cases: a wider network than for one anatomy, and fresh starts, which hard cases lack.
+# A few cases are soon learnt; the critics are kept, since a rehearsal starts from them.
+MANY_CASES = replace(
     DESK_SAC,
     keys=("roadmap", "history"),
-    hidden=(256, 256),
     batch_size=256,
     gradient_steps=0.5,
     n_envs=16,
+    reset_bank_share=0.5,
+    reset_bank_capacity=64,
+    stop_after=2,
+    keep_critics=True,
+)
+# The actor and the critics are as wide as those for many anatomies, whose weights it may start from.
+REHEARSAL = replace(
+    MANY_CASES,
+    hidden=(256, 256),
     overlap=True,
     decisions=20_000,
     buffer_size=20_000,
     demonstrations_in_replay=0.0,
-    reset_bank_share=0.5,
-    reset_bank_capacity=64,
     evaluate_every=7_000,
     evaluation_episodes=16,
     keep_latest=True,
-    stop_after=2,
-    keep_critics=True,
 )
 
 
