@@ -55,12 +55,12 @@ class Results:
 
     Attributes:
         tables: measured cells: table -> row -> column -> cell.
-        figures: in the order they are shown; their files lie in the stage's folder.
+        figures: in the order they are shown; their files are in the stage's folder. None: the stage draws none.
         notes: table -> how its rows were made.
     """
 
     tables: Mapping[str, Any]
-    figures: Sequence[Figure] = ()
+    figures: Sequence[Figure] | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
 
     def write(self, folder: Path) -> None:
@@ -73,7 +73,7 @@ class Results:
         write_results(folder, self.tables)
         if self.notes:
             write_json(folder / NOTES, self.notes)
-        if self.figures:
+        if self.figures is not None:
             write_figures(folder, self.figures)
 
 

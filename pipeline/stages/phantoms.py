@@ -108,7 +108,7 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> Results:
     figures += [_radiograph_figure(a) for a in anatomies if a.file and a.file.ct]
     for anatomy in anatomies:
         _tell(anatomy.label, context.path / anatomy.label)
-    return Results({"phantoms": measured, "aortas": models}, figures if settings.picture else ())
+    return Results({"phantoms": measured, "aortas": models}, figures if settings.picture else None)
 
 
 def _tell(label: str, folder: Path) -> None:

@@ -10,7 +10,6 @@ from pipeline.settings.checks import validated
 from pipeline.settings.kinds import PathText, Processes, one_of
 
 LOCAL, RAY, SLURM = "local", "ray", "slurm"
-ENGINES = (LOCAL, RAY, SLURM)
 
 Retries = Annotated[int, Ge(0), Le(100)]
 Gigabytes = Annotated[float, Gt(0), Le(10_000)]
