@@ -8,7 +8,7 @@ tuples into lists: choices are checks of the annotations.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
-from pipeline.jobs.engines.settings import SETTINGS
+from pipeline.jobs.engines.settings import LOCAL, SETTINGS
 from pipeline.settings.checks import shown, validated
 from pipeline.settings.kinds import (
     BranchNames,
@@ -38,6 +38,13 @@ _PACKAGE = Path(__file__).resolve().parent
 CONFIG_DIRECTORY = _PACKAGE / "conf" if (_PACKAGE / "conf").is_dir() else _PACKAGE.parent / "conf"
 BUDGETS = ("smoke", "desk", "thesis")
 
+# What is chosen by name, where the names are no files of `conf/`.
+CHOICES = {
+    "stage": available_stages(),
+    "budget": BUDGETS,
+    "engine": tuple(SETTINGS),
+    "hydra/launcher": ("basic", "joblib", "ray", "submitit_local", "submitit_slurm"),
+}
 # Budgets, in the order of the arguments of `by_budget`; the last is that of experiment=thesis-check.
 _SIZES = (*BUDGETS, "check")
 
@@ -158,6 +165,31 @@ def _refuse_unknown(prefix: str, node: DictConfig, made: Any) -> None:
     for name in names:
         if dataclasses.is_dataclass(getattr(made, name)):
             _refuse_unknown(f"{prefix}{name}.", node[name], getattr(made, name))
+
+
+def choices(group: str) -> Sequence[str]:
+    """The names to choose from in a group of the configuration; none where there is no such group."""
+    return CHOICES.get(group) or sorted(file.stem for file in (CONFIG_DIRECTORY / group).glob("*.yaml"))
+
+
+def settings_beside(key: str, chosen: Mapping[str, str]) -> list[str]:
+    """The settings that stand where a key stands, as the user writes them.
+
+    Args:
+        key: such as ``stage.task.wire``; it need not exist.
+        chosen: group to choice, as far as it is known: the stage, and the engine.
+    """
+    owner, stage = key.rpartition(".")[0], chosen.get("stage", "")
+    if owner.rpartition(".")[2] in ("task", "arch_task"):
+        return [f"{owner}.{item.name}" for item in dataclasses.fields(Task)]
+    if not key.startswith(("stage.", "engine.")):
+        return [*(item.name for item in dataclasses.fields(RunConfig)), "experiment", "stage.KEY"]
+    group = key.partition(".")[0]
+    if group == "stage":
+        fields = dataclasses.fields(settings_of(stage)) if stage in available_stages() else ()
+    else:
+        fields = dataclasses.fields(SETTINGS.get(chosen.get("engine", ""), SETTINGS[LOCAL]))
+    return [f"{group}.{item.name}" for item in fields if item.name != "name"]
 
 
 def anatomy_not_taken(config: RunConfig) -> list[str]:

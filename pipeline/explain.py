@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 import re
 
@@ -11,18 +10,16 @@ from omegaconf.errors import OmegaConfBaseException
 from omegaconf.errors import ValidationError as OmegaConfValidationError
 from pydantic import ValidationError
 
-from pipeline.config import BUDGETS, CONFIG_DIRECTORY, RunConfig
-from pipeline.jobs.engines.settings import LOCAL, SETTINGS
+from pipeline.config import CHOICES, choices, settings_beside
+from pipeline.jobs.engines.settings import LOCAL
 from pipeline.printing import installing
 from pipeline.settings.checks import sentence
 from pipeline.settings.quoting import advice
-from pipeline.stages import available_stages, settings_of
+from pipeline.stages import available_stages
 from pipeline.store.errors import PipelineError
 from pipeline.store.system_errors import system_error, system_sentence
 from pipeline.task import PARTS, TASK
 
-_LAUNCHERS = ("basic", "joblib", "ray", "submitit_local", "submitit_slurm")
-_CHOICES = {"stage": available_stages(), "budget": BUDGETS, "engine": SETTINGS, "hydra/launcher": _LAUNCHERS}
 _NUMBER = "Config group override must be"  # so begins the ValueError of a number as a choice, ``stage=5``
 _KEY = re.compile(r"Could not (?:override|append|delete from config:) '?([\w./@-]+)|Key '([\w.]+)' (?:is )?not in")
 _LONGEST = 400  # characters of what a library says, which may quote a whole value
@@ -47,7 +44,7 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
     if text.startswith(_NUMBER):
         words = (word.lstrip("+~").partition("=")[::2] for word in overrides)
         numbers = (f"{group}/{value}" for group, value in words
-                   if group in (*_CHOICES, "experiment", TASK) and not re.search(r"[A-Za-z_]{2}", value))  # fmt: skip
+                   if group in (*CHOICES, "experiment", TASK) and not re.search(r"[A-Za-z_]{2}", value))  # fmt: skip
         return next(map(_unknown_choice, numbers), "a stage or a budget is chosen by its name: see --help")
     if isinstance(error, OverrideParseException):
         override, quoted = _first_line(repr(error.override)), _first_line(advice(error.override))
@@ -70,25 +67,16 @@ def _unknown_choice(config: str) -> str:
     if config == "hydra/launcher/ray":
         how = installing("make ray")
         return f"Ray's launcher is not installed: run `{how}`, or choose basic, joblib or submitit_local"
-    valid = ", ".join(_CHOICES.get(group) or sorted(file.stem for file in (CONFIG_DIRECTORY / group).glob("*.yaml")))
+    valid = ", ".join(choices(group))
     return f"unknown {group.rpartition('/')[2] or 'configuration'} {choice!r}" + (valid and f": choose one of {valid}")
 
 
 def _unknown_key(key: str, overrides: list[str]) -> str:
-    chosen = {"engine": LOCAL} | dict(word.split("=", 1) for word in reversed(overrides) if "=" in word)
-    owner, stage, engine = key.rpartition(".")[0], chosen.get("stage"), SETTINGS.get(chosen["engine"], SETTINGS[LOCAL])
-    names = [field.name for field in dataclasses.fields(RunConfig)] + ["experiment", "stage.KEY"]
     if key == TASK:
         return _unknown_choice(f"{TASK}/")
-    if owner.rpartition(".")[2] in (TASK, "arch_task"):
-        names = [f"{owner}.{name}" for name in PARTS]
-    elif key.startswith("stage."):
-        fields = dataclasses.fields(settings_of(stage)) if stage in available_stages() else ()
-        names = [f"stage.{field.name}" for field in fields if field.name != "name"]
-    elif key.startswith("engine.") and engine is SETTINGS[LOCAL]:
+    names = settings_beside(key, dict(word.split("=", 1) for word in reversed(overrides) if "=" in word))
+    if key.startswith("engine.") and not names:
         return f"unknown setting {key!r}: engine={LOCAL} has none; engine=ray and engine=slurm have some"
-    elif key.startswith("engine."):
-        names = [f"engine.{field.name}" for field in dataclasses.fields(engine)]
     close = "".join(f" (did you mean {name}?)" for name in difflib.get_close_matches(key, names, n=1))
     return f"unknown setting {key!r}{close}" + (f": choose one of {', '.join(names)}" if names else "")
 
