@@ -45,8 +45,6 @@ CHOICES = {
     "engine": tuple(SETTINGS),
     "hydra/launcher": ("basic", "joblib", "ray", "submitit_local", "submitit_slurm"),
 }
-# Budgets, in the order of the arguments of `by_budget`; the last is that of experiment=thesis-check.
-_SIZES = (*BUDGETS, "check")
 
 
 @validated("phantom.")
@@ -101,7 +99,6 @@ def register_schemas(stages: Iterable[str] | None = None) -> None:
     """
     # Hydra makes its folder of these names before the values are checked.
     OmegaConf.register_new_resolver("hydra_folder", _hydra_folder, replace=True)
-    OmegaConf.register_new_resolver("by_budget", _by_budget, replace=True)
     OmegaConf.register_new_resolver("own_file", _own_file, replace=True)
     store = ConfigStore.instance()
     store.store(name="schema", node=RunConfig)
@@ -109,13 +106,10 @@ def register_schemas(stages: Iterable[str] | None = None) -> None:
         store.store(group="schema/engine", name=name, node=settings)
     for name in available_stages() if stages is None else stages:
         store.store(group="schema/stage", name=name, node=settings_of(name))
-
-
-def _by_budget(*values: Any, _root_: DictConfig) -> Any:
-    """The value for the run's budget: of smoke, desk and thesis, and of the thesis's check where that differs."""
-    if not len(BUDGETS) <= len(values) <= len(_SIZES):
-        raise ConfigurationError(f"by_budget takes {len(BUDGETS)} or {len(_SIZES)} values, got {len(values)}")
-    return values[min(_SIZES.index(_root_.budget.sizes), len(values) - 1)]
+    for file in (CONFIG_DIRECTORY / "sizes").glob("*.yaml"):  # of budgets and experiments
+        for owner, values in OmegaConf.load(file).items():
+            for group in ("sizes", "experiment_sizes"):
+                store.store(group=group, name=f"{file.stem}_{owner}", node=values)
 
 
 def _own_file(_root_: DictConfig) -> str | None:

@@ -56,7 +56,7 @@ options
   stage.KEY=VALUE   a setting of the stage, e.g. 'stage.phantoms=[type_1,bovine]'; --cfg job shows all of them
   -m, --multirun    sweep: 'seed=0,1,2' runs three jobs, each in runs/RUN/STAGE@seed=N/;
                     hydra/launcher=joblib, submitit_local or ray runs them beside each other
-  --cfg job         print the configuration and stop; with --resolve, as it is for the budget
+  --cfg job         print the configuration and stop; with --resolve, its references resolved
   --hydra-help      Hydra's own options
 """
 

@@ -1,8 +1,8 @@
 """The task: devices, actions, images, limits and start of an episode, declared once and carried from stage to stage.
 
-``task`` and ``unseen_task`` in ``conf/config.yaml`` are the only declarations. Every stage takes one of them over as
-``stage.task``, its jobs carry it, and what they leave (logs, policies) says which one it was. A stage that goes on from
-an earlier one's results compares its own with theirs and refuses a difference by name.
+Every stage takes the run's ``task`` over as ``stage.task``, its jobs carry it, and what they leave (logs, policies)
+says which one it was. A stage that goes on from an earlier one's results compares its own with theirs and refuses a
+difference by name.
 """
 
 from __future__ import annotations

@@ -102,8 +102,8 @@ class ChosenAnatomies(FileSettings):
 
     needs_anatomy: ClassVar[bool] = True  # whether there must be one
 
-    phantoms: FolderNames = field(default_factory=list)
-    targets: FolderNames = field(default_factory=list)
+    phantoms: FolderNames = field(default_factory=lambda: ["type_1", "type_2"])
+    targets: FolderNames = field(default_factory=lambda: ["bca", "lcca"])
     phantom: FolderName | None = None  # phantom.name=…: the only one
     phantom_seed: Seed | None = None  # phantom.seed=…: of phantom.name=random, which may be left out
     target: FolderName | None = None  # target=…: the only one

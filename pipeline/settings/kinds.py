@@ -1,4 +1,4 @@
-"""Kinds of settings: annotations with the range that a value of each kind can be meant to have.
+"""Kinds of settings: annotations with the range that a value of each kind can be meant to have; and those of jobs.
 
 The upper bounds are far above what any run needs; they refuse slips of a unit or of a zero before hours are spent.
 """
@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from dataclasses import field
 from typing import Annotated, Any
 
 from annotated_types import Ge, Gt, Le
 from pydantic import AfterValidator
 
-from pipeline.settings.checks import shown
+from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, shown, validated
 
 _LONGEST_NAME = 100  # file systems take 255 bytes, and what is made of a name gets more letters
 _DEVICE = re.compile(r"auto|cpu|cuda(:[0-9]{1,3})?")
@@ -158,3 +159,11 @@ Hyperparameters = Annotated[Any, AfterValidator(_hyperparameters)]  # fields of 
 BranchNames = Annotated[Any, AfterValidator(_branch_names)]  # of a mesh's branches
 VesselLabels = Annotated[Any, AfterValidator(_vessel_labels)]  # of a label volume
 EntryPlace = Annotated[Any, AfterValidator(_entry_place)]
+
+
+@validated()
+class JobSettings:
+    """How the jobs of a stage are run."""
+
+    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus

@@ -42,7 +42,9 @@ class PhantomsSettings(FileSettings):
     shows_ct: ClassVar[str | None] = "picture"
 
     name: str = "phantoms"
-    phantoms: FolderNames = field(default_factory=list)  # named anatomies
+    phantoms: FolderNames = field(  # named anatomies
+        default_factory=lambda: ["type_1", "type_2", "type_1_aneurysm", "low_tortuosity", "type_3", "bovine"]
+    )
     random_seeds: Annotated[list[Seed], UNIQUE] = field(default_factory=list)  # one random anatomy a seed
     resolution_mm: Annotated[float, Ge(0.1), Le(COARSEST_RESOLUTION_MM)] = 1.0  # spacing of the signed distance grid
     wall_thickness_mm: Annotated[float, Ge(0.1), Le(10)] = 1.5

@@ -16,6 +16,7 @@ from pipeline.store.atomic_files import write_json
 from pipeline.store.provenance import hash_file
 from pipeline.store.written_files import is_inside
 from pipeline.tables import Figure, Results
+from pipeline.task import Task
 
 if TYPE_CHECKING:
     from pipeline.episodes import EpisodeInfo
@@ -30,8 +31,8 @@ class UserStudySettings:
     """Settings of the sum of what people recorded at the console."""
 
     name: str = "user_study"
-    max_steps: Count = 300  # procedures with another limit, or that end at a force limit, are not counted
-    success_radius_mm: SuccessRadius = 8.0  # nor those with another radius
+    max_steps: Count = Task.max_steps  # procedures with another limit, or that end at a force limit, are not counted
+    success_radius_mm: SuccessRadius = Task.success_radius_mm  # nor those with another radius
 
 
 @dataclass

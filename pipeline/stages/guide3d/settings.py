@@ -35,8 +35,8 @@ class Guide3dSettings:
     """Settings of the guide3d stage."""
 
     name: str = "guide3d"
-    images: Annotated[int, Ge(FEWEST_IMAGES), Le(1_000_000)] = 2400  # to be generated, both cameras together
-    pairs: Count = 13  # of an acquisition, at most
+    images: Annotated[int, Ge(FEWEST_IMAGES), Le(1_000_000)] = 7200  # to be generated, both cameras together
+    pairs: Count = 3  # of an acquisition, at most
     phantoms: SomeFolderNames = field(default_factory=lambda: ["type_1"])
     targets: SomeFolderNames = field(default_factory=lambda: ["bca", "lcca", "lsa"])
     steps: Count = 4  # of 0.1 s from one pair to the next

@@ -48,10 +48,10 @@ class ImitationJob:
     task: LearningTask
     expert: Path  # folder of the expert's training, with its policy and episodes
     episodes: int  # of the expert to learn from
+    evaluation_episodes: int  # by the best action
+    drawn_episodes: int  # by drawn actions
     disturbed_episodes: int = 0  # further ones with disturbed actions
     rounds: DaggerSettings | None = None  # of DAgger; None: none
-    evaluation_episodes: int = 30  # by the best action
-    drawn_episodes: int = 30  # by drawn actions
 
 
 def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:

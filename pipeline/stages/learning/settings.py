@@ -8,7 +8,7 @@ from typing import Annotated
 from annotated_types import Ge, Gt, Le
 
 from pipeline.anatomies.settings import ChosenAnatomies
-from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
+from pipeline.settings.checks import validated
 from pipeline.settings.kinds import (
     NOT_EMPTY,
     RISING,
@@ -17,13 +17,12 @@ from pipeline.settings.kinds import (
     Count,
     CountOrNone,
     Decisions,
-    Device,
     Episodes,
     EpisodesOrNone,
     FolderName,
     FolderNames,
     Hyperparameters,
-    Processes,
+    JobSettings,
     RisingEpisodes,
     SomeFolderNames,
     Trainings,
@@ -48,30 +47,35 @@ _SafeWeights = Annotated[list[Annotated[float, Gt(0), Le(1e6)]], UNIQUE]
 
 
 @validated()
-class LearningSettings(ChosenAnatomies, DeviceSettings):
-    """What the stages that train policies have in common: the task, the trainings' sizes, and how they are run."""
+class PolicySettings(ChosenAnatomies, DeviceSettings, JobSettings):
+    """What the stages that make policies have in common: the task, networks, and how policies are tested."""
 
     name: str = ""  # of the stage
-    seeds: Trainings = 1  # trainings a row and task; run seed k trains with seeds k * seeds, k * seeds + 1, ...
     variant: _Variant = "desk"  # networks and hyper-parameters: those that learn fast, or the thesis's
-    decisions: Decisions = 6_000  # budget of a training
     evaluation_episodes: Episodes = 30  # of a policy, by its best action
-    drawn_episodes: EpisodesOrNone = 30  # by drawn actions, on the first of the same seeds
-    demonstrations: bool = True  # desk: states along the sampling expert's episodes are starts of training episodes
-    encoder_samples: Count = 15_000  # desk: images that the encoder is fitted to
-    encoder_epochs: CountOrNone = 0  # 0: the encoder's own choice
-    reward: _Reward = "geodesic"  # of training; "distance" is the thesis's, which every table shows
-    path_penalty: Weight = 0.0  # of the reward of training, a metre of the tip's way
-    accuracy: Accuracy = "accurate"  # of SAC's training; tests are accurate
-    ppo_accuracy: Accuracy = "accurate"  # of PPO's training
-    training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
-    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
-    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
+    drawn_episodes: EpisodesOrNone = 5  # by drawn actions, on the first of the same seeds
 
     def __post_init__(self) -> None:
         """Takes devices and anatomies over and checks that there is a task."""
         DeviceSettings.__post_init__(self)
         ChosenAnatomies.__post_init__(self)
+
+
+@validated()
+class LearningSettings(PolicySettings):
+    """What the stages that train policies by reinforcement learning have in common: the trainings' sizes."""
+
+    seeds: Trainings = 1  # trainings a row and task; run seed k trains with seeds k * seeds, k * seeds + 1, ...
+    decisions: Decisions = 4_000  # budget of a training
+    demonstrations: bool = True  # desk: states along the sampling expert's episodes are starts of training episodes
+    encoder_samples: Count = 30_000  # desk: images that the encoder is fitted to
+    encoder_epochs: CountOrNone = 0  # 0: the encoder's own choice
+    reward: _Reward = "geodesic"  # of training; "distance" is the thesis's, which every table shows
+    path_penalty: Weight = 40.0  # of the reward of training, a metre of the tip's way
+    accuracy: Accuracy = "fast"  # of SAC's training; the best policy is chosen, and tested, in accurate physics
+    # of PPO's training: from fast physics it knows too little of the branches that it enters by mistake
+    ppo_accuracy: Accuracy = "accurate"
+    training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
 
 
 @validated()
@@ -81,7 +85,8 @@ class BaselinesSettings(LearningSettings):
     name: str = "baselines"
     algorithms: _Algorithms = field(default_factory=lambda: ["ppo", "sac"])
     observations: _BaselineObservations = field(default_factory=lambda: list(BASELINE_OBSERVATIONS))
-    ppo_decisions: Decisions = 60_000  # PPO's budget; `decisions` is SAC's
+    # PPO's budget; `decisions` is SAC's. After 20,000 some are not at their end, most end before.
+    ppo_decisions: Decisions = 40_000
     path_follower: bool = True  # also the thesis's attempt to follow the planned path
 
 
@@ -92,11 +97,13 @@ class EnnSettings(LearningSettings):
     name: str = "enn"
     algorithm: Annotated[str, one_of("sac", "ppo")] = "sac"
     expert: FolderName = "I+V+M"  # modality set of the row that later stages learn from
-    modalities: FolderNames = field(default_factory=list)  # the ablation's other rows
-    ablation_phantoms: FolderNames = field(default_factory=list)  # where those are trained
+    seeds: Trainings = 3
+    modalities: FolderNames = field(default_factory=lambda: ["I", "V", "V+M", "I+V"])  # the ablation's other rows
+    ablation_phantoms: FolderNames = field(default_factory=lambda: ["type_1"])  # where those are trained
     ablation_seeds: Trainings = 1
-    safe_weights: _SafeWeights = field(default_factory=list)  # of the force in the reward, 1/N: a row each, there too
-    safe_decisions: Decisions = 9_000  # of their trainings, which a price on force makes slower
+    # of the force in the reward, 1/N: a row each, there too
+    safe_weights: _SafeWeights = field(default_factory=lambda: [1.0, 5.0])
+    safe_decisions: Decisions = 6_000  # of their trainings, which a price on force makes slower
     expert_episodes: EpisodesOrNone = 100  # with images, for imitation, of each task's first training of the expert row
     modality: FolderName | None = None  # filled in by modality=…: the only row, on every phantom
 
@@ -113,44 +120,34 @@ class EnnSettings(LearningSettings):
 
 
 @validated()
-class ImitationSettings(ChosenAnatomies, DeviceSettings):
+class ImitationSettings(PolicySettings):
     """Settings of imitation: the expert's episodes of the stage enn, learnt from with the image alone."""
 
     name: str = "imitation"
-    expert: FolderName = "I+V+M"  # row of the stage enn whose episodes are learnt from
-    variant: _Variant = "desk"  # network and hyper-parameters: those that learn fast, or the thesis's
+    expert: FolderName = EnnSettings.expert  # row of the stage enn whose episodes are learnt from
     observations: _StudentObservations = field(default_factory=lambda: ["image"])  # that the student sees
-    episodes: RisingEpisodes = field(default_factory=list)  # expert's; the last is the table's
-    disturbed_episodes: EpisodesOrNone = 0  # further ones, with the expert's actions disturbed: a row of its own
-    dagger_rounds: CountOrNone = 0  # 0: no DAgger
+    episodes: RisingEpisodes = field(default_factory=lambda: [10, 100])  # expert's; the last is the table's
+    disturbed_episodes: EpisodesOrNone = 60  # further ones, with the expert's actions disturbed: a row of its own
+    dagger_rounds: CountOrNone = 3  # 0: no DAgger
     dagger_episodes: Episodes = 10  # a round
     feature_matching: Weight = 0.1  # weight of the distance to the expert's features
     epochs: CountOrNone = 0  # 0: the variant's own number
-    evaluation_episodes: Episodes = 30  # of a student, by its best action
-    drawn_episodes: EpisodesOrNone = 30  # by drawn actions, on the first of the same seeds
-    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # fits beside each other; 0: one a core
-    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
-
-    def __post_init__(self) -> None:
-        """Takes devices and anatomies over."""
-        DeviceSettings.__post_init__(self)
-        ChosenAnatomies.__post_init__(self)
 
 
 @validated()
-class ForceSettings(DeviceSettings):
+class ForceSettings(DeviceSettings, JobSettings):
     """Settings of force prediction: disturbed episodes of the expert, and networks of several amounts of samples."""
 
     name: str = "force"
     phantom: FolderName = "type_1"
-    targets: SomeFolderNames = field(default_factory=list)
-    expert: FolderName = "I+V+M"  # row of the stage enn whose policy steers
+    targets: SomeFolderNames = field(default_factory=lambda: ["bca", "lcca"])
+    expert: FolderName = EnnSettings.expert  # row of the stage enn whose policy steers
     variant: _Variant = "desk"
-    samples: _Samples = field(default_factory=list)  # to learn from; inputs beside the image are tried with the last
+    # to learn from; inputs beside the image are tried with the last
+    samples: _Samples = field(default_factory=lambda: [1_000, 10_000])
     test_samples: Decisions = 4_000  # of episodes that are not learnt from
     noise: Annotated[float, Ge(0), Le(10)] = 0.3  # standard deviation added to the expert's actions
     spell_chance: Annotated[float, Ge(0), Le(1)] = 0.1  # that some steps of random, forward pushing begin
     epochs: CountOrNone = 0  # 0: the variant's own number
-    inputs: _ForceInputs = field(default_factory=lambda: ["V"])  # V: the image alone, as the thesis; see the stage
-    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)
-    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
+    # V: the image alone, as the thesis; see the stage
+    inputs: _ForceInputs = field(default_factory=lambda: ["V", "V_plain", "I+V"])

@@ -49,10 +49,10 @@ class PolicyTrainingJob:
     settings: TrainingSettings
     task: LearningTask
     keys: tuple[str, ...]
+    evaluation_episodes: int  # by the best action
+    drawn_episodes: int  # by drawn actions
     encoder: Path | None = None  # file of a fitted encoder; None: the policy sees the observations themselves
     demonstrations: tuple[Path, ...] = ()
-    evaluation_episodes: int = 30  # by the best action
-    drawn_episodes: int = 30  # by drawn actions
     expert_episodes: int = 0  # with images, for imitation
 
     @property

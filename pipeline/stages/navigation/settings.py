@@ -9,21 +9,21 @@ from annotated_types import Ge, Le
 
 from pipeline.anatomies.settings import ChosenAnatomies
 from pipeline.clutter import require_clutter_fits
-from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
+from pipeline.settings.checks import validated
 from pipeline.settings.kinds import (
     NOT_EMPTY,
     UNIQUE,
     Count,
     CountOrNone,
-    Device,
     Episodes,
     FolderName,
     FolderNames,
-    Processes,
+    JobSettings,
     RisingEpisodes,
     Units,
     one_of,
 )
+from pipeline.stages.learning.settings import EnnSettings
 from pipeline.stages.networks.settings import SPLINEFORMER_VARIANTS
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, task_in_random_arches
@@ -35,28 +35,29 @@ _Cameras = Annotated[list[Annotated[str, one_of("a", "b")]], UNIQUE, NOT_EMPTY]
 
 
 @validated()
-class NavigationSettings(ChosenAnatomies):
+class NavigationSettings(ChosenAnatomies, JobSettings):
     """Settings of autonomous navigation with SplineFormer."""
 
     name: str = "navigation"
     splineformer: Annotated[str, one_of(*SPLINEFORMER_VARIANTS)] = "ordered"  # the stage splineformer's variant
-    cameras: _Cameras = field(default_factory=lambda: ["a"])  # of the data set's pair
-    image_size_px: Annotated[int, Ge(64), Le(4_096)] = 1024
+    cameras: _Cameras = field(default_factory=lambda: ["a", "b"])  # of the data set's pair
+    image_size_px: Annotated[int, Ge(64), Le(4_096)] = 512
     guided: bool = True  # by a contrast run before the procedure; false: by the target's mark alone
     space: bool = True  # two guided cameras also measure wire and vessels in space, by their known geometry
-    phantoms: FolderNames = field(default_factory=list)  # whose experts are cloned
-    transfer_phantoms: FolderNames = field(default_factory=list)  # navigated in without having been learnt in
-    targets: FolderNames = field(default_factory=lambda: ["bca", "lcca"])
-    expert: FolderName = "I+V+M"  # row of the stage enn whose episodes are cloned, and which gives advice
-    episodes: RisingEpisodes = field(default_factory=list)  # trials of the expert a target: a navigator each
+    phantoms: FolderNames = field(default_factory=lambda: ["type_1"])  # whose experts are cloned
+    # navigated in without having been learnt in
+    transfer_phantoms: FolderNames = field(default_factory=lambda: ["type_2"])
+    expert: FolderName = EnnSettings.expert  # row of the stage enn whose episodes are cloned, and which gives advice
+    # trials of the expert a target: a navigator each; that of 100 reaches every target
+    episodes: RisingEpisodes = field(default_factory=lambda: [20, 100])
     epochs: Count = 60  # of cloning
     updates: CountOrNone = 1500  # of it, at least: after 300 of them 20 trials are not learnt yet
-    dagger_rounds: CountOrNone = 3  # 0: no fine-tuning
+    dagger_rounds: CountOrNone = 2  # the second reaches every target; 0: no fine-tuning
     dagger_episodes: Count = 60  # episodes a round
     dagger_epochs: Count = 30  # of every round
-    arches: CountOrNone = 64  # random ones that the navigator for unseen anatomies learns in; 0: none is trained
+    arches: CountOrNone = 100  # random ones that the navigator for unseen anatomies learns in; 0: none is trained
     arch_rounds: Count = 5
-    arch_episodes: Count = 96
+    arch_episodes: Count = 90
     arch_epochs: Count = 20
     arch_hidden: Units = 256  # units of that navigator
     test_arches: CountOrNone = 20
@@ -65,18 +66,16 @@ class NavigationSettings(ChosenAnatomies):
     clutter: Annotated[float, Ge(0), Le(4)] = 0.0
     clutter_arches: Count = 20  # unseen arches of that set
     subtracted: bool = False  # navigators see images divided by the contrast run's image without a wire
-    trials: Episodes = 30  # a target in each named phantom
+    trials: Episodes = 20  # a target in each named phantom
     perception_arches: CountOrNone = 30  # random ones in which the SplineFormer is fine-tuned
-    perception_frames: Count = 40  # in each
-    perception_epochs: CountOrNone = 3  # 0: it stays as it is
+    perception_frames: Count = 72  # in each
+    perception_epochs: CountOrNone = 4  # 0: it stays as it is
     hidden: Units = 128  # units of the other navigators
     action_repeat: Annotated[int, Ge(1), Le(100)] = 3  # steps of 0.1 s that they hold an action: an image a decision
     task: Task = field(default_factory=Task)  # in named phantoms: that of the stage enn
     arch_task: Task = field(default_factory=task_in_random_arches)  # that of the stage unseen
     pixel_cloning: bool = True  # the rival that clones from pixels
     film: bool = True
-    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
-    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
 
     @property
     def arms(self) -> CArms:

@@ -8,7 +8,7 @@ from typing import Annotated
 from annotated_types import Ge, Le
 
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
-from pipeline.settings.kinds import NOT_EMPTY, UNIQUE, CountOrNone, Device, PathText, Processes, Seed, one_of
+from pipeline.settings.kinds import NOT_EMPTY, UNIQUE, CountOrNone, Device, JobSettings, PathText, Seed, one_of
 from pipeline.store.errors import ConfigurationError
 
 # What predicts a shape: the shape network as the thesis's table has it, with the thesis's loss alone, and 3D-FGRN.
@@ -27,7 +27,7 @@ _Disturbances = Annotated[list[Annotated[str, one_of(*DISTURBANCES)]], UNIQUE, N
 
 
 @validated()
-class TrainingSettings:
+class TrainingSettings(JobSettings):
     """What the stages have in common."""
 
     size: Annotated[str, one_of(*NETWORK_SIZES)] = "desk"  # of networks and training: see the package's recipes
@@ -35,7 +35,6 @@ class TrainingSettings:
     split_seed: Seed = 0  # of the split by acquisition
     processes: Annotated[int, Ge(1), Le(64)] = 1  # that train one network together, by torchrun: one a GPU
     device: Device = field(default="auto", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
-    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # trainings beside each other; 0: one a core
 
 
 @validated()
@@ -50,7 +49,7 @@ class ShapeSettings(NetworkSettings):
     """Settings of shape prediction."""
 
     name: str = "shape"
-    rows: _ShapeRows = field(default_factory=list)
+    rows: _ShapeRows = field(default_factory=lambda: ["spherical", "cartesian", "fgrn"])
     pretrained: PathText | None = None  # weights of the vision transformer, under timm's or torchvision's names
 
 
@@ -59,8 +58,8 @@ class SegmentationSettings(NetworkSettings):
     """Settings of segmentation."""
 
     name: str = "segmentation"
-    rows: _SegmentationRows = field(default_factory=list)
-    test_images: CountOrNone = 0  # of the test acquisitions, evenly chosen; 0: all
+    rows: _SegmentationRows = field(default_factory=lambda: list(SEGMENTATION_ROWS))
+    test_images: CountOrNone = 120  # of the test acquisitions, evenly chosen; 0: all
 
 
 @validated()
@@ -68,14 +67,15 @@ class SplineformerSettings(TrainingSettings):
     """Settings of SplineFormer."""
 
     name: str = "splineformer"
-    variants: _Variants = field(default_factory=list)  # to train, see splineformer.build
+    variants: _Variants = field(default_factory=lambda: list(SPLINEFORMER_VARIANTS))  # to train, see splineformer.build
     size: Annotated[str, one_of(*SPLINEFORMER_SIZES)] = "desk"
     rival: Annotated[str, one_of(*SEGMENTATION_ROWS)] = (
         "unet"  # network of the stage segmentation whose masks are traced
     )
-    disturbances: _Disturbances = field(default_factory=lambda: ["none"])  # under which images are read
-    test_images: CountOrNone = 0  # of the test acquisitions, evenly chosen; 0: all
-    disturbed_images: CountOrNone = 0  # of those, under each disturbance; 0: all
+    # under which images are read
+    disturbances: _Disturbances = field(default_factory=lambda: list(DISTURBANCES))
+    test_images: CountOrNone = 360  # of the test acquisitions, evenly chosen; 0: all
+    disturbed_images: CountOrNone = 40  # of those, under each disturbance; 0: all
 
     def __post_init__(self) -> None:
         """Checks that there is something to compare with, and that the variant has the size."""

@@ -12,10 +12,10 @@ from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import (
     Count,
     Decisions,
-    Device,
     Episodes,
     FolderNames,
     Hyperparameters,
+    JobSettings,
     Processes,
     Units,
     Weight,
@@ -37,7 +37,7 @@ _Percent = Annotated[float, Ge(0), Le(90)]
 
 
 @validated()
-class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings):
+class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings, JobSettings):
     """Settings of a rehearsal; a wire of length 0 becomes as long as the way asks for, at least the preset.
 
     Without `policy` it starts from the stage unseen's, or a shipped one, with the same devices.
@@ -89,8 +89,6 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings)
     accuracy: Annotated[str, one_of("accurate", "fast", "reference")] = "accurate"  # tests are accurate
     # that step the environments; 0: one a core, four at most
     threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)
-    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
-    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)
 
     def __post_init__(self) -> None:
         """Reads the files, and refuses what contradicts itself."""

@@ -10,19 +10,18 @@ from annotated_types import Ge, Le
 from pipeline.anatomies.known import GENERATED_TARGETS, TARGETS
 from pipeline.anatomies.settings import ChosenAnatomies
 from pipeline.clutter import require_clutter_fits
-from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
+from pipeline.settings.checks import validated
 from pipeline.settings.kinds import (
     UNIQUE,
     Accuracy,
     Count,
     CountOrNone,
     Decisions,
-    Device,
     Episodes,
     FolderNames,
     Hyperparameters,
+    JobSettings,
     PathText,
-    Processes,
     SomeFolderNames,
     Units,
     one_of,
@@ -42,7 +41,7 @@ _Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], UNIQUE]
 
 
 @validated()
-class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
+class UnseenSettings(ChosenAnatomies, StartingPolicySettings, JobSettings):
     """Settings of the policies for anatomies that were never seen; `policy` starts the main one by a roadmap."""
 
     needs_anatomy: ClassVar[bool] = False
@@ -57,19 +56,21 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
     targets: FolderNames = field(default_factory=lambda: ["bca", "lcca", "lsa"])  # of every policy in random arches
     own_targets: FolderNames = field(default_factory=list)  # of the tests in `phantoms`; none: those of the policies
     accuracy: Accuracy = "fast"  # of the physics that policies are trained in; tests are accurate
-    anatomies: Count = 32  # random arches that the roadmap policy is trained on
+    anatomies: Count = 160  # random arches that the roadmap policy is trained on
     # of the steepest target of every arch that is trained in or chosen by, `cathsim.anatomy.measurement.take_off`;
     # 0: any arch
     least_set_back_mm: Annotated[float, Ge(0), Le(100)] = 0.0
     curve: Annotated[list[Count], UNIQUE] = field(default_factory=list)  # further numbers of arches, a policy each
-    demonstrations: CountOrNone = 12  # that the sampling expert tries, in as many arches
-    decisions: CountOrNone = 16_000  # of the roadmap policy's training; 0: that of `policy` is taken as it is
-    curve_decisions: Decisions = 8_000  # of each of the curve's policies, the one on `anatomies` arches among them
+    demonstrations: CountOrNone = 0  # that the sampling expert tries, in as many arches
+    # of the roadmap policy's training, whose success rose until 48,000; 0: that of `policy` is taken as it is
+    decisions: CountOrNone = 48_000
+    curve_decisions: Decisions = 12_000  # of each of the curve's policies, the one on `anatomies` arches among them
     hidden: Units = 256  # units of each of their two layers
     training: Hyperparameters = None  # their hyper-parameters: fields of enn's TrainingSettings
     validation_anatomies: Count = 16  # random arches, neither trained on nor tested, to keep the best policy by
     validation_episodes: Episodes = 48  # in them
-    image: bool = True  # also the policy that observes images and the wire's true mask
+    # also the policy that observes images without noise and the wire's true mask: what noise and segmentation cost
+    image: bool = False
     xray: bool = True  # also the one that sees noisy X-ray images and a contrast run, and finds the wire itself
     # of noisy X-ray, an image of each a decision: two are those of a bi-planar fluoroscope
     views: SomeFolderNames = field(default_factory=lambda: list(ONE_VIEW))
@@ -77,26 +78,27 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings):
     field_mm: Annotated[float, Ge(0), Le(400)] = 0.0
     # of clutter in X-ray images, 1 as in guide3d's random fluoroscopy: in those that the wire's network learns from, in
     # every second one of the lumen's, in every second environment of the rounds, in a further set of tests; 0: none
-    clutter: Annotated[float, Ge(0), Le(4)] = 0.0
+    clutter: Annotated[float, Ge(0), Le(4)] = 1.0
     clutter_anatomies: Count = 20  # unseen arches of that set
-    image_anatomies: Count = 64  # arches that each is trained on
-    segmenter_epochs: Count = 50
+    image_anatomies: Count = 128  # arches that each is trained on
+    segmenter_epochs: Count = 30
     wire_epochs: Count = 6  # of the network that finds the wire
     rounds: Count = 6  # of advised episodes
-    advised_episodes: Count = 90  # a round
-    epochs: Count = 12  # over all episodes so far, a round
+    advised_episodes: Count = 120  # a round
+    epochs: Count = 20  # over all episodes so far, a round
     test_anatomies: Annotated[int, Ge(1), Le(500)] = 50  # unseen random arches
-    phantoms: FolderNames = field(default_factory=list)  # to test in, none of them trained on
-    named_episodes: Episodes = 10  # on each, for each target
+    phantoms: FolderNames = field(  # to test in, none of them trained on
+        default_factory=lambda: ["type_1", "type_2", "type_3", "bovine", "type_1_aneurysm"]
+    )
+    named_episodes: Episodes = 5  # on each, for each target
     mesh: PathText | None = None  # scanned anatomy; left out where the file is missing
-    mesh_episodes: Annotated[int, Ge(1), Le(500)] = 20
-    wires: FolderNames = field(default_factory=list)  # further wires: presets, "softer", "stiffer"
+    mesh_episodes: Annotated[int, Ge(1), Le(500)] = 10
+    # further wires: presets, "softer", "stiffer"
+    wires: FolderNames = field(default_factory=lambda: ["thesis", "softer", "stiffer"])
     wire_anatomies: Count = 10  # unseen arches that each is tried on
     # errors of the roadmap's registration that its policy is tried with, mm an axis; 0 is the test without any
-    registration_noise_mm: _Noises = field(default_factory=lambda: [0.0, 1.0, 2.0, 4.0])
+    registration_noise_mm: _Noises = field(default_factory=lambda: [0.0, 2.0, 4.0])
     task: Task = field(default_factory=task_in_random_arches)
-    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
-    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
 
     def __post_init__(self) -> None:
         """Takes the choices of the command line over."""

@@ -20,7 +20,6 @@ from pipeline.store.manifest import read_manifest
 YAML = """\
 # Counts to a number.
 defaults: [/schema/stage@_here_: count, _self_]
-numbers: ${by_budget:2, 20, 200}
 until: ${seed}
 """
 MODULE = '''\
@@ -42,7 +41,7 @@ class CountSettings:
     """Settings of the stage count."""
 
     name: str = "count"
-    numbers: Count = 1
+    numbers: Count = 20
     until: Seed = 0
     step: Count = 3
     threads: int = field(default=0, metadata=NO_EFFECT_ON_RESULTS)
@@ -66,6 +65,8 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(CONFIG_DIRECTORY, folder / "conf")
     shutil.copy(source.parent / "Makefile", folder)
     (folder / "conf" / "stage" / "count.yaml").write_text(YAML)
+    with (folder / "conf" / "sizes" / "smoke.yaml").open("a") as sizes:
+        sizes.write("count: {numbers: 2}\n")
     (folder / "pipeline" / "stages" / "count.py").write_text(MODULE)
     registry = folder / "pipeline" / "stages" / "__init__.py"
     report = '    "report": ('

@@ -22,6 +22,8 @@ DESK = PolicyTrainingJob(
     task=LearningTask("type_1", "bca", path_penalty=40.0),
     settings=replace(DESK_SAC, demonstrations_in_replay=0.25),
     keys=("image", "mask", "joints"),
+    evaluation_episodes=30,
+    drawn_episodes=5,
     origin=Origin("enn", "I+V+M", 0, "desk"),
     encoder=Path("encoder.pt"),
     demonstrations=(Path("000.mcap"), Path("001.mcap"), Path("002.mcap")),
@@ -82,7 +84,7 @@ def test_rows_that_were_made_alike_are_named_together() -> None:
 def test_imitation_says_whose_weight_matches_features() -> None:
     cloning = cloning_settings("thesis", ("image",), feature_matching=0.1)
     job = ImitationJob(Path("s"), Origin("imitation", "dagger", 0, "thesis"), cloning, LearningTask("type_1", "bca"),
-                       Path("e"), episodes=10, rounds=DaggerSettings(rounds=3))  # fmt: skip
+                       Path("e"), 10, 30, 5, rounds=DaggerSettings(rounds=3))  # fmt: skip
     note = imitation_note([job])
     assert "thesis network, from 10 episodes" in note
     assert "features matched with weight 0.1, which is ours" in note

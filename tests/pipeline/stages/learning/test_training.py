@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from pipeline.task import Task
 from tests.pipeline.stages.small_expert import context
 
 TASK = LearningTask("type_1", "bca", Task(max_steps=3))
+EXPERT_ALONE: dict[str, Any] = {"phantoms": ["type_1"], "modalities": [], "safe_weights": [], "seeds": 1}
 
 
 def record(path: Path, **task: str) -> Path:
@@ -32,7 +34,7 @@ def test_only_trainings_are_in_the_fast_physics() -> None:
     """Tables are of accurate physics, whatever a training had."""
     place = {"phantoms": ["type_1"], "targets": ["bca"]}
     task = training_plan.task_of(EnnSettings(**place, accuracy="fast"), "type_1", "bca")
-    assert training_plan.task_of(EnnSettings(**place), "type_1", "bca").accuracy == "accurate"
+    assert training_plan.task_of(EnnSettings(**place, accuracy="accurate"), "type_1", "bca").accuracy == "accurate"
     training, test = task.environment("tip", training=True), task.environment("tip")
     usual = TASK.environment("tip")
     timesteps = [one.simulation.model.opt.timestep for one in (training, test, usual)]
@@ -60,7 +62,7 @@ def test_an_empty_folder_of_the_expert_is_told(
         return {job.key: {"joints+image+mask": {"wall_s": 0.0}} for job in jobs}
 
     monkeypatch.setattr(training_plan, "run_jobs", no_work)
-    settings = EnnSettings(phantoms=["type_1"], targets=["bca", "lcca"])
+    settings = EnnSettings(**EXPERT_ALONE, targets=["bca", "lcca"])
     record(tmp_path / "expert/type_1/lcca/000.mcap")
     place = context(tmp_path, "enn", ("expert",))
     training_plan.run_trainings(plan(settings, place), settings, place)
@@ -88,7 +90,7 @@ def test_demonstrations_with_a_catheter_are_for_that_catheter(tmp_path: Path, ca
 
 
 def test_a_policy_of_two_devices_sees_the_feeders(tmp_path: Path) -> None:
-    settings = EnnSettings(phantoms=["type_1"], targets=["bca"], catheter="vertebral")
+    settings = EnnSettings(**EXPERT_ALONE, targets=["bca"], catheter="vertebral")
     (job,) = plan(settings, context(tmp_path, "enn", ("expert",)))
     assert job.keys == ("joints", "image", "mask", "feeder")
     assert job.encoder is not None

@@ -17,7 +17,9 @@ TESTS = (HeldOutSet("unseen", (1,)),)
 
 
 def small_settings(**changed: Any) -> UnseenSettings:
-    values = {"curve": [1, 4], "anatomies": 8, "image_anatomies": 20, "phantoms": ["type_1"], "wires": ["softer"]}
+    values = {"curve": [1, 4], "anatomies": 8, "image_anatomies": 20, "phantoms": ["type_1"], "wires": ["softer"],
+              "image": True, "clutter": 0.0, "demonstrations": 12,
+              "decisions": 16_000, "curve_decisions": 8_000}  # fmt: skip
     return UnseenSettings(**{**values, **changed})
 
 
