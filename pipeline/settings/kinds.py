@@ -155,7 +155,7 @@ def _entry_place(value: Any) -> Any:
     return [float(one) for one in numbers]
 
 
-Hyperparameters = Annotated[Any, AfterValidator(_hyperparameters)]  # fields of enn's TrainingSettings
+Hyperparameters = Annotated[Any, AfterValidator(_hyperparameters)]  # fields of enn's SacSettings or PpoSettings
 BranchNames = Annotated[Any, AfterValidator(_branch_names)]  # of a mesh's branches
 VesselLabels = Annotated[Any, AfterValidator(_vessel_labels)]  # of a label volume
 EntryPlace = Annotated[Any, AfterValidator(_entry_place)]

@@ -71,7 +71,7 @@ def training_settings(settings: BaselinesSettings, algorithm: str, observation: 
     from enn.reinforcement.training.settings import thesis_baseline
 
     ppo = algorithm == "ppo"
-    preset = DESK_PPO if ppo else DESK_SAC
+    preset: TrainingSettings = DESK_PPO if ppo else DESK_SAC
     if settings.variant == THESIS:
         preset = thesis_baseline(algorithm, observation)
     decisions = settings.ppo_decisions if ppo else settings.decisions

@@ -100,7 +100,7 @@ def training_settings(settings: EnnSettings, decisions: int, keys: tuple[str, ..
     from enn.reinforcement.training.settings import THESIS_PPO, THESIS_SAC
 
     desk, thesis = (DESK_SAC, THESIS_SAC) if settings.algorithm == "sac" else (DESK_PPO, THESIS_PPO)
-    preset = thesis if settings.variant == THESIS else desk
+    preset: TrainingSettings = thesis if settings.variant == THESIS else desk
     if settings.variant != THESIS and settings.task.two_devices:
         preset = replace(preset, evaluation_episodes=EVALUATIONS_OF_TWO_DEVICES)
     sized = preset.sized(decisions, settings.evaluation_episodes, tensorboard=True, keys=keys)
@@ -163,9 +163,13 @@ def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
     """What SAC was run with.
 
     Returns:
-        Row to column to cell of the thesis's table.
+        Row to column to cell of the thesis's table; none where PPO was run.
     """
+    from enn.reinforcement import SacSettings
+
     used = training_settings(settings, settings.decisions)
+    if not isinstance(used, SacSettings):
+        return {}
     values = {
         "learning_rate": used.learning_rate,
         "buffer_size": used.buffer_size,

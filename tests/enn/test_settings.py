@@ -20,15 +20,15 @@ from enn.imitation.sequence_cloning import SequenceCloningSettings
 from enn.networks.encoder_network import EncoderSettings
 from enn.networks.image_network import ImageSettings
 from enn.networks.network import NetworkSettings
-from enn.reinforcement.training.settings import DESK_PPO, DESK_SAC, TrainingSettings
+from enn.reinforcement.training.settings import DESK_PPO, SacSettings, TrainingSettings
 from tests.number_fields import accepted, parametrised
 
 # settings to the bad numbers that are good ones there
 EVERYTHING: dict[Any, str] = {
-    TrainingSettings(): "reset_bank_cases=0 reset_bank_share=0 checkpoint_seconds=0 demonstrations_in_replay=0 "
+    SacSettings(): "reset_bank_cases=0 reset_bank_share=0 checkpoint_seconds=0 demonstrations_in_replay=0 "
     "ent_coef=0 evaluate_every=0 gradient_steps=0 learning_starts=0 stop_after=0 target_entropy=-1 target_entropy=0 "
-    "cloning_weight=0 log_std_init=0",
-    DESK_PPO: "reset_bank_cases=0 reset_bank_share=0 checkpoint_seconds=0 demonstrations_in_replay=0 ent_coef=0 "
+    "cloning_weight=0",
+    DESK_PPO: "reset_bank_cases=0 reset_bank_share=0 checkpoint_seconds=0 ent_coef=0 "
     "evaluate_every=0 gae_lambda=0 learning_starts=0 stop_after=0 cloning_weight=0 log_std_init=-1 log_std_init=0 "
     "log_std_final=-1 log_std_final=0",
     NetworkSettings(): "",
@@ -60,9 +60,9 @@ def test_no_settings_are_left_out() -> None:
         for key, value in vars(importlib.import_module(name)).items()
         if key.endswith("Settings") and dataclasses.is_dataclass(value)
     }
-    assert found == {type(one) for one in EVERYTHING}
+    assert found - {TrainingSettings} == {type(one) for one in EVERYTHING}
 
 
 def test_settings_come_back_from_a_file() -> None:
-    for one in (*EVERYTHING, DESK_SAC):
+    for one in EVERYTHING:
         assert type(one)(**json.loads(json.dumps(dataclasses.asdict(one)))) == one

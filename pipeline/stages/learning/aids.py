@@ -55,8 +55,8 @@ def of_training(job: PolicyTrainingJob) -> list[str]:
     if settings.reset_bank_share:
         states = "demonstrations and own successes" if job.demonstrations else "own successes"
         aids.append(f"{100 * settings.reset_bank_share:.0f} % of the resets along the path, to states of {states}")
-    if settings.demonstrations_in_replay and job.demonstrations:
-        share, count = 100 * settings.demonstrations_in_replay, len(job.demonstrations)
+    if (in_replay := getattr(settings, "demonstrations_in_replay", 0.0)) and job.demonstrations:  # of SAC alone
+        share, count = 100 * in_replay, len(job.demonstrations)
         aids.append(f"{share:.0f} % of each batch are steps of the planner's demonstrations ({count})")
     if settings.cloning_weight and job.demonstrations:
         aids.append(f"drawn towards the actions of the planner's demonstrations ({len(job.demonstrations)})")

@@ -28,7 +28,7 @@ def with_hyperparameters(training: TrainingSettings, changes: Mapping[str, Any] 
     """A training with some of its settings changed.
 
     Args:
-        changes: field of `TrainingSettings` to value; a list is taken as a tuple. None: nothing changes.
+        changes: field of `SacSettings` or `PpoSettings` to value; a list is taken as a tuple. None: nothing changes.
 
     Raises:
         ConfigurationError: there is no such field, or it cannot have that value.

@@ -31,12 +31,14 @@ def training_gb(task: LearningTask, keys: tuple[str, ...], settings: TrainingSet
     if encoded:
         return PROCESS_GB
     from enn.reinforcement.replay import nbytes_needed
+    from enn.reinforcement.training.settings import PpoSettings, SacSettings
 
     arguments = {**task.task.arguments(), "entry": DESCENDING}  # another anatomy may not have that of the task
     observations, actions = _spaces(tuple(sorted(arguments.items())), keys)
-    if settings.algorithm == "sac":
+    if isinstance(settings, SacSettings):
         needed = nbytes_needed(observations, settings.buffer_size, actions, half=settings.half)
     else:
+        assert isinstance(settings, PpoSettings)
         numbers = sum(int(np.prod(space.shape or ())) for space in observations.spaces.values())
         needed = _ROLLOUT_BYTES * settings.n_steps * settings.n_envs * numbers
     return PROCESS_GB + needed / _GB

@@ -75,7 +75,7 @@ class LearningSettings(PolicySettings):
     accuracy: Accuracy = "fast"  # of SAC's training; the best policy is chosen, and tested, in accurate physics
     # of PPO's training: from fast physics it knows too little of the branches that it enters by mistake
     ppo_accuracy: Accuracy = "accurate"
-    training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
+    training: Hyperparameters = None  # hyper-parameters: fields of enn's SacSettings or PpoSettings
 
 
 @validated()

@@ -80,7 +80,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings,
     further_trainings: Annotated[int, Ge(0), Le(20)] = 2
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
     hidden: Units = 256  # units of both layers, where it starts from nothing
-    training: Hyperparameters = None  # hyper-parameters: fields of enn's TrainingSettings
+    training: Hyperparameters = None  # hyper-parameters: fields of enn's SacSettings or PpoSettings
     # of the training's reward, a newton and step; null: 0.3 for both devices, 0.1 for a wire alone, but 1 where it
     # always arrives in the trials and presses with more than 0.3 N
     force_penalty: Weight | None = None

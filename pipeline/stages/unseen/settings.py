@@ -66,7 +66,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, JobSettings):
     decisions: CountOrNone = 48_000
     curve_decisions: Decisions = 12_000  # of each of the curve's policies, the one on `anatomies` arches among them
     hidden: Units = 256  # units of each of their two layers
-    training: Hyperparameters = None  # their hyper-parameters: fields of enn's TrainingSettings
+    training: Hyperparameters = None  # their hyper-parameters: fields of enn's SacSettings or PpoSettings
     validation_anatomies: Count = 16  # random arches, neither trained on nor tested, to keep the best policy by
     validation_episodes: Episodes = 48  # in them
     # also the policy that observes images without noise and the wire's true mask: what noise and segmentation cost

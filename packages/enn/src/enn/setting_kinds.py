@@ -48,6 +48,8 @@ def _sentence(error: ValidationError) -> str:
     first = error.errors(include_url=False)[0]
     if first["type"] == "value_error":  # of a check in the class itself, which has a sentence of its own
         return str(first["ctx"]["error"])
+    if first["type"] == "unexpected_keyword_argument":
+        return f"{error.title} has no {first['loc'][0]}"
     name = ".".join(map(str, first["loc"]))
     sentence = f"{name} {first['msg']}".replace(f"{name} Input should", f"{name} must")
     return f"{sentence}, got {first['input']!r}"

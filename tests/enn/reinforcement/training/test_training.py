@@ -19,7 +19,9 @@ from enn.reinforcement.training import (
     DESK_PPO,
     DESK_SAC,
     THESIS_SAC,
+    PpoSettings,
     Progress,
+    SacSettings,
     Training,
     TrainingSettings,
 )
@@ -175,17 +177,17 @@ def test_entropy_of_each_number_of_actions(preset: TrainingSettings, point_env: 
 
 def test_refusals_say_why() -> None:
     with pytest.raises(ValueError, match="decisions must be greater than or equal to 1, got 0"):
-        TrainingSettings(decisions=0)
-    with pytest.raises(ValueError, match=r"PPO needs a number as ent_coef, got 'auto_0\.05'"):
-        TrainingSettings(algorithm="ppo")
-    with pytest.raises(ValueError, match="PPO keeps no replay buffer"):
-        TrainingSettings(algorithm="ppo", ent_coef=0.0, demonstrations_in_replay=0.5)
+        SacSettings(decisions=0)
+    with pytest.raises(ValueError, match=r"ent_coef must be a valid number.*, got 'auto_0\.05'"):
+        PpoSettings(ent_coef="auto_0.05")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="TrainingSettings name no algorithm: take SacSettings or PpoSettings"):
+        TrainingSettings()
     with pytest.raises(ValueError, match="with cloning_weight give demonstrations_in_replay, too"):
-        TrainingSettings(cloning_weight=1.0)
-    with pytest.raises(ValueError, match="unknown algorithm 'td3'; there are sac, ppo"):
-        TrainingSettings(algorithm="td3")
+        SacSettings(cloning_weight=1.0)
+    with pytest.raises(ValueError, match="algorithm must be 'sac', got 'ppo'"):
+        SacSettings(algorithm="ppo")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="gamma must be less than or equal to 1, got"):
-        TrainingSettings(gamma=1.5)
+        SacSettings(gamma=1.5)
 
 
 @pytest.mark.parametrize("preset", [SMALL, dataclasses.replace(DESK_PPO, n_steps=16, batch_size=32, action_repeat=1)])

@@ -51,7 +51,7 @@ def test_the_command_line_takes_them(stage: str) -> None:
         (DESK_SAC, {"lerning_rate": 1e-3}, "stage.training has no 'lerning_rate': choose from .*learning_rate"),
         (DESK_SAC, {"decisions": 5}, "stage.training has no 'decisions'"),
         (DESK_SAC, {"gamma": 2.0}, "stage.training: .*gamma"),
-        (DESK_PPO, {"tau": 0.1}, "stage.training: ppo does not use tau"),
+        (DESK_PPO, {"tau": 0.1}, "stage.training has no 'tau': choose from .*gae_lambda"),
     ],
 )
 def test_what_cannot_be_is_one_sentence(preset: Any, changes: dict[str, Any], message: str) -> None:

@@ -52,8 +52,8 @@ class NetworkSettings:
                 raise ValueError(f"unknown {name} '{getattr(self, name)}'; there are {', '.join(known)}")
         if self.shared and self.algorithm != "sac":
             raise ValueError("PPO's actor and critic share their features anyway: leave shared empty")
-        if self.critic_keys and self.algorithm != "sac":
-            raise ValueError("only SAC has a critic of its own: leave critic_keys empty with ppo")
+        if (self.critic_keys or self.critic_layer_norm) and self.algorithm != "sac":
+            raise ValueError("only SAC has a critic of its own: leave critic_keys and critic_layer_norm out with ppo")
 
 
 def network_class(settings: NetworkSettings, space: gymnasium.Space[Any]) -> tuple[type[BasePolicy], dict[str, Any]]:

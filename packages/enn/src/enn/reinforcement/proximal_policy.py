@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from enn.networks.network import network_class
 from enn.networks.normalisation import fit_normalisation
 from enn.reinforcement.replay import ReplayBuffer
-from enn.reinforcement.training.settings import TrainingSettings
+from enn.reinforcement.training.settings import PpoSettings
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 CLONED_FIRST, CLONED_AN_UPDATE = 300, 20  # batches of demonstrations: before the first roll-out, after each update
@@ -33,7 +33,7 @@ class PpoLearner:
     """
 
     def __init__(
-        self, settings: TrainingSettings, envs: VecEnv, seed: int, demonstrations: ReplayBuffer | None = None
+        self, settings: PpoSettings, envs: VecEnv, seed: int, demonstrations: ReplayBuffer | None = None
     ) -> None:
         self.settings, self.n_envs = settings, envs.num_envs
         policy, arguments = network_class(settings.network, envs.observation_space)
@@ -47,7 +47,7 @@ class PpoLearner:
             gamma=settings.gamma,
             gae_lambda=settings.gae_lambda,
             clip_range=settings.clip_range,
-            ent_coef=float(settings.ent_coef),
+            ent_coef=settings.ent_coef,
             policy_kwargs=arguments,
             seed=seed,
             device=settings.device,

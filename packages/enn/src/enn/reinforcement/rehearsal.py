@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from enn.imitation.dagger import Act, record
 from enn.policy import Policy
 from enn.reinforcement.evaluation import EvaluationResult, LatestPolicy
-from enn.reinforcement.training import DESK_SAC, Progress, Training, TrainingResult, TrainingSettings
+from enn.reinforcement.training import DESK_SAC, Progress, SacSettings, Training, TrainingResult, TrainingSettings
 from enn.reinforcement.workers import Workers
 from enn.trajectory import Trajectory
 
@@ -112,8 +112,8 @@ def rehearse(
     env = make_env()
     cases = cases_of(env)
     env.close()
-    changed = settings.sized(settings.decisions, settings.evaluation_episodes, reset_bank_cases=cases)
-    if demonstrations and settings.algorithm == "sac" and not settings.demonstrations_in_replay:
+    changed: TrainingSettings = settings.sized(settings.decisions, settings.evaluation_episodes, reset_bank_cases=cases)
+    if demonstrations and isinstance(settings, SacSettings) and not settings.demonstrations_in_replay:
         changed = replace(changed, demonstrations_in_replay=SHOWN_SHARE, cloning_weight=SHOWN_CLONED)
     if policy is not None:
         first, slower = (SHOWN_FIRST, SHOWN_SLOWER) if demonstrations else (FIRST, SLOWER)

@@ -17,7 +17,7 @@ from torch.nn import functional
 from enn.networks.network import action_distribution, network_class
 from enn.networks.normalisation import fit_normalisation
 from enn.reinforcement.replay import ReplayBuffer
-from enn.reinforcement.training.settings import TrainingSettings
+from enn.reinforcement.training.settings import SacSettings
 
 HALF_LOG_2_PI = 0.5 * math.log(2.0 * math.pi)
 LOG_2 = math.log(2.0)
@@ -138,7 +138,7 @@ class SacLearner:
     """
 
     def __init__(
-        self, settings: TrainingSettings, envs: VecEnv, seed: int, demonstrations: ReplayBuffer | None = None
+        self, settings: SacSettings, envs: VecEnv, seed: int, demonstrations: ReplayBuffer | None = None
     ) -> None:
         self.settings, self.n_envs = settings, envs.num_envs
         policy, arguments = network_class(settings.network, envs.observation_space)

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from enn.reinforcement.training.settings import DESK_SAC as DESK_SAC
     from enn.reinforcement.training.settings import THESIS_PPO as THESIS_PPO
     from enn.reinforcement.training.settings import THESIS_SAC as THESIS_SAC
+    from enn.reinforcement.training.settings import PpoSettings as PpoSettings
+    from enn.reinforcement.training.settings import SacSettings as SacSettings
     from enn.reinforcement.training.settings import TrainingSettings as TrainingSettings
     from enn.reinforcement.training.training import Training as Training
 
@@ -23,7 +25,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     __name__,
     {
         "result": "Progress TrainingResult",
-        "settings": "DESK_PPO DESK_SAC THESIS_PPO THESIS_SAC TrainingSettings",
+        "settings": "DESK_PPO DESK_SAC PpoSettings SacSettings THESIS_PPO THESIS_SAC TrainingSettings",
         "training": "Training",
     },
 )

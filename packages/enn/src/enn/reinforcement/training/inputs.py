@@ -15,7 +15,7 @@ from enn.reinforcement.evaluation import EvaluationResult
 from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_bank
 from enn.reinforcement.sampling import SampledEnvs
 from enn.reinforcement.subprocess_envs import POSSIBLE, SubprocessEnvs
-from enn.reinforcement.training.settings import TrainingSettings
+from enn.reinforcement.training.settings import SacSettings, TrainingSettings
 from enn.trajectory import Trajectory
 
 WORTH_A_PROCESS = 2_000  # decisions: in fewer it saves less than the three seconds that it takes to start
@@ -78,6 +78,7 @@ class TrainingInputs:
             "keys": keys if self.encoder is None else (),
         }
         threads = min(settings.threads, settings.n_envs)
-        if settings.overlap and threads > 1 and settings.decisions >= WORTH_A_PROCESS and POSSIBLE:
+        overlap = isinstance(settings, SacSettings) and settings.overlap
+        if overlap and threads > 1 and settings.decisions >= WORTH_A_PROCESS and POSSIBLE:
             return SubprocessEnvs(**common, threads=threads - 1, evaluation_threads=threads)
         return SampledEnvs(**common, threads=threads)

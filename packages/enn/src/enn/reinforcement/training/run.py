@@ -28,6 +28,7 @@ from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.starting_policy import start_from
 from enn.reinforcement.training.inputs import TrainingInputs
 from enn.reinforcement.training.result import Progress, TrainingResult, replace_text
+from enn.reinforcement.training.settings import PpoSettings, SacSettings
 from enn.reinforcement.training.training_log import TrainingLog
 
 logger = logging.getLogger(__name__)
@@ -71,9 +72,11 @@ class TrainingRun:
             self.envs = EncodedEnvs(self.sampled, inputs.encoder, settings.passthrough)
         demonstrations = self._demonstrations()
         self.learner: SacLearner | PpoLearner
-        if settings.algorithm == "sac":
+        self.overlap = isinstance(settings, SacSettings) and settings.overlap
+        if isinstance(settings, SacSettings):
             self.learner = SacLearner(settings, self.envs, inputs.seed, demonstrations)
         else:
+            assert isinstance(settings, PpoSettings)
             self.learner = PpoLearner(settings, self.envs, inputs.seed, demonstrations)
         if inputs.initial is not None:
             start_from(self.learner, inputs.initial, settings, self.sampled)
@@ -151,7 +154,7 @@ class TrainingRun:
             explore, waiting = False, waiting and self.settings.algorithm == "sac"
         actions = self.learner.act(self.observations, explore=explore)
         self.envs.step_async(actions)
-        if self.settings.overlap:
+        if self.overlap:
             self._update(waiting or not self.decisions)
         clock = time.perf_counter()
         after, rewards, dones, infos = self.envs.step_wait()
@@ -161,7 +164,7 @@ class TrainingRun:
         self.decisions += self.sampled.num_envs
         self.here += self.sampled.num_envs
         self.log.observe(rewards.tolist(), infos)
-        if not self.settings.overlap:
+        if not self.overlap:
             self._update(waiting)
         self.consistent = True
 

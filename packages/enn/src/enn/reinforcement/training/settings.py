@@ -1,10 +1,10 @@
-"""Training settings: everything a reinforcement learning run is defined by, and the presets of thesis and desk."""
+"""Settings of a training by SAC or PPO: everything that it is defined by, and the presets of thesis and desk."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import fields, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Interval
 
@@ -13,33 +13,14 @@ from enn.setting_kinds import Count, CountOrNone, LearningRate, Seconds, Share, 
 
 _LEAST_SHARE_BEFORE_LEARNING = 4  # a tiny budget still spends most of its decisions learning
 _LEARNT_ENTROPY = re.compile(r"auto(_(?P<start>[0-9.]+(e-?[0-9]+)?))?")
-# Settings that an algorithm does not look at: another value than the default would say what is not done.
-UNUSED = {
-    "sac": (
-        "n_steps",
-        "epochs",
-        "gae_lambda",
-        "clip_range",
-        "log_std_init",
-        "log_std_final",
-        "reward_scale",
-    ),
-    "ppo": (
-        "overlap",
-        "critic_layer_norm",
-        "gradient_steps",
-        "actor_every",
-        "tau",
-        "target_entropy",
-        "buffer_size",
-        "half",
-    ),
-}
 
 
 @settings
 class TrainingSettings(NetworkSettings):
-    """A reinforcement learning run; one decision is one action of one environment, held for `action_repeat` steps."""
+    """What `SacSettings` and `PpoSettings` have in common.
+
+    One decision is one action of one environment, held for `action_repeat` steps.
+    """
 
     passthrough: tuple[str, ...] = ()  # observations beside the encoder's features
     # fits mean and scale of vector observations to the first decisions; never with an encoder, whose features are
@@ -48,9 +29,6 @@ class TrainingSettings(NetworkSettings):
     decisions: Count = 6000  # budget, all environments together
     n_envs: Annotated[int, Interval(ge=1, le=4096)] = 8
     threads: Annotated[int, Interval(ge=1, le=4096)] = 1  # that step them
-    # updates are made while the other threads step, in a process of their own, from what was there before these
-    # decisions (SAC)
-    overlap: bool = False
     action_repeat: Count = 3  # environment steps a decision
     learning_rate: LearningRate = 1e-3  # of Adam
     # share of it that is left at the end of the budget, to which it falls evenly
@@ -58,26 +36,6 @@ class TrainingSettings(NetworkSettings):
     batch_size: Count = 128
     gamma: Annotated[float, Interval(gt=0, le=1)] = 0.99  # discount a decision
     learning_starts: CountOrNone = 304  # random decisions at the start
-    gradient_steps: Annotated[float, Interval(ge=0, le=1e4)] = 1.0  # updates a decision (SAC); may be a fraction
-    actor_every: Count = 1  # updates of the critic for one of the actor and of the entropy's weight (SAC)
-    tau: Annotated[float, Interval(gt=0, le=1)] = 0.005  # share of the new weights in the target critic
-    # weight of the entropy; "auto" or "auto_0.05" learns it, from 1 or 0.05; for PPO a number
-    ent_coef: str | Weight = "auto_0.05"
-    # that "auto" aims at; None: minus the number of actions. A fixed weight has none.
-    target_entropy: Annotated[float, Interval(ge=-1e4, le=1e4)] | None = None
-    buffer_size: Count = 50_000
-    half: bool = False  # vectors of the replay buffer in half precision
-    # share of each batch drawn from demonstrations
-    demonstrations_in_replay: Annotated[float, Interval(ge=0, lt=1)] = 0.0
-    n_steps: Count = 256  # decisions of each environment between PPO's updates
-    epochs: Count = 10  # of PPO over each roll-out
-    gae_lambda: Share = 0.95  # of PPO
-    clip_range: Annotated[float, Interval(gt=0, le=1e3)] = 0.2  # of PPO
-    log_std_init: Annotated[float, Interval(ge=-20, le=2)] = 0.0  # of PPO's actions, logarithm of their deviation
-    # at the end of the budget, to which it falls evenly: drawn actions become the best ones; None: it is learnt
-    log_std_final: Annotated[float, Interval(ge=-20, le=2)] | None = None
-    # factor on the rewards of PPO, whose value's loss, clipped together with the policy's, should not be far larger
-    reward_scale: Annotated[float, Interval(gt=0, le=1e6)] = 1.0
     # of the squared distance to the demonstrations' actions: before PPO's first roll-out, and after each update; in the
     # loss of SAC's actor where its critics prefer those actions, as a share of their values' magnitude
     cloning_weight: Weight = 0.0
@@ -101,22 +59,70 @@ class TrainingSettings(NetworkSettings):
     device: str = "cpu"  # of the networks: "cpu", "cuda", "cuda:1", or "auto", a GPU where there is one
 
     def __post_init__(self) -> None:
-        if self.algorithm == "ppo":
-            if isinstance(self.ent_coef, str):
-                raise ValueError(f"PPO needs a number as ent_coef, got '{self.ent_coef}': only SAC learns it")
-            if self.log_std_final is not None and self.ent_coef:
-                raise ValueError(
-                    f"log_std_final settles the entropy of PPO's actions: leave it out, or ent_coef at 0, got "
-                    f"{self.ent_coef}"
-                )
-            if self.demonstrations_in_replay:
-                raise ValueError("PPO keeps no replay buffer: leave demonstrations_in_replay at 0")
-        self._refuse_unused()
-        self._refuse_cloning_nothing()
-        self._check_entropy()
+        if type(self) is TrainingSettings:
+            raise ValueError("TrainingSettings name no algorithm: take SacSettings or PpoSettings")
         self.network  # noqa: B018 - refuses unknown names
 
-    def _check_entropy(self) -> None:
+    def sized(self, decisions: int, evaluation_episodes: int, **changed: Any) -> Self:
+        """The same run with another budget in decisions; what a tiny budget has no room for becomes smaller.
+
+        Args:
+            evaluation_episodes: at most so many.
+        """
+        return replace(
+            self,
+            decisions=decisions,
+            learning_starts=min(self.learning_starts, decisions // _LEAST_SHARE_BEFORE_LEARNING),
+            evaluate_every=min(self.evaluate_every, decisions),
+            evaluation_episodes=min(self.evaluation_episodes, evaluation_episodes),
+            curve_every=min(self.curve_every, decisions),
+            **changed,
+        )
+
+    def with_network(self, network: NetworkSettings) -> Self:
+        """The same run of another network, such as that of a policy to start from."""
+        return replace(self, **{field.name: getattr(network, field.name) for field in fields(NetworkSettings)})
+
+    def learning_rate_after(self, done: float) -> float:
+        """The learning rate when a share of the budget is used."""
+        return self.learning_rate * (1.0 - (1.0 - self.final_learning_rate) * done)
+
+    @property
+    def learns_from_demonstrations(self) -> bool:
+        """Whether steps of demonstrations take part in updates, beside their states in the reset bank."""
+        return self.cloning_weight > 0
+
+    @property
+    def network(self) -> NetworkSettings:
+        """The part that shapes of weights depend on."""
+        return NetworkSettings(**{field.name: getattr(self, field.name) for field in fields(NetworkSettings)})
+
+
+@settings
+class SacSettings(TrainingSettings):
+    """A training by SAC."""
+
+    algorithm: Literal["sac"] = "sac"
+    # updates are made while the other threads step, in a process of their own, from what was there before these
+    # decisions
+    overlap: bool = False
+    gradient_steps: Annotated[float, Interval(ge=0, le=1e4)] = 1.0  # updates a decision; may be a fraction
+    actor_every: Count = 1  # updates of the critic for one of the actor and of the entropy's weight
+    tau: Annotated[float, Interval(gt=0, le=1)] = 0.005  # share of the new weights in the target critic
+    ent_coef: str | Weight = "auto_0.05"  # weight of the entropy; "auto" or "auto_0.05" learns it, from 1 or 0.05
+    # that "auto" aims at; None: minus the number of actions. A fixed weight has none.
+    target_entropy: Annotated[float, Interval(ge=-1e4, le=1e4)] | None = None
+    buffer_size: Count = 50_000
+    half: bool = False  # vectors of the replay buffer in half precision
+    # share of each batch drawn from demonstrations
+    demonstrations_in_replay: Annotated[float, Interval(ge=0, lt=1)] = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.cloning_weight and not self.demonstrations_in_replay:
+            raise ValueError(
+                "SAC clones the demonstrations in its batches: with cloning_weight give demonstrations_in_replay, too"
+            )
         if isinstance(self.ent_coef, str):
             learnt = _LEARNT_ENTROPY.fullmatch(self.ent_coef)
             if learnt is None or not float(learnt["start"] or 1.0) > 0:
@@ -130,68 +136,56 @@ class TrainingSettings(NetworkSettings):
                 f"weight with ent_coef='auto_{self.ent_coef}'"
             )
 
-    def _refuse_cloning_nothing(self) -> None:
-        if self.algorithm == "sac" and self.cloning_weight and not self.demonstrations_in_replay:
-            raise ValueError(
-                "SAC clones the demonstrations in its batches: with cloning_weight give demonstrations_in_replay, too"
-            )
-
-    def _refuse_unused(self) -> None:
-        defaults = {field.name: field.default for field in fields(self)}
-        for name in UNUSED.get(self.algorithm, ()):
-            if getattr(self, name) != defaults[name]:
-                raise ValueError(
-                    f"{self.algorithm} does not use {name}: leave it at {defaults[name]}, got {getattr(self, name)}"
-                )
-
-    def sized(self, decisions: int, evaluation_episodes: int, **changed: Any) -> TrainingSettings:
-        """The same run with another budget in decisions; what a tiny budget has no room for becomes smaller.
-
-        Args:
-            evaluation_episodes: at most so many.
-        """
-        if self.algorithm == "ppo":
-            changed["n_steps"] = min(self.n_steps, max(decisions // (2 * self.n_envs), 16))
-        else:
-            changed["buffer_size"] = min(self.buffer_size, max(decisions, 1))
-        return replace(
-            self,
-            decisions=decisions,
-            learning_starts=min(self.learning_starts, decisions // _LEAST_SHARE_BEFORE_LEARNING),
-            evaluate_every=min(self.evaluate_every, decisions),
-            evaluation_episodes=min(self.evaluation_episodes, evaluation_episodes),
-            curve_every=min(self.curve_every, decisions),
-            **changed,
-        )
-
-    def with_network(self, network: NetworkSettings) -> TrainingSettings:
-        """The same run of another network, such as that of a policy to start from."""
-        return replace(self, **{field.name: getattr(network, field.name) for field in fields(NetworkSettings)})
-
-    def learning_rate_after(self, done: float) -> float:
-        """The learning rate when a share of the budget is used."""
-        return self.learning_rate * (1.0 - (1.0 - self.final_learning_rate) * done)
-
-    def log_std_after(self, done: float) -> float | None:
-        """The logarithm of the deviation of PPO's actions when a share of the budget is used; None: it is learnt."""
-        last = self.log_std_final
-        return None if last is None else self.log_std_init + (last - self.log_std_init) * done
+    def sized(self, decisions: int, evaluation_episodes: int, **changed: Any) -> Self:
+        """As every run's; the replay buffer holds no more than the decisions."""
+        size = min(self.buffer_size, max(decisions, 1))
+        return super().sized(decisions, evaluation_episodes, buffer_size=size, **changed)
 
     @property
     def learns_from_demonstrations(self) -> bool:
         """Whether steps of demonstrations take part in updates, beside their states in the reset bank."""
-        return self.demonstrations_in_replay > 0 or self.cloning_weight > 0
+        return self.demonstrations_in_replay > 0
 
-    @property
-    def network(self) -> NetworkSettings:
-        """The part that shapes of weights depend on."""
-        return NetworkSettings(**{field.name: getattr(self, field.name) for field in fields(NetworkSettings)})
+
+@settings
+class PpoSettings(TrainingSettings):
+    """A training by PPO, which keeps no replay buffer."""
+
+    algorithm: Literal["ppo"] = "ppo"
+    ent_coef: Weight = 0.0  # weight of the entropy
+    n_steps: Count = 256  # decisions of each environment between updates
+    epochs: Count = 10  # over each roll-out
+    gae_lambda: Share = 0.95
+    clip_range: Annotated[float, Interval(gt=0, le=1e3)] = 0.2
+    log_std_init: Annotated[float, Interval(ge=-20, le=2)] = 0.0  # of the actions, logarithm of their deviation
+    # at the end of the budget, to which it falls evenly: drawn actions become the best ones; None: it is learnt
+    log_std_final: Annotated[float, Interval(ge=-20, le=2)] | None = None
+    # factor on the rewards, for the value's loss, clipped together with the policy's, should not be far larger
+    reward_scale: Annotated[float, Interval(gt=0, le=1e6)] = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.log_std_final is not None and self.ent_coef:
+            raise ValueError(
+                f"log_std_final settles the entropy of PPO's actions: leave it out, or ent_coef at 0, got "
+                f"{self.ent_coef}"
+            )
+
+    def sized(self, decisions: int, evaluation_episodes: int, **changed: Any) -> Self:
+        """As every run's; there are two roll-outs or more."""
+        steps = min(self.n_steps, max(decisions // (2 * self.n_envs), 16))
+        return super().sized(decisions, evaluation_episodes, n_steps=steps, **changed)
+
+    def log_std_after(self, done: float) -> float | None:
+        """The logarithm of the actions' deviation when a share of the budget is used; None: it is learnt."""
+        last = self.log_std_final
+        return None if last is None else self.log_std_init + (last - self.log_std_init) * done
 
 
 # Thesis, table of SAC's hyper-parameters, features of its architecture table; the layers after them, which it does not
 # print, are the library's. Budget: 600,000 steps. Its entropy coefficient of 1 and target entropy of -2 fit together
 # only if the coefficient is learnt from 1 on; -2 is minus the number of its actions, and for 21 actions it is -21.
-THESIS_SAC = TrainingSettings(
+THESIS_SAC = SacSettings(
     variant="thesis",
     extractor="multimodal",
     hidden=(256, 256),
@@ -209,8 +203,7 @@ THESIS_SAC = TrainingSettings(
     curve_every=1000,
 )
 # Thesis, CathSim chapter: Adam at 3e-4; the rest as in stable-baselines3.
-THESIS_PPO = TrainingSettings(
-    algorithm="ppo",
+THESIS_PPO = PpoSettings(
     variant="thesis",
     extractor="multimodal",
     hidden=(64, 64),
@@ -222,14 +215,13 @@ THESIS_PPO = TrainingSettings(
     learning_rate=3e-4,
     batch_size=64,
     learning_starts=0,
-    ent_coef=0.0,
     n_steps=2048,
     reset_bank_share=0.0,
     evaluate_every=10_000,
     curve_every=2048,
 )
 # Measured on the simulator: with demonstrations in the reset bank, LCCA is learnt fast only if actions last 0.3 s.
-DESK_SAC = TrainingSettings(
+DESK_SAC = SacSettings(
     decisions=4000,
     critic_layer_norm=True,
     demonstrations_in_replay=0.25,
@@ -238,14 +230,12 @@ DESK_SAC = TrainingSettings(
     stop_after=2,
 )
 # Small roll-outs make many updates; without the actions of demonstrations a training fails by chance.
-DESK_PPO = TrainingSettings(
-    algorithm="ppo",
+DESK_PPO = PpoSettings(
     activation="tanh",
     decisions=40_000,
     learning_rate=1e-3,
     final_learning_rate=0.1,
     batch_size=64,
-    ent_coef=0.0,
     n_steps=32,
     epochs=5,
     log_std_init=-1.0,
@@ -270,5 +260,5 @@ def thesis_baseline(algorithm: str, observation: str) -> TrainingSettings:
         changed = {"hidden": (), "activation": "relu"}
     if algorithm == "sac":
         changed["critic_hidden"] = (256, 256)
-    preset = THESIS_PPO if algorithm == "ppo" else THESIS_SAC
+    preset: TrainingSettings = THESIS_PPO if algorithm == "ppo" else THESIS_SAC
     return replace(preset, keys=(observation,), variant="baselines", **changed)
