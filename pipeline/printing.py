@@ -1,10 +1,14 @@
-"""What commands print, also where the reader has gone, as `head` does after a few lines; how texts write a command."""
+"""What commands print and refuse, also where the reader has gone, as `head` does; how texts write a command."""
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 import unicodedata
+from typing import NoReturn
+
+EXIT_USAGE = 2
 
 _HIDDEN = {"Cc", "Cf", "Cs", "Zl", "Zp"}  # categories of letters that command a terminal, or turn the text's direction
 
@@ -49,3 +53,11 @@ def written(command: str) -> str:
 def installing(verb: str) -> str:
     """A verb of the Makefile that installs something, or what does the same without a clone."""
     return _EXTRAS[verb] if CALLED in os.environ else verb
+
+
+class Parser(argparse.ArgumentParser):
+    """Refuses wrong arguments in one line, without the list of all of them."""
+
+    def error(self, message: str) -> NoReturn:
+        """Ends the program with exit code 2."""
+        self.exit(EXIT_USAGE, f"{self.prog}: {message} (--help lists what there is)\n")

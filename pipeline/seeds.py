@@ -84,19 +84,21 @@ ANATOMY_COPIES = {  # of an anatomy, as cathsim.rehearsal draws them; 0 is the a
     "test": SeedRange(2_000_001, 1_000, 1, "test copies"),
 }
 
+# Seeds of a purpose, by the seed of the run or training and their number.
+training_arches = ARCHES["training"].part  # of the random arches that a run trains in
+perception_arches = ARCHES["perception"].part  # that show the SplineFormer their wires; no policy learns there
+demonstration_seeds = EPISODES["sampling expert"].part  # of the episodes that others learn from
+# of the test episodes of a training: no other's, and none that anything was trained or chosen on
+held_out_seeds = EPISODES["test"].part
+expert_seeds = EPISODES["expert"].part  # of a training's episodes with images, which imitation learns from
+disturbed_seeds = EPISODES["disturbed expert"].part  # ... with disturbed actions
+# of the episodes that an expert plays for a navigator where its logs are too few
+further_expert_seeds = EPISODES["navigation, expert goes on"].part
+training_copies = ANATOMY_COPIES["training"].part  # of an anatomy, that a rehearsal trains in
+
 _COPIES = 2_000  # seeds of a round of demonstrations in copies
 _ROUND, _COURSE = 10_000, 1_000  # seeds of a round of a navigator's advised episodes, of a course in it
 _UNSEEN_ROUND = 100_000  # ... of a round of an image policy's
-
-
-def training_arches(run_seed: int, count: int) -> range:
-    """Seeds of the random arches that a run trains in."""
-    return ARCHES["training"].part(run_seed, count)
-
-
-def perception_arches(run_seed: int, count: int) -> range:
-    """Seeds of the random arches that show the SplineFormer their wires; no policy learns there."""
-    return ARCHES["perception"].part(run_seed, count)
 
 
 def validation_arches(count: int, every: int = 2) -> range:
@@ -109,38 +111,9 @@ def unseen_arches(count: int) -> range:
     return ARCHES["test"].part(0, count)
 
 
-def demonstration_seeds(run_seed: int, count: int) -> range:
-    """Seeds of the sampling expert's episodes that others learn from."""
-    return EPISODES["sampling expert"].part(run_seed, count)
-
-
-def held_out_seeds(training_seed: int, count: int) -> range:
-    """Seeds of the test episodes of a training: no other training's, and none that anything was trained or chosen on.
-
-    Raises:
-        ConfigurationError: more trainings, or more episodes of one, than there are seeds.
-    """
-    return EPISODES["test"].part(training_seed, count)
-
-
-def expert_seeds(training_seed: int, count: int) -> range:
-    """Seeds of a training's episodes with images, which imitation learns from."""
-    return EPISODES["expert"].part(training_seed, count)
-
-
-def disturbed_seeds(seed: int, count: int) -> range:
-    """Seeds of an expert's episodes with disturbed actions, which imitation learns from."""
-    return EPISODES["disturbed expert"].part(seed, count)
-
-
 def force_seed(seed: int, episode: int) -> int:
     """Seed of an episode that is recorded for the prediction of forces."""
     return EPISODES["force"].part(seed, 1, skip=episode)[0]
-
-
-def further_expert_seeds(run_seed: int, count: int) -> range:
-    """Seeds of the episodes that an expert plays for a navigator where its logs are too few."""
-    return EPISODES["navigation, expert goes on"].part(run_seed, count)
 
 
 def navigation_episode_seeds(run_seed: int, number: int, course: int, count: int) -> range:
@@ -193,11 +166,6 @@ def rehearsal_demonstration_seed(training_seed: int, number: int, case: int) -> 
 def device_trial_seed(training_seed: int) -> int:
     """Seed of the first episode that is played with each of several devices, to choose among them."""
     return EPISODES["rehearsal, trials of devices"].part(training_seed, 1)[0]
-
-
-def training_copies(training_seed: int, count: int) -> range:
-    """Seeds of the perturbed copies of an anatomy that a rehearsal trains in."""
-    return ANATOMY_COPIES["training"].part(training_seed, count)
 
 
 def validation_copies(count: int) -> range:

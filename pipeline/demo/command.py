@@ -10,8 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from pipeline.arguments import Parser
-from pipeline.printing import written
+from pipeline.printing import Parser, written
 from pipeline.seeds import ARCHES
 from pipeline.store.errors import PipelineError
 

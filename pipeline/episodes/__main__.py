@@ -14,13 +14,12 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pipeline.arguments import Parser
 from pipeline.episodes.check import check
 from pipeline.episodes.encoding.schema import DEVICE_MASKS
 from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError, ViewerError
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.recover import recover
-from pipeline.printing import visible, written
+from pipeline.printing import Parser, visible, written
 
 FINE, DAMAGED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
