@@ -177,11 +177,12 @@ class DeviceSettings:
     torsion: Torsion | None = None  # stage.torsion=… is stage.task.torsion=…
 
     def __post_init__(self) -> None:
-        """Takes the devices over into the task."""
+        """Takes the devices over into the task, and then the anatomies of a stage that has some."""
         given = {name: value for name in ("wire", "catheter", "torsion") if (value := getattr(self, name)) is not None}
         if given:
             self.task = dataclasses.replace(self.task, **given)
         self.wire = self.catheter = self.torsion = None  # so that either way counts as the same settings
+        getattr(super(), "__post_init__", lambda: None)()
 
 
 PARTS = tuple(field.name for field in dataclasses.fields(Task))

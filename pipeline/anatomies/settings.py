@@ -6,16 +6,15 @@ They are declared here once. Stages inherit them, ``conf/anatomy/`` gives them t
 
 from __future__ import annotations
 
-import logging
-import math
 from collections.abc import Sequence
 from dataclasses import field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from annotated_types import Len
 
 from pipeline.anatomies.anatomy_file import AnatomyFile, world_point
+from pipeline.anatomies.fitting import fitted_task
 from pipeline.anatomies.known import require_known_entry, require_known_phantoms, require_known_targets
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import (
@@ -30,15 +29,12 @@ from pipeline.settings.kinds import (
 )
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_anatomy
-from pipeline.task import DESCENDING, NO_WIRE, Task, entry_place
+from pipeline.task import DESCENDING, Task, entry_place
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
 RANDOM = "random"  # arches like those of most patients
-_LOGGER = logging.getLogger(__name__)
-_LEAST_TIMES, _TIMES = 2.0, 3.0  # of the steps that a way takes at full speed: the fewest of an episode; a long one's
-_ROOM = 0.03  # m of wire beyond the way to the target and what lies in the sheath
 _OF_A_FILE = ("unit", "names", "labels", "transform", "ct")
 _Coordinates = Annotated[list[float], Len(3, 3)]
 
@@ -117,7 +113,7 @@ class ChosenAnatomies(FileSettings):
         self._choose_anatomy()
         self._choose_target()
         if isinstance(self.entry, str) or (self.entry is not None and self.file is None):
-            self.take_entry(self.entry if isinstance(self.entry, str) else _in_metres(self.entry))
+            self.take_entry(self.entry if isinstance(self.entry, str) else _written(_metres(self.entry)))
             self.entry = None
         for key in ("phantoms", "targets"):
             if not getattr(self, key) and self.needs_anatomy:
@@ -140,7 +136,7 @@ class ChosenAnatomies(FileSettings):
         if self.target is not None:
             self.take_targets([self.target])
         elif self.point_mm is not None and self.file is None:
-            self.take_targets([_point_name(self.point_mm)])
+            self.take_targets([_named(_metres(self.point_mm))])
             self.point_mm = None
         self.target = None
 
@@ -217,68 +213,14 @@ def check_anatomies(settings: ChosenAnatomies) -> None:
         require_known_entry(settings.task.entry, settings.phantoms)
 
 
-def fitted_task(task: Task, phantom: Phantom, targets: Sequence[Any]) -> Task:
-    """The task with a wire that reaches the targets from its entry, where its length is left open.
-
-    Args:
-        targets: names, or points in m.
-
-    Raises:
-        ValueError: an unknown target or entry.
-    """
-    from cathsim.anatomy.entry import entry_name
-    from cathsim.arena import RESERVE
-
-    ways = [phantom.way_length(target, entry_name(entry_place(task.entry), target)) for target in targets]
-    if task.wire_length_mm or task.wire == NO_WIRE:
-        return task
-    needed = max(ways) + RESERVE + _ROOM
-    return task if needed <= task.guidewire().length else replace(task, wire_length_mm=10.0 * math.ceil(100.0 * needed))
-
-
-def fitted_steps(task: Task, phantom: Phantom, target: Any) -> Task:
-    """The task with longer episodes, where its own leave less than twice the time of a straight way at full speed.
-
-    They then have three times that, in full hundreds of steps, and the log says so.
-
-    Args:
-        target: a name, or a point in m.
-
-    Raises:
-        ValueError: an unknown target or entry.
-    """
-    from cathsim.anatomy.entry import entry_name
-    from cathsim.robot.pace import named_pace
-
-    way = phantom.way_length(target, entry_name(entry_place(task.entry), target))
-    straight = way / named_pace(task.pace).translation
-    if task.max_steps >= _LEAST_TIMES * straight:
-        return task
-    steps = 100 * math.ceil(_TIMES * straight / 100)
-    _LOGGER.warning(
-        "the way to %s of %s is %.0f mm long, for which %d steps are few: episodes last %d (stage.fit_steps=false: "
-        "task.max_steps)",
-        target,
-        phantom.name,
-        1e3 * way,
-        task.max_steps,
-        steps,
-    )
-    return replace(task, max_steps=steps)
-
-
-def _in_metres(point_mm: Sequence[float]) -> str:
-    return _written([coordinate / 1e3 for coordinate in point_mm])
+def _metres(point_mm: Sequence[float]) -> list[float]:
+    return [coordinate / 1e3 for coordinate in point_mm]
 
 
 def _written(point: Sequence[float]) -> str:
     from cathsim.anatomy.entry import entry_name
 
     return entry_name(point)
-
-
-def _point_name(point_mm: Sequence[float]) -> str:
-    return _named([coordinate / 1e3 for coordinate in point_mm])
 
 
 def _named(point: Sequence[float]) -> str:

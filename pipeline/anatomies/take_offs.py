@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from pipeline.anatomies.settings import fitted_task
+from pipeline.anatomies.fitting import fitted_task
 from pipeline.task import DESCENDING, Task
 
 if TYPE_CHECKING:

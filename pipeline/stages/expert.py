@@ -26,7 +26,7 @@ OPERATOR, EVALUATION = "sampling_expert", "evaluation"
 
 
 @validated()
-class ExpertSettings(ChosenAnatomies, DeviceSettings):
+class ExpertSettings(DeviceSettings, ChosenAnatomies):
     """Settings of the sampling expert's episodes; the task is that of the evaluation."""
 
     shows_ct: ClassVar[str | None] = "film"
@@ -39,11 +39,6 @@ class ExpertSettings(ChosenAnatomies, DeviceSettings):
     threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # of the search; 0: one a core
     film: bool = True
     film_episodes: CountOrNone = 1  # films a phantom and target
-
-    def __post_init__(self) -> None:
-        """Takes devices and anatomies over."""
-        DeviceSettings.__post_init__(self)
-        ChosenAnatomies.__post_init__(self)
 
 
 @dataclass(frozen=True)

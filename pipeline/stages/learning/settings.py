@@ -47,18 +47,13 @@ _SafeWeights = Annotated[list[Annotated[float, Gt(0), Le(1e6)]], UNIQUE]
 
 
 @validated()
-class PolicySettings(ChosenAnatomies, DeviceSettings, JobSettings):
+class PolicySettings(DeviceSettings, ChosenAnatomies, JobSettings):
     """What the stages that make policies have in common: the task, networks, and how policies are tested."""
 
     name: str = ""  # of the stage
     variant: _Variant = "desk"  # networks and hyper-parameters: those that learn fast, or the thesis's
     evaluation_episodes: Episodes = 30  # of a policy, by its best action
     drawn_episodes: EpisodesOrNone = 5  # by drawn actions, on the first of the same seeds
-
-    def __post_init__(self) -> None:
-        """Takes devices and anatomies over and checks that there is a task."""
-        DeviceSettings.__post_init__(self)
-        ChosenAnatomies.__post_init__(self)
 
 
 @validated()

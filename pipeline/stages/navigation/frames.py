@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.anatomies.anatomy_file import AnatomyFile
+from pipeline.anatomies.fitting import fitted_task
 from pipeline.anatomies.known import TARGETS
-from pipeline.anatomies.settings import fitted_task
 from pipeline.stages.navigation.scene import NAMED, Anatomy, among_clutter, phantom_of, scene_of
 from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.task import DESCENDING

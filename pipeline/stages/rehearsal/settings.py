@@ -37,7 +37,7 @@ _Percent = Annotated[float, Ge(0), Le(90)]
 
 
 @validated()
-class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings, JobSettings):
+class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings, JobSettings):
     """Settings of a rehearsal; a wire of length 0 becomes as long as the way asks for, at least the preset.
 
     Without `policy` it starts from the stage unseen's, or a shipped one, with the same devices.
@@ -92,8 +92,7 @@ class RehearsalSettings(ChosenAnatomies, DeviceSettings, StartingPolicySettings,
 
     def __post_init__(self) -> None:
         """Reads the files, and refuses what contradicts itself."""
-        DeviceSettings.__post_init__(self)
-        ChosenAnatomies.__post_init__(self)
+        super().__post_init__()
         StartingPolicySettings.__post_init__(self)
         for key in ("phantoms", "targets"):
             if len(getattr(self, key)) > 1:

@@ -12,7 +12,8 @@ import numpy as np
 
 from enn.device_trials import Tried
 from pipeline.anatomies.anatomy_file import load_anatomy
-from pipeline.anatomies.settings import check_anatomies, fitted_steps, fitted_task, settle
+from pipeline.anatomies.fitting import fitted_steps, fitted_task
+from pipeline.anatomies.settings import check_anatomies, settle
 from pipeline.anatomies.take_offs import with_catheter_where_steep
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import POLICY, Origin

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
-from pipeline.anatomies.settings import fitted_task
+from pipeline.anatomies.fitting import fitted_task
 from pipeline.stages.learning.task import REWARD_OF_EVALUATION, REWARD_OF_TRAINING
 from pipeline.task import DESCENDING, Task
 

@@ -12,7 +12,8 @@ import pytest
 
 from cathsim import load_phantom
 from enn.policy import Policy
-from pipeline.anatomies.settings import check_anatomies, fitted_steps, fitted_task
+from pipeline.anatomies.fitting import fitted_steps, fitted_task
+from pipeline.anatomies.settings import check_anatomies
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
 from pipeline.seeds import ANATOMY_COPIES
