@@ -107,7 +107,8 @@ def register_schemas(stages: Iterable[str] | None = None) -> None:
     for name in available_stages() if stages is None else stages:
         store.store(group="schema/stage", name=name, node=settings_of(name))
     for file in (CONFIG_DIRECTORY / "sizes").glob("*.yaml"):  # of budgets and experiments
-        for owner, values in OmegaConf.load(file).items():
+        sizes: Any = OmegaConf.load(file)
+        for owner, values in sizes.items():
             for group in ("sizes", "experiment_sizes"):
                 store.store(group=group, name=f"{file.stem}_{owner}", node=values)
 

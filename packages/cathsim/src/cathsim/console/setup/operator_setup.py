@@ -10,6 +10,7 @@ from annotated_types import Interval
 from cathsim.anatomy import Phantom
 from cathsim.console.setup.force_limit import ForceLimit
 from cathsim.environment import NavigateEnv
+from cathsim.navigation import NavigationTask
 from cathsim.validation import Count, Seed, Unit, settings
 
 LARGEST_RADIUS = 0.05  # m: a target that is reached from further away is none
@@ -24,10 +25,10 @@ class Setup:
     wire: str = "default"  # preset of the guidewire
     catheter: str | None = None  # a preset, or the path of a YAML file; None: the bare wire
     accuracy: str = "accurate"  # preset of the time stepping
-    max_steps: Count = 300  # a procedure ends after so many control steps
+    max_steps: Count = NavigationTask.max_steps  # a procedure ends after so many control steps
     seed: Seed = 0  # of the first procedure; each further one has the next
     # the target is reached within this distance of the tip, m
-    success_radius: Annotated[float, Interval(ge=0.001, le=LARGEST_RADIUS), Unit("m")] = 0.008
+    success_radius: Annotated[float, Interval(ge=0.001, le=LARGEST_RADIUS), Unit("m")] = NavigationTask.success_radius
     force_limit: ForceLimit = field(default_factory=ForceLimit)
 
     def environment(self, phantom: Phantom, target: str, catheter: str | None) -> NavigateEnv:
