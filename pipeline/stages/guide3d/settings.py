@@ -8,6 +8,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Le
 
+from pipeline.anatomies.known import TARGETS
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import Count, NoisePixels, PathText, Processes, SomeFolderNames, one_of
 from pipeline.store.errors import ConfigurationError
@@ -38,7 +39,7 @@ class Guide3dSettings:
     images: Annotated[int, Ge(FEWEST_IMAGES), Le(1_000_000)] = 7200  # to be generated, both cameras together
     pairs: Count = 3  # of an acquisition, at most
     phantoms: SomeFolderNames = field(default_factory=lambda: ["type_1"])
-    targets: SomeFolderNames = field(default_factory=lambda: ["bca", "lcca", "lsa"])
+    targets: SomeFolderNames = field(default_factory=lambda: list(TARGETS))
     steps: Count = 4  # of 0.1 s from one pair to the next
     image_size_px: Annotated[int, Ge(64), Le(4_096)] = 1024
     distorted: bool = False  # images and annotations as the detectors show them

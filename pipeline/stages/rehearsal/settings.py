@@ -10,6 +10,7 @@ from annotated_types import Ge, Le
 from pipeline.anatomies.settings import ChosenAnatomies
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import (
+    Accuracy,
     Count,
     Decisions,
     Episodes,
@@ -86,7 +87,7 @@ class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings,
     force_penalty: Weight | None = None
     force_threshold_n: Annotated[float, Ge(0), Le(100)] = 0.0  # contact force that costs nothing
     path_penalty: Weight = 40.0  # a metre of the tip's way
-    accuracy: Annotated[str, one_of("accurate", "fast", "reference")] = "accurate"  # tests are accurate
+    accuracy: Accuracy = "accurate"  # tests are accurate
     # that step the environments; 0: one a core, four at most
     threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)
 

@@ -53,7 +53,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, JobSettings):
     # others; arch_variety has six branching types, and targets are points of its own
     arches: Annotated[str, one_of(*TRAINING_KINDS)] = TEST_PHANTOM
     points: Annotated[int, Ge(1), Le(20)] = 3  # that each arch of arch_variety has as targets
-    targets: FolderNames = field(default_factory=lambda: ["bca", "lcca", "lsa"])  # of every policy in random arches
+    targets: FolderNames = field(default_factory=lambda: list(TARGETS))  # of every policy in random arches
     own_targets: FolderNames = field(default_factory=list)  # of the tests in `phantoms`; none: those of the policies
     accuracy: Accuracy = "fast"  # of the physics that policies are trained in; tests are accurate
     anatomies: Count = 160  # random arches that the roadmap policy is trained on
