@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium
 import numpy as np
@@ -24,6 +24,7 @@ from enn.reinforcement.workers import Workers
 from enn.trajectory import Trajectory
 
 Environment = gymnasium.Env[Any, Any]
+SettingsKind = TypeVar("SettingsKind", bound=TrainingSettings)
 
 # From a policy: learning with the full rate and from a nearly empty replay buffer forgets it within a few hundred
 # decisions.
@@ -113,7 +114,7 @@ def rehearse(
     cases = cases_of(env)
     env.close()
     changed: TrainingSettings = settings.sized(settings.decisions, settings.evaluation_episodes, reset_bank_cases=cases)
-    if demonstrations and isinstance(settings, SacSettings) and not settings.demonstrations_in_replay:
+    if demonstrations and isinstance(changed, SacSettings) and not changed.demonstrations_in_replay:
         changed = replace(changed, demonstrations_in_replay=SHOWN_SHARE, cloning_weight=SHOWN_CLONED)
     if policy is not None:
         first, slower = (SHOWN_FIRST, SHOWN_SLOWER) if demonstrations else (FIRST, SLOWER)
@@ -167,9 +168,7 @@ def _in_turn(make_env: Callable[[], Environment]) -> Environment:
     return _InTurn(make_env())
 
 
-def starting_from(
-    settings: TrainingSettings, policy: Policy, first: float = FIRST, slower: float = SLOWER
-) -> TrainingSettings:
+def starting_from(settings: SettingsKind, policy: Policy, first: float = FIRST, slower: float = SLOWER) -> SettingsKind:
     """Settings of a training that starts from a policy: its network, a share of the learning rate.
 
     Args:
