@@ -1,4 +1,4 @@
-# Verbs of the project. `make help` lists them; CI runs `lint` and `test`.
+# Verbs of the project. `make help` lists them; CI runs `lint` and `test`, a developer `check`.
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
@@ -30,7 +30,7 @@ CHAIN = $(if $(SEEDS),--seeds $(SEEDS)) $(if $(BESIDE),--beside $(BESIDE))
 GL = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)}
 RUN = $(GL) $(PY) -m pipeline
 
-.PHONY: help setup ray lerobot all smoke demo thesis-check test lint format bench-quick fuzz docs wheels clean clean-all console $(STAGES)
+.PHONY: help setup ray lerobot all smoke demo thesis-check check test lint format bench-quick fuzz docs wheels clean clean-all console $(STAGES)
 
 help:  ## list the verbs
 	@echo "make VERB [BUDGET=smoke|desk|thesis] [NAME=run] [ARGS='stage.key=value'] [PYTHON=python3.11]"
@@ -88,6 +88,10 @@ $(STAGES): setup
 
 console: setup  ## steer the wire yourself, in the browser; episodes go to runs/<name>/human
 	@$(PY) -m pipeline.console --name $(NAME) $(ARGS)
+
+check: setup  ## lint, types and fast tests: what to run before each commit
+	@$(MAKE) --no-print-directory lint
+	@$(GL) $(PY) -m pytest -q -n $(TEST_JOBS) --dist loadfile -m "not slow" $(ARGS)
 
 test: setup  ## all tests, TEST_JOBS=2 beside each other (ARGS go to pytest)
 	@# Sweeps over Ray are tested, too; where it cannot be installed, that test is left out.

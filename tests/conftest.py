@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import locale
 import logging
 import os
+import re
 import resource
 import signal
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,10 +25,47 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("RAY_worker_niceness", "0")
 
 
+# Tests that neither train, simulate, import a surface nor start a process; `make check` leaves out all others.
+FAST = re.compile(
+    r"cathsim/(devices/test_(catheter|device|pair|picture|shelf)|fluoroscopy/test_(?!biplane)|lattice|metrics"
+    r"|test_guidewire)|enn/(networks|reinforcement/test_(observation|replay|reset)|test_(devices|model|plain|policy|traj))"
+    r"|guide3d/(dataset|dicom|geometry|learning/test_(losses|precision|seg)|modeling|test_(image|text))"
+    r"|splineformer/(modeling|navigation|test_(attention|build|decoding|image|map|tokens|views))"
+    r"|integration/(documents|test_(files|import|versions))|pipeline/(report/(?!learning)|settings)"
+)
+
+
+def fast(path: Path) -> bool:
+    """Whether a module's tests are fast, but for those that are marked as slow."""
+    return FAST.match(path.relative_to(PROJECT_ROOT / "tests").as_posix()) is not None
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Puts files with slow tests first: begun last, one of them would keep one worker busy while others have ended."""
-    slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
-    items.sort(key=lambda item: item.path not in slow)
+    """Puts files with marked tests first: begun last, one of them would keep one worker busy at the end."""
+    marked = {item.path for item in items if item.get_closest_marker("slow") is not None}
+    items.sort(key=lambda item: item.path not in marked)
+    for item in items:
+        if not fast(item.path):
+            item.add_marker("slow")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Leaves modules unread all of whose tests would be left out: importing them takes half a minute."""
+    unwanted = config.option.markexpr == "not slow" and collection_path.name.startswith("test_")
+    return True if unwanted and not fast(collection_path) else None
+
+
+LOCALE = locale.setlocale(locale.LC_CTYPE)
+
+
+@pytest.fixture(autouse=True)
+def locale_as_before() -> Iterator[None]:
+    """Undoes a switch of the process's locale, as some libraries make, and names the test."""
+    yield
+    if (found := locale.setlocale(locale.LC_CTYPE)) != LOCALE:
+        locale.setlocale(locale.LC_CTYPE, LOCALE)
+        warnings.warn(f"the process's locale was switched from {LOCALE} to {found}", stacklevel=1)
 
 
 @pytest.fixture(autouse=True)

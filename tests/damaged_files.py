@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-SAMPLE = 200  # bits drawn over the whole file
-HEADER = 1100  # bytes at the start in which every ninth bit, and all bits of the first line, are turned over
+SAMPLE = 60  # bits drawn over the whole file
+HEADER = 1100  # bytes at the start in which every 45th bit, and all bits of the first line, are turned over
 
 
 def damaged(whole: bytes, seed: int = 0) -> Iterator[bytes]:
@@ -16,7 +16,7 @@ def damaged(whole: bytes, seed: int = 0) -> Iterator[bytes]:
     line = whole.index(b"\n") + 1
     drawn = np.random.default_rng(seed).integers(0, 8 * len(whole), SAMPLE).tolist()
     data = bytearray(whole)
-    for bit in (*range(8 * line), *range(8 * line, 8 * min(HEADER, len(whole)), 9), *drawn):
+    for bit in (*range(8 * line), *range(8 * line, 8 * min(HEADER, len(whole)), 45), *drawn):
         data[bit // 8] ^= 1 << bit % 8
         yield bytes(data)
         data[bit // 8] ^= 1 << bit % 8

@@ -82,7 +82,7 @@ def test_a_wire_too_short_for_its_target_says_which_would_do(type_1: Phantom) ->
         NavigateEnv(load_phantom("bovine"), "lcca_end", wire="thesis")
 
 
-@pytest.mark.parametrize(("target", "length"), [("lcca_end", None), ("lsa_end", 0.36)])
+@pytest.mark.parametrize(("target", "length"), [("lsa_end", 0.36)])
 def test_the_expert_reaches_the_end_of_a_branch(type_1: Phantom, target: str, length: float | None) -> None:
     wire = DEFAULT.scaled(length) if length else DEFAULT
     env = NavigateEnv(type_1, target, wire=wire, observation="tip", accuracy="fast")

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import gc
-import pickle
 import weakref
 from dataclasses import replace
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -15,7 +13,6 @@ from cathsim.environment import NavigateEnv
 from cathsim.guidewire import load_guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.many_anatomies import NavigateManyEnv, PhantomShelf
-from cathsim.registration import MANY
 
 FORWARD = np.array([1.0, 0.3])
 SOFT = replace(load_guidewire("default"), shaft_stiffness_nmm2=200.0)
@@ -64,26 +61,6 @@ def test_a_start_brings_its_case(environment: NavigateManyEnv) -> None:
     _, info = environment.reset(options={"start": start})
     assert info["case"] == 2
     np.testing.assert_allclose(info["tip"], tip, atol=1e-12)
-
-
-def test_goes_on_from_a_pickled_state(environment: NavigateManyEnv, type_1) -> None:
-    environment.reset(seed=1, options={"case": 2})
-    environment.step(FORWARD)
-    state = pickle.loads(pickle.dumps(environment.state()))
-    after = [environment.step(FORWARD)[0]["roadmap"], environment.reset()[0]["roadmap"]]
-    other = NavigateManyEnv(
-        (type_1,), ("bca", "lcca"), ("default", SOFT), observation=("roadmap",), start_rotation=np.pi
-    )
-    other.restore(state)
-    np.testing.assert_array_equal(other.step(FORWARD)[0]["roadmap"], after[0])
-    np.testing.assert_array_equal(other.reset()[0]["roadmap"], after[1])
-
-
-def test_is_registered(type_1) -> None:
-    env = gymnasium.make(f"cathsim:{MANY}", phantoms=(type_1,), observation="roadmap")
-    observation, _ = env.reset(seed=0)
-    assert env.observation_space.contains(observation)
-    assert len(env.step(env.action_space.sample())) == 5
 
 
 @pytest.mark.parametrize(

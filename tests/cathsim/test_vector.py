@@ -8,7 +8,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 
 from cathsim import ENVIRONMENT, NavigateEnv, ThreadedVectorEnv
 
@@ -35,7 +34,7 @@ def actions(count: int, num_envs: int = 3, seed: int = 0) -> np.ndarray:
     return drawn
 
 
-@pytest.mark.parametrize("threads", [1, 2, 8])
+@pytest.mark.parametrize("threads", [1, 8])
 def test_environments_step_together_as_they_do_alone(make_vector: MakeVector, make_env: MakeEnv, threads: int) -> None:
     variations = [{"target": "bca"}, {"target": "lcca"}, {"phantom": "type_2", "reward": "geodesic"}]
     vector = make_vector(variations=variations, threads=threads)
@@ -86,40 +85,6 @@ def test_make_vec_gives_the_threaded_environment() -> None:
     assert infos["force"].shape == (2,)
     assert "contact_points" not in infos
     vector.close()
-
-
-def test_the_next_step_resets_what_has_ended(make_vector: MakeVector, make_env: MakeEnv) -> None:
-    vector = make_vector(variations=[{"max_steps": 2}, {"max_steps": 3}, {"max_steps": 9}])
-    assert vector.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    vector.reset(seed=0)
-    forward = np.tile([1.0, 0.0], (3, 1))
-    assert vector.step(forward)[3].tolist() == [False, False, False]
-    assert vector.step(forward)[3].tolist() == [True, False, False]
-    observations, rewards, _, truncated, infos = vector.step(forward)
-    assert truncated.tolist() == [False, True, False]
-    assert rewards[0] == 0.0
-    assert rewards[1] < 0
-    assert infos["insertion"][0] < 1.1e-3 < infos["insertion"][1]
-    single = make_env(observation="joints")
-    single.reset(seed=0)
-    assert np.array_equal(observations[0], single.reset()[0]), "the generator goes on as it does alone"
-
-
-def test_the_same_step_resets_what_has_ended(make_vector: MakeVector) -> None:
-    vector = make_vector(2, variations=[{"max_steps": 2}, {"max_steps": 9}], autoreset_mode="SameStep")
-    assert vector.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
-    vector.reset(seed=0)
-    forward = np.tile([1.0, 0.0], (2, 1))
-    assert "final_obs" not in vector.step(forward)[4]
-    observations, rewards, _, truncated, infos = vector.step(forward)
-    assert truncated.tolist() == [True, False]
-    assert (rewards < 0).all()
-    assert infos["_final_obs"].tolist() == [True, False]
-    final = infos["final_obs"][0]
-    assert final.shape == observations[0].shape
-    assert final[0] > 2e-3 > 1.1e-3 > observations[0, 0], "advanced, then back at the start"
-    assert infos["final_info"]["insertion"][0] == pytest.approx(final[0], abs=1e-6)
-    assert vector.step(forward)[3].tolist() == [False, False]
 
 
 def test_a_mask_resets_only_some(make_vector: MakeVector) -> None:

@@ -98,7 +98,7 @@ def test_vectors_are_looked_at_more_often_than_pictures(samples: Samples) -> Non
     assert [fit_encoder(some, (key,), quick)[1]["epochs"] for key in ("mask", "joints")] == [10, 30]
 
 
-@pytest.mark.parametrize("channels", [(), (4,), (4, 8)])
+@pytest.mark.parametrize("channels", [(), (4, 8)])
 def test_convolutions_are_a_choice(samples: Samples, channels: tuple[int, ...]) -> None:
     settings = dataclasses.replace(QUICK, channels=channels, epochs=1)
     encoder, _ = fit_encoder(samples, ("image", "mask"), settings)

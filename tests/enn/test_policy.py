@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from enn.model_file import decoded, write_model
 from enn.networks.network import NetworkSettings, build_network
 from enn.networks.normalisation import fit_normalisation
 from enn.policy import Policy
@@ -127,29 +126,6 @@ def test_other_observations_are_one_clear_sentence() -> None:
         policy.act(np.zeros(3))
     with pytest.raises(ValueError, match="'feeder' is not finite: look at what makes the observations"):
         policy.act({"tip": np.zeros(3), "feeder": np.array([0.0, np.nan])})
-
-
-def test_files_that_are_no_policy_are_one_clear_sentence(tmp_path: Path) -> None:
-    path = tmp_path / "policy.pt"
-    with pytest.raises(FileNotFoundError, match="train one first"):
-        Policy.load(path)
-    path.write_bytes(b"not a policy")
-    with pytest.raises(ValueError, match="damaged or no policy"):
-        Policy.load(path)
-    write_model(path, {"weights": {}})
-    with pytest.raises(ValueError, match="no policy of format enn-policy-1, but None"):
-        Policy.load(path)
-    policy = _policy()
-    policy.save(path)
-    content = decoded(path.read_bytes())
-    for change in ({"hidden": [8, 9]}, {"hidden": [8]}, {"width": 3}):
-        write_model(path, {**content, "network": {**content["network"], **change}})
-        with pytest.raises(ValueError, match="is of another architecture than this version builds"):
-            Policy.load(path)
-    data = (tmp_path / "policy.pt").read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-    with pytest.raises(ValueError, match="damaged or no policy"):
-        Policy.load(path)
 
 
 def test_settings_refuse_unknown_names() -> None:

@@ -54,10 +54,6 @@ def test_an_unsafe_call_would_be_found(text: str) -> None:
     assert list(unsafe_calls(text))
 
 
-def test_safe_calls_are_let_pass() -> None:
-    assert not list(unsafe_calls("torch.load(f, weights_only=True); np.load(p, allow_pickle=False); yaml.safe_load(s)"))
-
-
 def test_no_file_runs_code() -> None:
     assert len(SOURCES) > 200
     offences = [

@@ -46,11 +46,6 @@ def test_links_lead_to_pages_of_the_site(site: ModuleType, page: str, link: str,
     assert site.with_links_of_the_site(link, page) == expected
 
 
-def test_code_is_left_alone_but_for_its_language(site: ModuleType) -> None:
-    code = "```python no-run\nx = names[0](LICENSE)\n```"
-    assert site.with_links_of_the_site(code, "about.md") == "```python\nx = names[0](LICENSE)\n```"
-
-
 def test_the_notebook_becomes_a_page_with_its_pictures(site: ModuleType) -> None:
     text, pictures = site.notebook_page(json.loads((DOCS / "tutorial.ipynb").read_text(encoding="utf-8")))
     assert list(pictures) == ["tutorial_0.png", "tutorial_1.png"]
@@ -66,13 +61,6 @@ def test_every_module_has_an_entry_among_the_interfaces(site: ModuleType) -> Non
     assert "[goals](cathsim/goals.md)" in pages["api/cathsim.md"]
     assert "::: guide3d.geometry.camera\n" in pages["api/guide3d/geometry.md"]
     assert not [page for page, text in pages.items() if "::: " not in text]
-
-
-@pytest.mark.parametrize(
-    ("heading", "anchor"), [("Task, and more", "task-and-more"), ("What `x_y` is: 2 mm", "what-x_y-is-2-mm")]
-)
-def test_anchors_are_those_of_links(site: ModuleType, heading: str, anchor: str) -> None:
-    assert site.slug(heading.replace("`", "")) == anchor
 
 
 @pytest.mark.slow

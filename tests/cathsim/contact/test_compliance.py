@@ -43,7 +43,7 @@ def contact_stiffnesses(simulation: Simulation) -> np.ndarray:
     return np.array(found)
 
 
-@pytest.mark.parametrize(("stiffness", "accuracy"), [(0.3, "fast"), (0.5, "accurate"), (1.0, "accurate")])
+@pytest.mark.parametrize(("stiffness", "accuracy"), [(0.3, "fast"), (1.0, "accurate")])
 def test_force_at_rest_is_stiffness_times_depth(phantom: Phantom, stiffness: float, accuracy: str) -> None:
     measured = contact_stiffnesses(pushed(phantom, stiffness, accuracy))
     assert len(measured) >= 2

@@ -66,9 +66,7 @@ def own_and_mujocos(phantom: Phantom, accuracy: str, devices: str, **settings: A
     ("accuracy", "devices", "settings"),
     [
         ("fast", "wire", {}),
-        ("accurate", "wire", {}),
         ("accurate", "wire", {"breathing": Breathing(period=2.0), "wall_stiffness": 0.5}),
-        ("accurate", "jb2", {}),
         ("accurate", "simmons2", {"breathing": Breathing(period=2.0)}),
     ],
 )

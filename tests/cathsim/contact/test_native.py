@@ -222,7 +222,7 @@ def test_native_code_sees_the_layout_of_the_running_mujoco(touching: tuple[mujoc
     assert seen["ncon"] >= 3
 
 
-@pytest.mark.parametrize("field", native.LAYOUT_FIELDS)
+@pytest.mark.parametrize("field", [native.LAYOUT_FIELDS[0], native.LAYOUT_FIELDS[-1]])
 def test_a_shifted_field_is_detected(field: str, monkeypatch: pytest.MonkeyPatch) -> None:
     right = native.layout_expected
 
@@ -305,6 +305,6 @@ def test_threads_do_not_change_a_bit(tube_phantom: Phantom) -> None:
         return simulation.vessel.distance(points[index])[0].tobytes() + drive(simulation, index)
 
     apart = [run(0, False), run(1, False)]
-    for _ in range(6):
+    for _ in range(3):
         with ThreadPoolExecutor(2) as pool:
             assert list(pool.map(run, range(2), [True] * 2)) == apart

@@ -17,21 +17,6 @@ def test_links_are_as_long_as_asked_and_finer_at_the_end() -> None:
         assert list(links) == sorted(links, reverse=True)
 
 
-def test_a_wire_that_is_too_thick() -> None:
-    with pytest.raises(ValueError, match="does not pass a catheter"):
-        DevicePair(load_guidewire("default", diameter=1.3e-3), load_catheter("vertebral_4f"))
-
-
-def test_no_device() -> None:
-    with pytest.raises(ValueError, match="neither a wire nor a catheter"):
-        DevicePair(None, None)
-
-
 def test_longer_than_the_devices() -> None:
     with pytest.raises(ValueError, match="longer than the shorter device"):
         DevicePair(load_guidewire("default"), load_catheter("vertebral"), reach=1.4)
-
-
-def test_unknown_torsion() -> None:
-    with pytest.raises(ValueError, match="torsion"):
-        DevicePair(load_guidewire("default"), None, torsion="soft")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-
 import numpy as np
 import pytest
 
@@ -14,13 +12,6 @@ def drive(environment: NavigateEnv, actions: np.ndarray) -> list[tuple]:
     return [environment.step(action)[:4] for action in actions]
 
 
-def equal(first: list[tuple], second: list[tuple]) -> bool:
-    return all(
-        a[1:] == b[1:] and all(np.array_equal(a[0][key], b[0][key]) for key in a[0])
-        for a, b in zip(first, second, strict=True)
-    )
-
-
 @pytest.fixture
 def environment() -> NavigateEnv:
     return NavigateEnv(observation=("joints", "sequential", "force"), reward="geodesic", start_rotation=np.pi)
@@ -29,37 +20,6 @@ def environment() -> NavigateEnv:
 @pytest.fixture
 def actions() -> np.ndarray:
     return np.random.default_rng(0).uniform((-0.2, -1.0), 1.0, (60, 2))
-
-
-def test_restored_environment_goes_on_bit_for_bit(environment: NavigateEnv, actions: np.ndarray) -> None:
-    environment.reset(seed=3)
-    drive(environment, actions[:30])
-    saved, seen = pickle.loads(pickle.dumps(environment.state())), environment.observe()
-    expected = drive(environment, actions[30:])
-    again = environment.restore(saved)
-    assert all(np.array_equal(again[key], seen[key]) for key in seen)
-    assert equal(drive(environment, actions[30:]), expected)
-    assert environment.simulation.summary.contacts == environment.simulation.contacts().points.shape[0]
-
-
-def test_state_carries_the_random_draws_of_later_episodes(environment: NavigateEnv, actions: np.ndarray) -> None:
-    environment.reset(seed=3)
-    saved = environment.state()
-    first, _ = environment.reset()
-    environment.restore(saved)
-    second, _ = environment.reset()
-    assert np.array_equal(first["joints"], second["joints"])
-
-
-def test_state_moves_to_another_environment(environment: NavigateEnv, actions: np.ndarray) -> None:
-    environment.reset(seed=3)
-    drive(environment, actions[:30])
-    saved = environment.state()
-    expected = drive(environment, actions[30:])
-    other = NavigateEnv(observation=("joints", "sequential", "force"), reward="geodesic", start_rotation=np.pi)
-    other.reset(seed=8)
-    other.restore(saved)
-    assert equal(drive(other, actions[30:]), expected)
 
 
 def test_episode_starts_where_a_wire_was_left(environment: NavigateEnv, actions: np.ndarray) -> None:

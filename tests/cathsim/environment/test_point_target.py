@@ -39,7 +39,7 @@ def beside(type_1: Phantom, point: tuple[float, ...]) -> np.ndarray:
     return place
 
 
-@pytest.mark.parametrize("kind", [tuple, list, np.array])
+@pytest.mark.parametrize("kind", [tuple, np.array])
 def test_a_point_gives_the_episodes_of_the_name_whose_place_it_is(
     make_env: MakeEnv, point: tuple[float, ...], kind: Any
 ) -> None:

@@ -12,13 +12,12 @@ import torch
 from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitError
 from enn.imitation.behaviour_cloning import (
     DESK_CLONING,
-    THESIS_CLONING,
     BehaviourCloningSettings,
     clone,
     entropy,
     negative_log_likelihood,
 )
-from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
+from enn.imitation.cloned_policy import ClonedPolicy, CloningNetworkSettings
 from enn.imitation.dagger import record
 from enn.model_file import decoded, write_model
 from enn.networks.image_network import shifted
@@ -39,18 +38,6 @@ def episodes() -> list[Trajectory]:
 @pytest.fixture(scope="module")
 def student(episodes: list[Trajectory]) -> ClonedPolicy:
     return clone(episodes, QUICK)[0]
-
-
-def test_thesis_network_has_the_parameters_of_its_table() -> None:
-    layers = CloningNetwork(CloningNetworkSettings(variant="thesis")).layers()
-    counts = [sum(weights.numel() for weights in layer.parameters()) for layer in layers]
-    assert [count for count in counts if count] == [2080, 32832, 36928, 590080, 32896, 258]
-
-
-def test_thesis_hyper_parameters() -> None:
-    fit = THESIS_CLONING.fit
-    assert (fit.batch_size, fit.learning_rate, fit.epochs, fit.schedule) == (32, 1e-3, 800, "constant")
-    assert THESIS_CLONING.entropy == 1e-3
 
 
 def test_likelihood_and_entropy_of_a_known_gaussian() -> None:

@@ -148,11 +148,6 @@ def test_saved_and_loaded_it_is_the_same(tmp_path: Path) -> None:
     assert torch.equal(alone.actor(seen, deterministic=True), trained.policy.actor(seen, deterministic=True))
 
 
-def test_same_seed_same_policy() -> None:
-    first, second = (model(actor_keys=("image",), critic_keys=("state",)).learn(12) for _ in range(2))
-    assert all(torch.equal(a, b) for a, b in zip(first.policy.parameters(), second.policy.parameters(), strict=True))
-
-
 def test_ppo_takes_the_extractor() -> None:
     kwargs = {
         "features_extractor_class": MultimodalExtractor,

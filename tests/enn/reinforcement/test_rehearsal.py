@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from enn.reinforcement.rehearsal import (
-    REHEARSAL,
     SHOWN_FIRST,
     SHOWN_SHARE,
     SHOWN_SLOWER,
@@ -141,12 +140,6 @@ def test_an_evaluation_plays_every_case_as_often() -> None:
 def test_an_environment_without_cases_is_refused() -> None:
     with pytest.raises(ValueError, match="a rehearsal needs an environment with cases"):
         cases_of(PointEnv())
-
-
-def test_the_preset_keeps_what_a_later_rehearsal_needs() -> None:
-    assert REHEARSAL.keep_critics
-    assert REHEARSAL.demonstrations_in_replay == 0.0
-    assert REHEARSAL.keys == ("roadmap", "history")
 
 
 def test_the_first_evaluation_can_be_played_before_and_is_the_same() -> None:

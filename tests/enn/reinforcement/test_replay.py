@@ -65,7 +65,7 @@ def _equal(first: Any, second: Any) -> None:
 
 
 @pytest.mark.parametrize("n_envs", [1, 3])
-@pytest.mark.parametrize("count", [7, 20, 21, 75])
+@pytest.mark.parametrize("count", [7, 75])
 def test_the_same_transitions_as_the_library(n_envs: int, count: int) -> None:
     mine = ReplayBuffer(20 * n_envs, SPACE, ACTIONS, n_envs=n_envs)
     theirs = DictReplayBuffer(20 * n_envs, SPACE, ACTIONS, n_envs=n_envs)

@@ -72,7 +72,6 @@ def test_the_report_shows_every_picture(report):
         ("flat", "undistort_A.png: expected a grey X-ray image, found one value everywhere"),
         ("photograph", "undistort_A.png: expected an X-ray of a perforated sheet"),
         ("no cube in it", r"pose1_A.png: expected (12 beads of the cube|a lattice that explains 12)"),
-        ("few beads", r"pose1_A.png: expected 12 beads of the cube or more in the image, found \d\b"),
         ("bead row", "framespec_cm.csv, line 3: expected three numbers x,y,z, found '6.5,zero,0'"),
         ("missing folder", "is missing: expected one with sheet and cube images"),
     ],
@@ -101,10 +100,6 @@ def test_bad_input_gives_one_clear_sentence(folder, tmp_path, capsys, spoil, mes
         Image.fromarray(rng.integers(0, 255, size=(64, 64), dtype=np.uint8)).resize((512, 512)).save(sheet)
     elif spoil == "no cube in it":
         Image.fromarray((120 + 3 * rng.normal(size=(512, 512))).astype(np.uint8)).save(cube)
-    elif spoil == "few beads":
-        image = np.asarray(Image.open(cube)).copy()
-        image[:, 90:] = np.median(image)
-        Image.fromarray(image).save(cube)
     elif spoil == "bead row":
         text = (bad / "framespec_cm.csv").read_text()
         (bad / "framespec_cm.csv").write_text(text.replace("6.5,0,0", "6.5,zero,0", 1))
@@ -131,11 +126,17 @@ def test_bead_and_reference_files(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "layout",
-    ["{x},{y},{z}", "{x};{y};{z}", "{x}\t{y}\t{z}", "{x}, {y}, {z},,", "{x} {y} {z}", "german", "german tabs"],
+    ("layout", "header", "mark"),
+    [
+        ("{x},{y},{z}", "x{0}y{0}z", "utf-8"),
+        ("{x};{y};{z}", "X (cm){0}Y (cm){0}Z (cm)", "utf-8-sig"),
+        ("{x}\t{y}\t{z}", "z{0}x{0}y", "utf-16"),
+        ("{x}, {y}, {z},,", None, "utf-8"),
+        ("{x} {y} {z}", None, "utf-16"),
+        ("german", "z{0}x{0}y", "utf-8-sig"),
+        ("german tabs", "X (cm){0}Y (cm){0}Z (cm)", "utf-8"),
+    ],
 )
-@pytest.mark.parametrize("header", ["x{0}y{0}z", "X (cm){0}Y (cm){0}Z (cm)", None, "z{0}x{0}y"])
-@pytest.mark.parametrize("mark", ["utf-8", "utf-8-sig", "utf-16"])
 def test_all_beads_are_read_in_every_layout(tmp_path, layout, header, mark):
     beads = np.round(np.random.default_rng(0).uniform(-5, 60, (64, 3)), 3)
     separator = {"german": ";", "german tabs": "\t"}.get(layout, layout[3:].split("{")[0])
@@ -145,8 +146,6 @@ def test_all_beads_are_read_in_every_layout(tmp_path, layout, header, mark):
     else:
         lines = [layout.format(x=x, y=y, z=z) for x, y, z in written]
     if header:
-        if " " in header and not separator.strip(" "):
-            pytest.skip("no program writes names with spaces between spaces")
         lines.insert(0, header.format(separator))
     (tmp_path / "Framespec_CM.CSV").write_bytes("\r\n".join(lines).encode(mark))
     assert np.allclose(read_beads(tmp_path / "Framespec_CM.CSV"), 10 * beads)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from guide3d.geometry.camera import Camera, read_camera, read_opencv_yaml, write_camera, write_opencv_yaml
+from guide3d.geometry.distortion import Distortion
 from guide3d.opencv import cv2
 
 
@@ -154,3 +157,13 @@ def test_a_camera_refuses_what_is_none(camera):
         camera.project(np.zeros((3, 2)))
     with pytest.raises(ValueError, match="expected a unit among mm, cm, m"):
         write_camera(camera, "never.txt", unit="inch")
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_arrays_of_cameras_and_distortions_are_finite(camera, value):
+    for name in ("K", "R", "t_mm"):
+        with pytest.raises(ValueError, match=f"{name} should be .* of finite numbers"):
+            dataclasses.replace(camera, **{name: np.full_like(getattr(camera, name), value)})
+    with pytest.raises(ValueError, match="control points must be finite"):
+        Distortion(np.zeros((4, 2)), np.full((4, 2), value), 64, 64)
+    assert isinstance(Camera(camera.K.tolist(), camera.R, camera.t_mm, 64, 64).K, np.ndarray)

@@ -42,8 +42,10 @@ def network() -> torch.nn.Module:
     return torch.nn.Sequential(torch.nn.Linear(1, 8), torch.nn.Dropout(0.2), torch.nn.Linear(8, 1))
 
 
-@pytest.mark.parametrize("optimiser", ["nadam", "adamw", "sgd"])
-@pytest.mark.parametrize("schedule", ["plateau", "one_cycle", "polynomial", "constant"])
+@pytest.mark.parametrize(
+    ("optimiser", "schedule"),
+    [("nadam", "plateau"), ("adamw", "one_cycle"), ("sgd", "polynomial"), ("nadam", "constant")],
+)
 def test_it_learns(tmp_path: Path, optimiser: str, schedule: str) -> None:
     settings = dataclasses.replace(SETTINGS, epochs=20, optimiser=optimiser, schedule=schedule)
     report = fit(network(), Line(), settings, folder=tmp_path)

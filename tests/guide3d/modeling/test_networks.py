@@ -75,7 +75,7 @@ def test_thesis_sizes_are_the_published_ones() -> None:
     assert count(fgrn) == convolutions + 128 * 100 * 256 + 256 + 256 * 128 + 128 + 129 * 300
 
 
-@pytest.mark.parametrize("size", ["desk", "smoke"])
+@pytest.mark.parametrize("size", ["smoke"])
 @pytest.mark.parametrize("name", SEGMENTERS)
 def test_a_segmenter_gives_a_logit_a_pixel(name: str, size: str) -> None:
     side = 128 if size == "desk" else 64

@@ -19,7 +19,6 @@ PAGES = sorted(DOCS.rglob("*.md"))
 STAGES = {path.stem for path in (PROJECT_ROOT / "conf" / "stage").glob("*.yaml")}
 TOP = [PROJECT_ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
 DOCUMENTS = [*TOP, *READMES, *PAGES]
-WORD_LIMIT = 1_200
 
 
 def relative(document: Path) -> str:

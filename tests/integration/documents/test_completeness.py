@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import re
 from collections.abc import Iterator
-from pathlib import Path
 
-import pytest
 import yaml
 
 from tests.integration.documents.pages import (
@@ -22,12 +18,8 @@ from tests.integration.documents.pages import (
     package_folders,
     read,
     relative,
-    resolves,
     table_column,
 )
-
-TABLES = DOCS / "pipeline" / "tables.md"
-CONTENTS = DOCS / "index.md"
 
 
 def listed_folders() -> set[str]:
@@ -62,25 +54,6 @@ def test_tables_of_stages_are_complete() -> None:
         assert len(listed) == len(STAGES)
 
 
-def test_every_table_of_the_report_is_listed_with_its_stage_and_module() -> None:
-    tables = yaml.safe_load(read(PROJECT_ROOT / "pipeline" / "report" / "thesis.yaml"))["tables"]
-    rows = [[cell.strip(" `") for cell in line.split("|")[1:-1]] for line in read(TABLES).splitlines()]
-    listed = {row[0]: row[1:] for row in rows if row and row[0] in tables}
-    assert listed.keys() == tables.keys()
-    for name, (title, _, stage, module) in listed.items():
-        assert (title, stage) == (tables[name]["title"], tables[name].get("stage", "")), name
-        source = importlib.util.find_spec(module)
-        assert source, module
-        assert f'"{name}"' in read(Path(str(source.origin))), f"{module} makes no table {name}"
-
-
-def test_every_page_of_the_documents_is_listed_in_the_contents() -> None:
-    text = read(CONTENTS)
-    pages = [page.relative_to(DOCS).as_posix() for page in PAGES if page != CONTENTS]
-    assert not [page for page in pages if f"]({page})" not in text]
-    assert "](docs/index.md)" in read(PROJECT_ROOT / "README.md")
-
-
 def nav_pages(entry: object) -> Iterator[str]:
     """The pages of a part of the site's navigation."""
     if isinstance(entry, str):
@@ -97,36 +70,3 @@ def test_the_site_s_navigation_has_every_page_once() -> None:
     outside = {"about.md", "tutorial.md", "models.md", "contributing.md", "changelog.md"}
     outside |= {f"{folder}/{package}.md" for folder in ("packages", "api") for package in PACKAGES}
     assert set(listed) - pages == outside
-
-
-def test_every_film_is_shown_and_small() -> None:
-    films = sorted((DOCS / "pictures").rglob("*.gif"))
-    shown = read(DOCS / "gallery.md")
-    assert films
-    for film in films:
-        assert f"]({film.relative_to(DOCS).as_posix()})" in shown
-        assert film.stat().st_size < 1_000_000, relative(film)
-
-
-def test_readme_lists_every_folder_of_the_repository() -> None:
-    tree = next(block for block in code_blocks(read(PROJECT_ROOT / "README.md")) if "pipeline/ " in block)
-    listed = set(re.findall(r"^([\w./]+)/ ", tree, re.MULTILINE))
-    assert listed == {"packages/" + package for package in PACKAGES} | {
-        "pipeline",
-        "conf",
-        "docs",
-        "tests",
-        "benchmarks",
-        "examples",
-        "models",
-    }
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_table_of_modules_covers_the_package(package: str) -> None:
-    text = read(PROJECT_ROOT / "packages" / package / "README.md")
-    named = {name for cell in table_column(text, "module") for name in re.findall(r"`([\w.]+)`", cell)}
-    assert not sorted(name for name in named if not resolves(name))
-    _, folders = package_folders(package)
-    top = {f"{package}.{folder}" for folder in folders if "/" not in folder}
-    assert not sorted(top - named)

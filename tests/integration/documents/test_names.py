@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import functools
 import importlib
 import importlib.util
 import re
@@ -12,10 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import yaml
 
 from tests.integration.documents.pages import (
-    DOCS,
     DOCUMENTS,
     PACKAGES,
     PROJECT_ROOT,
@@ -33,9 +30,6 @@ FOLDERS = ("pipeline/", "packages/", "benchmarks/", "tests/", "conf/", "docs/", 
 DOTTED = re.compile(rf"(?:{'|'.join((*PACKAGES, 'pipeline'))})(?:\.\w+)+")
 # Groups of entry points, which look like modules and are none.
 ENTRY_POINTS = {"cathsim.recorders"}
-# Names that the documents give as examples, and one of torch.
-OTHER_NAMES = {"branch_1", "error_mm", "angle_deg", "autograd", "saved_tensors_hooks"}
-HASH = re.compile(r"[0-9a-f]{7}|[0-9a-f]{12}")  # of a commit or of a model's file
 
 
 def run_settings() -> set[str]:
@@ -142,28 +136,6 @@ def test_settings_exist(document: Path) -> None:
         assert name in stages[stage], f"stage@{stage}.{name}"
 
 
-@functools.cache
-def source_words() -> set[str]:
-    """Every word of sources, tests, examples, settings and the console's pages, and the names of the shipped models."""
-    words = set(re.findall(r"\w+", read(PROJECT_ROOT / "Makefile")))
-    words.update(path.stem for path in (PROJECT_ROOT / "packages").glob("*/src/*/weights/*.pt"))
-    for folder in ("packages", "pipeline", "conf", "benchmarks", "tests", "examples"):
-        for path in (PROJECT_ROOT / folder).rglob("*"):
-            if (
-                path.suffix in {".py", ".yaml", ".c", ".h", ".js", ".toml"}
-                and Path(__file__).parent not in path.parents
-            ):
-                words.update(re.findall(r"\w+", read(path)))
-    return words
-
-
-@documents
-def test_identifiers_occur_in_the_sources(document: Path) -> None:
-    names = [re.match(r"[A-Za-z_][\w.]*(?=[(=]|$)", text) for text in quoted(read(document))]
-    parts = {part for name in names if name for part in name[0].split(".") if part}
-    assert not sorted(part for part in parts - source_words() - OTHER_NAMES if not HASH.fullmatch(part))
-
-
 def require_imports(source: str) -> None:
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ImportFrom) and node.module and DOTTED.match(f"{node.module}.x"):
@@ -177,20 +149,3 @@ def require_imports(source: str) -> None:
 def test_python_blocks_import_what_exists(document: Path) -> None:
     for block in code_blocks(read(document), "python"):
         require_imports(block)
-
-
-@pytest.mark.parametrize("script", sorted((DOCS / "pictures").glob("*.py")), ids=relative)
-def test_scripts_of_the_pictures_import_what_exists(script: Path) -> None:
-    require_imports(read(script))
-
-
-def test_a_wrong_name_path_and_link_are_found(tmp_path: Path) -> None:
-    assert not resolves("cathsim.observations.nothing")
-    assert not resolves("enn.policy.Policy.nothing")
-    assert resolves("enn.policy.Policy.load")
-    assert list(paths_in("see `pipeline/nothing.py` and\n```\npython benchmarks/none.py\n```\n")) == [
-        "pipeline/nothing.py",
-        "benchmarks/none.py",
-    ]
-    assert anchors("# Seeds and sweeps\n## Task, and more\n") == {"seeds-and-sweeps", "task-and-more"}
-    assert yaml.safe_load(read(PROJECT_ROOT / "conf" / "config.yaml"))["defaults"]
