@@ -7,7 +7,6 @@ import pytest
 
 from cathsim import ACCURACY, NavigateEnv, Phantom, Simulation, load_guidewire, load_phantom
 from cathsim.environment import TRANSLATION_STEP
-from cathsim.planning.sampling import SamplingExpert
 
 DEFAULT = load_guidewire("default")
 LONG = DEFAULT.scaled(0.6)
@@ -80,18 +79,3 @@ def test_a_wire_too_short_for_its_target_says_which_would_do(type_1: Phantom) ->
     assert NavigateEnv(type_1, "lsa_end", wire=DEFAULT.scaled(0.23)).simulation.wire.length < DEFAULT.length
     with pytest.raises(ValueError, match="too short for lcca_end of bovine"):
         NavigateEnv(load_phantom("bovine"), "lcca_end", wire="thesis")
-
-
-@pytest.mark.parametrize(("target", "length"), [("lsa_end", 0.36)])
-def test_the_expert_reaches_the_end_of_a_branch(type_1: Phantom, target: str, length: float | None) -> None:
-    wire = DEFAULT.scaled(length) if length else DEFAULT
-    env = NavigateEnv(type_1, target, wire=wire, observation="tip", accuracy="fast")
-    expert = SamplingExpert(env, seed=0, threads=1)
-    env.reset(seed=0)
-    ended = False
-    while not ended:
-        *_, terminated, truncated, info = env.step(expert.action())
-        ended = terminated or truncated
-    expert.close()
-    assert info["success"], f"{1e3 * info['distance']:.1f} mm away after {env.steps} steps"
-    assert env.steps < 200

@@ -22,7 +22,6 @@ from pipeline.store.manifest import read_manifest
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 
-USE_GUIDE3D = "import guide3d; print(guide3d.__version__)"
 USE_CATHSIM = """
 import gymnasium, numpy as np, cathsim
 from cathsim.anatomy import load_phantom
@@ -95,11 +94,6 @@ def install_and_use(package: str, snippet: str, folder: Path) -> str:
     assert {name for name in installed if name.startswith("endonav")} == {f"endonav-{package}"}
     assert not installed & {"torch", "torchvision", "hydra-core", "stable-baselines3"}
     return used.stdout.strip()
-
-
-@pytest.mark.slow
-def test_guide3d_installs_alone(tmp_path: Path) -> None:
-    assert install_and_use("guide3d", USE_GUIDE3D, tmp_path) == "0.1.0"
 
 
 @pytest.mark.slow

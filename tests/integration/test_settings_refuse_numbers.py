@@ -64,7 +64,8 @@ def settings_of(package: str) -> Iterator[Any]:
         if module.name.endswith(("_native", "__main__")) or ".composer" in module.name or ".console" in module.name:
             continue
         for kind in vars(importlib.import_module(module.name)).values():
-            if inspect.isclass(kind) and kind.__module__ == module.name and hasattr(kind, "__pydantic_validator__"):
+            ours = dataclasses.is_dataclass(kind) and getattr(kind, "__module__", "") == module.name
+            if ours and hasattr(kind, "__pydantic_validator__") and inspect.isclass(kind):
                 yield known[kind] if kind in known else kind()
 
 

@@ -13,7 +13,6 @@ pytest.importorskip("pydicom", reason="the extra guide3d[dicom] is not installed
 from guide3d.dicom.c_arm import camera_of, detector_axes, view_warnings
 from guide3d.dicom.run_folder import read_xray
 from guide3d.dicom.xray_run import XrayRun
-from guide3d.geometry.triangulation import triangulate
 from tests.guide3d.dicom.written_xray import frames_of, write, xray_dataset
 
 LEFT, BACK, HEAD = np.eye(3)
@@ -97,12 +96,6 @@ def test_it_is_the_simulators_view_from_the_other_side(primary: float, secondary
     mirrored = points - 2 * (points @ ahead)[:, None] * ahead
     seen = camera_of(at(run, primary, secondary)).project(points)
     assert np.allclose(seen, projector.project(1e-3 * mirrored))
-
-
-def test_two_views_give_the_point_back(run: XrayRun) -> None:
-    points = np.random.default_rng(1).normal(scale=30.0, size=(40, 3))
-    a, b = camera_of(at(run, -30, 15)), camera_of(at(run, 60, -5))
-    assert np.allclose(triangulate(a, b, a.project(points), b.project(points)), points)
 
 
 @pytest.mark.parametrize(

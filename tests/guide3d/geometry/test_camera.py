@@ -114,8 +114,7 @@ def test_a_malformed_file_is_named_with_what_was_expected(camera, tmp_path, old,
         read_camera(tmp_path / "camera.txt")
 
 
-@pytest.mark.parametrize("mark", ["utf-8", "utf-8-sig", "utf-16"])
-@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize(("separator", "mark"), [(",", "utf-8-sig"), (";", "utf-16"), ("\t", "utf-8")])
 def test_files_that_spreadsheets_saved_are_read(camera, tmp_path, separator, mark):
     write_camera(camera, tmp_path / "camera.txt")
     text = (tmp_path / "camera.txt").read_bytes().decode()

@@ -169,18 +169,3 @@ def test_a_loss_that_is_no_number_ends_it(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="the loss became nan in epoch 1"):
         fit(network(), Broken(), SETTINGS, folder=tmp_path)
     assert not (tmp_path / LAST).exists()
-
-
-@pytest.mark.parametrize(
-    ("changed", "sentence"),
-    [
-        ({"epochs": 0}, "epochs must be greater than or equal to 1, got 0"),
-        ({"learning_rate": 0}, "learning_rate must be greater than 0, got 0"),
-        ({"optimiser": "lion"}, "unknown optimiser 'lion'; there are nadam, adamw, sgd"),
-        ({"schedule": "steps"}, "unknown schedule 'steps'"),
-        ({"factor": 1.0}, "factor must be less than 1, got 1"),
-    ],
-)
-def test_settings_are_checked(changed: dict, sentence: str) -> None:
-    with pytest.raises(ValueError, match=sentence):
-        NetworkFitSettings(**changed)

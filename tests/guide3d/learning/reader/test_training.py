@@ -12,7 +12,7 @@ import torch
 
 from guide3d.learning.reader.evaluation import evaluate_reader
 from guide3d.learning.reader.tiles import ReaderTiles, tile_batches
-from guide3d.learning.reader.training import CHECKPOINT, ReaderRecipe, reader_loss, smoke_recipe, train_reader
+from guide3d.learning.reader.training import ReaderRecipe, reader_loss, smoke_recipe, train_reader
 from guide3d.modeling.reader_network import ReaderNetwork
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
@@ -76,13 +76,6 @@ def test_processes_draw_the_same_tiles() -> None:
     for (images, targets), (same, like) in zip(own, others, strict=True):
         torch.testing.assert_close(images, same)
         torch.testing.assert_close(targets, like)
-
-
-def test_another_recipe_does_not_go_on(tmp_path: Path) -> None:
-    train_reader(small_recipe(2), tmp_path, processes=0)
-    assert (tmp_path / CHECKPOINT).is_file()
-    with pytest.raises(ValueError, match="belongs to a training with other settings"):
-        train_reader(small_recipe(3), tmp_path, processes=0)
 
 
 def test_the_right_answer_has_the_smallest_loss() -> None:
