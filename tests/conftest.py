@@ -69,12 +69,13 @@ def locale_as_before() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
-def logging_as_before() -> Iterator[None]:
-    """Undoes what a command line run in this process sets: levels, handlers, and loggers that are switched off.
+def process_as_before() -> Iterator[None]:
+    """Undoes what a command line run in this process sets: loggers' levels and handlers, and what signals do.
 
     Handlers made before are kept from Hydra, which closes all that logging knows: absl's would close pytest's capture.
     """
     logging._handlerList.clear()
+    stops = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     root, manager = logging.getLogger(), logging.root.manager
     level, handlers, threshold = root.level, root.handlers[:], manager.disable
     known = {
@@ -83,6 +84,8 @@ def logging_as_before() -> Iterator[None]:
         if isinstance(logger, logging.Logger)
     }
     yield
+    for number, handler in stops.items():
+        signal.signal(number, handler)
     root.level, root.handlers[:], manager.disable = level, handlers, threshold
     for name, logger in manager.loggerDict.items():
         if isinstance(logger, logging.Logger):
