@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import locale
 import logging
 import os
@@ -31,7 +33,7 @@ FAST = re.compile(
     r"|test_guidewire)|enn/(networks|reinforcement/test_(observation|replay|reset)|test_(devices|model|plain|policy|traj))"
     r"|guide3d/(dataset|dicom|geometry|learning/test_(losses|precision|seg)|modeling|test_(image|text))"
     r"|splineformer/(modeling|navigation|test_(attention|build|decoding|image|map|tokens|views))"
-    r"|integration/(documents|test_(files|import|versions))|pipeline/(report/(?!learning)|settings)"
+    r"|integration/(documents|test_(files|import|versions))|pipeline/(report/(?!learning)|settings/test_quoting)"
 )
 
 
@@ -119,6 +121,16 @@ class PipelineProcess:
             check=False,
         )
 
+    def run_here(self, *overrides: str) -> subprocess.CompletedProcess[str]:
+        """Runs a command line to its end in this process, where a start of Python is not what is tested."""
+        from pipeline.launch import main
+
+        out, errors = io.StringIO(), io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors), pytest.MonkeyPatch.context() as patch:
+            patch.setenv("CATHSIM_CACHE", self.environment["CATHSIM_CACHE"])
+            code = main(self._arguments(overrides))
+        return subprocess.CompletedProcess(overrides, code, out.getvalue(), errors.getvalue())
+
     def start(
         self, *overrides: str, largest_file: int | None = None, interpreter_options: tuple[str, ...] = ()
     ) -> subprocess.Popen[str]:
@@ -141,8 +153,10 @@ class PipelineProcess:
         )
 
     def _command(self, overrides: tuple[str, ...], interpreter_options: tuple[str, ...] = ()) -> list[str]:
-        arguments = [*overrides] if "--help" in overrides else [*overrides, f"runs_dir={self.runs}"]
-        return [sys.executable, *interpreter_options, "-m", "pipeline", *arguments]
+        return [sys.executable, *interpreter_options, "-m", "pipeline", *self._arguments(overrides)]
+
+    def _arguments(self, overrides: tuple[str, ...]) -> list[str]:
+        return [*overrides] if "--help" in overrides else [*overrides, f"runs_dir={self.runs}"]
 
 
 @pytest.fixture(scope="session")

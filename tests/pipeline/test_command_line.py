@@ -104,20 +104,20 @@ def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_a_stage_whose_input_was_damaged_stops_and_names_the_command_that_mends_it(pipeline_process) -> None:
     make = ("stage=phantoms", "stage.phantoms=[type_1]", "stage.picture=false", "stage.resolution_mm=2.5", "name=run")
-    assert pipeline_process.run(*make).returncode == 0
+    assert pipeline_process.run_here(*make).returncode == 0
     folder = pipeline_process.runs / "run" / "phantoms"
     for damage in (lambda: shutil.rmtree(folder / "type_1"), lambda: flip(folder / "type_1" / "lumen.stl")):
         damage()
-        done = pipeline_process.run("stage=expert", "name=run", "stage.phantoms=[type_1]", "stage.targets=[bca]")
+        done = pipeline_process.run_here("stage=expert", "name=run", "stage.phantoms=[type_1]", "stage.targets=[bca]")
         assert done.returncode == 2
         (line,) = done.stderr.strip().splitlines()
         assert f"stage expert cannot read stage phantoms: {folder / 'type_1'}" in line
         command = shlex.split(re.search(r"`python -m pipeline (.*)`", line)[1])
         assert {*make, "force=true"} <= set(command)
-        mended = pipeline_process.run(*(word for word in command if not word.startswith(("runs_dir=", "force="))))
+        mended = pipeline_process.run_here(*(word for word in command if not word.startswith(("runs_dir=", "force="))))
         assert mended.returncode == 0
         assert "so the stage runs again" in mended.stdout  # without force=true, too
-        assert "up to date" in pipeline_process.run(*make).stdout
+        assert "up to date" in pipeline_process.run_here(*make).stdout
 
 
 def flip(file: Path) -> None:

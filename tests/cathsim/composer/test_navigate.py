@@ -300,21 +300,3 @@ def test_without_dm_control_one_sentence_says_what_to_install(run_python: Callab
     )
     expected = 'cathsim.composer needs dm_control: install it with pip install "endonav-cathsim[composer]"'
     assert run_python(snippet).strip() == expected
-
-
-def test_the_workaround_is_still_needed(run_python: Callable[[str], str]) -> None:
-    """Fails once dm_control runs on this MuJoCo by itself: then delete compatibility.py and its call."""
-    snippet = (
-        "import warnings\n"
-        "warnings.simplefilter('ignore')\n"
-        "from dm_control import mjcf\n"
-        "try:\n"
-        "    mjcf.Physics.from_mjcf_model(mjcf.RootElement())\n"
-        "except AttributeError as error:\n"
-        "    print(error)\n"
-        "from cathsim.composer.compatibility import dropped_fields, forget_dropped_fields\n"
-        "forget_dropped_fields()\n"
-        "assert not any(dropped_fields().values())\n"
-        "print(mjcf.Physics.from_mjcf_model(mjcf.RootElement()).model.nbody)\n"
-    )
-    assert "has no attribute 'flex_" in run_python(snippet).splitlines()[0]

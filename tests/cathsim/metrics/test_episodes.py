@@ -7,7 +7,6 @@ import pytest
 
 from cathsim.metrics import (
     EpisodeMetrics,
-    Statistic,
     force_magnitudes,
     path_length,
     safety,
@@ -88,10 +87,6 @@ def test_failures_alone_give_no_optimum_and_no_spl():
     episodes = [straight_episode(0.1, 5, success=False)]
     assert shortest_successful_paths(episodes) == {}
     assert summarise(episodes).spl_pct == 0.0
-
-
-def test_statistic_reads_well():
-    assert str(Statistic.of([1.0, 3.0])) == "2 ± 1"
 
 
 @pytest.mark.parametrize(

@@ -60,43 +60,6 @@ def test_verdict_names_size_and_side_of_the_difference_and_what_was_not_tested()
     assert "never presses on the wall" in words(np.zeros(50))[1]
 
 
-def test_verdict_says_what_a_load_cell_reads_of_the_same_steps() -> None:
-    small = np.abs(np.random.default_rng(2).normal(0.0, 0.05, 300))
-    asked = {"operators": {"human"}, "free_force_n": None}
-    _, differs = verdict(comparison_of(small), PUSHED, small, **asked)
-    assert f"the same steps give {small.mean():.3f} ± {small.std():.3f} N: the cell explains none" in differs
-    _, raised = verdict(comparison_of(small), PUSHED, small + 0.3, **asked)
-    assert f"give {small.mean() + 0.3:.3f}" in raised
-    assert "explains none" not in raised
-    _, covered = verdict(comparison_of(small), PUSHED, catheters={"simmons2"}, **asked)
-    assert "in a catheter (simmons2)" in covered
-    assert "was not tested" not in covered
-    assert "What the load cell contributes is not known" in verdict(comparison_of(small), PUSHED, **asked)[1]
-
-
-def test_verdict_names_what_was_steered_and_blames_the_steering_for_the_bare_wire_alone() -> None:
-    small = np.abs(np.random.default_rng(2).normal(0.0, 0.05, 300))
-    asked = {"operators": {"human"}, "free_force_n": None}
-    over, alone, bare = "a guidewire in a catheter (jb2)", "a catheter without a wire (vertebral)", "a bare guidewire"
-    cases = [
-        ({}, bare, True),
-        ({"catheters": {"jb2"}, "bare_wire": False}, over, False),
-        ({"catheters_alone": {"vertebral"}, "bare_wire": False}, alone, False),
-        ({"catheters": {"jb2"}}, f"{bare} in some episodes, in others of {over}", False),
-        (
-            {"catheters": {"jb2"}, "catheters_alone": {"vertebral"}},
-            f"{bare} in some episodes, in others of {over}, in others of {alone}",
-            False,
-        ),
-    ]
-    for devices, words, bare_alone in cases:
-        _, differs = verdict(comparison_of(small), PUSHED, **asked, **devices)
-        assert f"these are the contacts of {words} with a rigid wall, steered by the human. " in differs
-        assert ("so much the steering can explain" in differs) == bare_alone
-        assert ("the catheter contributes was not tested" in differs) == bare_alone
-        assert ("another device, so it does not tell what the steering contributes" in differs) != bare_alone
-
-
 def test_large_samples_and_bad_ones() -> None:
     result = comparison_of(np.random.default_rng(4).normal(0.4, 0.19, 12_000))
     assert result.shapiro_p > 1e-3  # thinned to what scipy vouches for, and no warning

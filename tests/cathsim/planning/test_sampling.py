@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
-from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
+from cathsim.planning.expert_settings import ExpertSettings
 from cathsim.planning.plan_trials import PlanTrials
 from cathsim.planning.sampling import SamplingExpert
 
@@ -99,12 +99,6 @@ def test_a_tip_that_gets_no_nearer_is_drawn_back(make_env: MakeEnv) -> None:
     assert action[0] < 0
     expert.restart()
     assert not expert._stalled(here)
-
-
-def test_two_devices_wait_and_check_and_a_wire_does_not() -> None:
-    assert (TWO_DEVICES.confirm, TWO_DEVICES.patience, TWO_DEVICES.most_force) == (4, 4, 2.0)
-    assert (ExpertSettings().confirm, ExpertSettings().patience) == (0, 0)
-    assert ExpertSettings().most_force == 1000.0
 
 
 def test_a_retreat_is_drawn_again_until_one_is_gentle(make_env: MakeEnv, monkeypatch: pytest.MonkeyPatch) -> None:

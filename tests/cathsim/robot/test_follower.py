@@ -206,18 +206,6 @@ def test_direct_drive_has_no_robot_and_others_are_refused(make_env: MakeEnv) -> 
         FollowerRobot().advance(float("nan"), 0.0)
 
 
-def test_pause_between_strokes_is_what_the_page_says() -> None:
-    robot = FollowerRobot()
-    ticks = []
-    for _ in range(round(6 / robot.settings.timestep)):
-        robot.advance(0.02 * robot.settings.timestep, 0.0, robot.settings.timestep)
-        ticks.append(robot.driven)
-    first = ticks.index(False)
-    pause = ticks[first:].index(True) * robot.settings.timestep
-    assert first * robot.settings.timestep == pytest.approx(2.0, abs=0.3)
-    assert 0.7 < pause < 1.4
-
-
 @pytest.mark.parametrize("direction", [[0, 0, 1], [0.3, 0.2, 0.9], [0, 1, 0], [0, -1, 0]])
 def test_robot_stands_behind_the_sheath(direction: list[float]) -> None:
     forward = np.array(direction) / np.linalg.norm(direction)

@@ -134,7 +134,7 @@ def test_branch_names_are_a_mapping_or_a_list(names: str, composed: dict[str, Di
 
 @pytest.mark.parametrize("override", ["name=../../evil", "stage.name=../../evil", f"name={'a' * 300}"])
 def test_a_name_that_cannot_be_a_folder_makes_none(override: str, pipeline_process) -> None:
-    done = pipeline_process.run("stage=report", override)
+    done = pipeline_process.run_here("stage=report", override)
     assert done.returncode == 2
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr
     assert not list(pipeline_process.folder.iterdir())

@@ -85,24 +85,24 @@ def test_stage_ends_at_once_when_up_to_date_and_runs_again_when_told_or_changed(
         "name=run",
     )
     manifest = pipeline_process.runs / "run" / "phantoms" / "manifest.json"
-    first = pipeline_process.run(*command)
+    first = pipeline_process.run_here(*command)
     assert "phantoms: done in" in first.stdout, first.stderr
     written = manifest.read_bytes()
 
-    second = pipeline_process.run(*command)
+    second = pipeline_process.run_here(*command)
     assert "phantoms: up to date in" in second.stdout
     assert manifest.read_bytes() == written
-    forced = pipeline_process.run(*command, "force=true")
+    forced = pipeline_process.run_here(*command, "force=true")
     assert "phantoms: done in" in forced.stdout
     assert json.loads(manifest.read_bytes())["outputs"] == json.loads(written)["outputs"]  # same settings, same bits
-    seeded = pipeline_process.run(*command, "seed=1")
+    seeded = pipeline_process.run_here(*command, "seed=1")
     assert "phantoms: up to date in" in seeded.stdout  # named phantoms are the same for every seed
-    changed = pipeline_process.run(*command, "stage.wall_thickness_mm=1.6")
+    changed = pipeline_process.run_here(*command, "stage.wall_thickness_mm=1.6")
     assert "phantoms: done in" in changed.stdout
 
 
 def test_random_phantoms_and_pictures_are_written_and_offered_to_the_report(pipeline_process) -> None:
-    done = pipeline_process.run(
+    done = pipeline_process.run_here(
         "stage=phantoms", "stage.phantoms=[]", "stage.random_seeds=[5]", "stage.resolution_mm=2.5"
     )
     assert done.returncode == 0, done.stderr
@@ -115,7 +115,7 @@ def test_random_phantoms_and_pictures_are_written_and_offered_to_the_report(pipe
 
 
 def test_a_resolution_the_anatomy_cannot_be_built_at_is_one_sentence(pipeline_process) -> None:
-    done = pipeline_process.run("stage=phantoms", "stage.phantoms=[type_1]", "stage.resolution_mm=0.1")
+    done = pipeline_process.run_here("stage=phantoms", "stage.phantoms=[type_1]", "stage.resolution_mm=0.1")
     assert done.returncode == 2
     (sentence,) = done.stderr.strip().splitlines()
     assert sentence.startswith("phantom type_1 cannot be built: resolution must lie in")

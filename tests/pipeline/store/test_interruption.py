@@ -58,11 +58,11 @@ def test_a_stopped_stage_says_so_and_goes_on(number: signal.Signals, code: int, 
     assert not list(folder.rglob(".writing-*"))
     assert_every_file_is_whole(folder)
 
-    done = pipeline_process.run(*STAGE)
+    done = pipeline_process.run_here(*STAGE)
     assert done.returncode == 0, done.stderr
     assert "finished items kept" in done.stdout
     resumed = contents(folder)
-    whole = pipeline_process.run(*STAGE, "name=whole")
+    whole = pipeline_process.run_here(*STAGE, "name=whole")
     assert whole.returncode == 0, whole.stderr
     assert resumed == contents(pipeline_process.runs / "whole" / "phantoms")
 
@@ -78,7 +78,7 @@ def test_a_killed_stage_leaves_whole_files_and_goes_on(delay_s: float, pipeline_
     assert process.returncode == -signal.SIGKILL
     assert_every_file_is_whole(folder)
 
-    done = pipeline_process.run(*STAGE)
+    done = pipeline_process.run_here(*STAGE)
     assert done.returncode == 0, done.stderr
     assert "finished items kept" in done.stdout
     assert not list(folder.rglob(".writing-*"))
@@ -102,7 +102,7 @@ def test_a_second_run_of_the_same_folder_is_turned_away(pipeline_process) -> Non
     folder = pipeline_process.runs / "run" / "phantoms"
     process = pipeline_process.start(*STAGE)
     wait_for_items(folder, 1, process)
-    second = pipeline_process.run(*STAGE)
+    second = pipeline_process.run_here(*STAGE)
     _, stderr = process.communicate(timeout=60)
     assert process.returncode == 0, stderr
     if "up to date" not in second.stdout:  # unless the first was done by then
@@ -122,7 +122,7 @@ def test_a_full_disk_is_one_sentence_and_nothing_is_lost(pipeline_process) -> No
     assert lines[0].startswith("no room left")
     assert not (folder / "manifest.json").exists()
     assert not list(folder.rglob(".writing-*"))
-    done = pipeline_process.run(*STAGE)
+    done = pipeline_process.run_here(*STAGE)
     assert done.returncode == 0, done.stderr
 
 
