@@ -126,13 +126,13 @@ def require_refusals(path: Path, load: Callable[[], Any]) -> int:
     sizes = ((name, sealed(saved(copy.deepcopy(new))), False) for name, new in inflated(content))
     for name, data, never in chain(((name, data, True) for name, data in forged_files(content)), sizes):
         path.write_bytes(data)
-        began = time.monotonic()
+        began = time.process_time()
         said = refusal(load)
         refused += bool(said)
         assert said or not never, f"{name} was loaded"
         assert "\n" not in said, name
         assert len(said) < 600 + len(str(path)), name
-        assert time.monotonic() - began < SECONDS, name
+        assert time.process_time() - began < SECONDS, name
         assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < MEGABYTES * 1024, name
     path.unlink()
     os.mkfifo(path)
