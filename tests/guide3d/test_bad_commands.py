@@ -75,7 +75,7 @@ def test_calibration_refuses_with_one_sentence(
 
 
 @pytest.mark.parametrize("name", ["raw.json", "dataset.json", "truth.json"])
-@pytest.mark.parametrize("text", ["", "[" * 100_000, "null", "\x00"])
+@pytest.mark.parametrize("text", ["", "[" * 100_000, "[]", "\x00"])
 def test_files_of_a_data_set_that_are_none_are_refused(name: str, text: str, data: Path) -> None:
     whole = (data / name).read_text()
     (data / name).write_text(text)

@@ -169,3 +169,8 @@ def test_a_loss_that_is_no_number_ends_it(tmp_path: Path) -> None:
     with pytest.raises(TrainingError, match="the loss became nan in epoch 1"):
         fit(network(), Broken(), SETTINGS, folder=tmp_path)
     assert not (tmp_path / LAST).exists()
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(ValueError, match="unknown optimiser 'lion'; there are nadam, adamw, sgd"):
+        NetworkFitSettings(optimiser="lion")
