@@ -46,6 +46,8 @@ def test_a_task_with_further_fields_keeps_what_it_was_given() -> None:
         ),
         (lambda: cathsim.NavigationTask(start_rotation=180.0), "start_rotation must lie in .* rad, got 180.0; angles"),
         (lambda: cathsim.NavigationTask(max_steps=2.5), "max_steps must be a whole number, got 2.5"),
+        (lambda: cathsim.NavigationTask(max_steps=True), "max_steps must be a whole number, got True"),
+        (lambda: cathsim.Guidewire(friction=True), "friction must be a number, got True"),
         (lambda: cathsim.NavigationTask(colour="red"), "NavigationTask has no colour; its fields are target"),
         (lambda: Accuracy(timestep=0.01), "Accuracy needs refinement"),
         (lambda: Longer(success_radius=math.nan), r"success_radius must be a finite number \(m\), got nan"),

@@ -50,6 +50,8 @@ def test_the_enn_networks_reproduce_the_thesis_table() -> None:
     assert measured == thesis_rows("architecture_params")
     assert [row[1] for row in cnn.values()] == [0, 2080, 32832, 36928, 0, 590080, 32896]
     assert [row[1] for row in mlp.values()] == [0, 86272, 32896]
+    inside = layer_table(MultimodalExtractor(SPACE, ("joints",)).networks["joints"], (336,))
+    assert [row[1] for row in inside.values()] == [0, 86272, 32896]
 
 
 def test_the_cloning_network_reproduces_the_thesis_table() -> None:
