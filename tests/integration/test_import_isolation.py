@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("cathsim", "enn", "guide3d", "splineformer")
 # package -> the project's packages it may import
 ALLOWED = {
     "cathsim": set(),
