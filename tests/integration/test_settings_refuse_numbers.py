@@ -23,6 +23,7 @@ from cathsim.fluoroscopy.projector import Projector
 from cathsim.fluoroscopy.scene import SCENES
 from cathsim.presets import ACCURACY
 from enn.imitation.recurrent_policy import RecurrentPolicySettings
+from enn.reinforcement.training.settings import TrainingSettings
 from guide3d.geometry.distortion import Distortion
 from guide3d.learning.preprocessing import Preprocessing
 from guide3d.learning.recipes import fgrn_recipe, segmentation_recipe, shape_recipe
@@ -65,7 +66,12 @@ def settings_of(package: str) -> Iterator[Any]:
             continue
         for kind in vars(importlib.import_module(module.name)).values():
             ours = dataclasses.is_dataclass(kind) and getattr(kind, "__module__", "") == module.name
-            if ours and hasattr(kind, "__pydantic_validator__") and inspect.isclass(kind):
+            if (
+                ours
+                and hasattr(kind, "__pydantic_validator__")
+                and inspect.isclass(kind)
+                and kind is not TrainingSettings
+            ):
                 yield known[kind] if kind in known else kind()
 
 

@@ -11,7 +11,7 @@ import pytest
 OF_ANY_JOB = (
     "cathsim.rehearsal.environment", "cathsim.statics", "enn.imitation.distillation", "enn.imitation.recurrent_policy",
     "enn.reinforcement.rehearsal", "enn.reinforcement.training.training", "guide3d.learning.evaluation",
-    "guide3d.train", "pipeline.recording.record", "splineformer.train", "torch._dynamo",
+    "guide3d.train", "pipeline.recording.record", "splineformer.learning.training_command", "torch._dynamo",
 )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from splineformer.train import main as command
+from splineformer.learning.training_command import main as command
 from tests.guide3d.learning.drawn_data import draw
 
 

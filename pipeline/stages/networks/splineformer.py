@@ -21,7 +21,12 @@ if TYPE_CHECKING:
     from guide3d.dataset.dataset import Dataset
     from splineformer.comparison.evaluation import Reader
 
-PRELOAD = ("splineformer.train", "splineformer.comparison.variant_figures", "guide3d.learning.predictor", OPTIMISER)
+PRELOAD = (
+    "splineformer.learning.training_command",
+    "splineformer.comparison.variant_figures",
+    "guide3d.learning.predictor",
+    OPTIMISER,
+)
 RECORD, EXAMPLES = "variant.json", "examples.npz"
 _KINDS_OF = 48  # test images whose kind is asked for, in each of the four forms
 _TRIPS = 400  # curves that go to tokens and back
@@ -37,7 +42,9 @@ def learn_variant(job: TrainingJob, report: Report) -> dict[str, Any]:
     file = job.folder / RECORD
     if file.is_file():
         return dict(json.loads(file.read_text(encoding="utf-8")))
-    training = train("splineformer.train", job, ["--variant", job.network], ("images", "calibration"), report)
+    training = train(
+        "splineformer.learning.training_command", job, ["--variant", job.network], ("images", "calibration"), report
+    )
     from guide3d.dataset.dataset import images_of, split
     from splineformer.comparison.variant_figures import kind_accuracy, round_trips, speed
     from splineformer.predictor import Predictor

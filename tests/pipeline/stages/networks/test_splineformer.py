@@ -85,7 +85,7 @@ def test_tables_and_figures(run: Path, results: dict) -> None:
 def test_finished_jobs_are_kept(run: Path, results: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     jobs = {job.key: job for job in splineformer.plan(SETTINGS, context(run, "splineformer", reads=READS))}
     assert jobs["comparison"].after == ("published", "ordered")
-    monkeypatch.setattr("splineformer.train.train", None)
+    monkeypatch.setattr("splineformer.learning.training_command.train", None)
     outcome = learn_variant(jobs["ordered"].given, Report())
     assert outcome["round_trip_px"] == results["splineformer_variants"]["ordered"]["round_trip_px"]
     monkeypatch.setattr("splineformer.comparison.evaluation.evaluate_readers", None)
