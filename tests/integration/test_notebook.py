@@ -24,7 +24,7 @@ DOCS = Path(__file__).resolve().parents[2] / "docs"
 NOTEBOOK = DOCS / "tutorial.ipynb"
 # The first records a log, which the others read; training leaves a policy, which imitation reads.
 PAGES = (
-    "pipeline/logs.md", "pipeline/viewers.md", "guide3d/overview.md", "guide3d/dataset.md",
+    "pipeline/logs.md", "pipeline/viewers.md", "guide3d/dataset.md",
     "guide3d/reconstruction.md", "guide3d/networks.md", "splineformer/network.md", "splineformer/xray.md",
     "splineformer/navigation.md", "enn/policies.md", "enn/networks.md", "enn/training.md", "enn/imitation.md",
     "getting_started.md",
@@ -132,7 +132,10 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
             exec(compile(quick(block, used), page, "exec"), results[page])
         if page == "pipeline/logs.md":
             shutil.copy("mine.mcap", "episode.mcap")
-    assert results["pipeline/logs.md"]["force"].shape == (41,)
+    logged = results["pipeline/logs.md"]
+    assert logged["force"].shape == (41,)
+    assert logged["P"].shape == (3, 4)
+    assert logged["mask"].shape == logged["image"].shape
     assert used == set(SMALLER)
     assert results["getting_started.md"]["policy"].keys == ("roadmap", "history")
     assert results["enn/policies.md"]["own"].keys == ("offset", "shape", "feeder")
@@ -140,5 +143,3 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
     assert list(tables_from_logs(Path("runs/desk"))["baselines"]) == ["type_1/bca/mine"]
     assert results["guide3d/networks.md"]["mask"].shape == (1024, 1024)
     assert len(results["guide3d/dataset.md"]["data"].frames) == 24
-    assert results["guide3d/overview.md"]["P"].shape == (3, 4)
-    assert results["guide3d/overview.md"]["mask"].shape == results["guide3d/overview.md"]["image"].shape
