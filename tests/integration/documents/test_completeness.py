@@ -31,7 +31,7 @@ def listed_folders() -> set[str]:
     listed: set[str] = set()
     parents: list[str] = []
     for line in tree.splitlines():
-        if found := re.match(r"( *)([\w./-]+)/ ", line):
+        if found := re.match(r"( *)([\w./-]+)/(?: |$)", line):
             depth = len(found[1]) // 2
             parents = [*parents[:depth], found[2]]
             listed.add("/".join(parents))
