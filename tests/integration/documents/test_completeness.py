@@ -21,9 +21,6 @@ from tests.integration.documents.pages import (
     table_column,
 )
 
-REPORT = DOCS / "pipeline" / "report.md"
-CONTENTS = DOCS / "index.md"
-
 
 def listed_folders() -> set[str]:
     """The folders that the tree of the architecture page lists, as paths from the repository's root."""
@@ -53,25 +50,6 @@ def test_tree_of_the_architecture_is_that_of_the_repository() -> None:
 def test_table_of_stages_is_complete() -> None:
     listed = [cell.strip("`") for cell in table_column(read(DOCS / "pipeline" / "stages.md"), "stage")]
     assert sorted(listed) == sorted(STAGES)
-
-
-def test_every_table_of_the_report_is_listed_with_its_stage_and_module() -> None:
-    tables = yaml.safe_load(read(PROJECT_ROOT / "pipeline" / "report" / "thesis.yaml"))["tables"]
-    rows = [line.split("|")[1:-1] for line in read(REPORT).splitlines() if line.startswith("|")]
-    listed = [(name, *row[:2]) for row in rows for name in re.findall(r"`(\w+)`", row[2])]
-    assert sorted(name for name, *_ in listed) == sorted(tables)
-    for name, stage, module in ((name, stage.strip(), module.strip(" `")) for name, stage, module in listed):
-        assert stage == tables[name].get("stage", ""), name
-        source = importlib.util.find_spec(module)
-        assert source, module
-        assert f'"{name}"' in read(Path(str(source.origin))), f"{module} makes no table {name}"
-
-
-def test_every_page_of_the_documents_is_listed_in_the_contents() -> None:
-    text = read(CONTENTS)
-    pages = [page.relative_to(DOCS).as_posix() for page in PAGES if page != CONTENTS]
-    assert not [page for page in pages if f"]({page})" not in text]
-    assert "](docs/index.md)" in read(PROJECT_ROOT / "README.md")
 
 
 def nav_pages(entry: object) -> Iterator[str]:
