@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
@@ -69,6 +70,7 @@ def test_the_report_shows_every_picture(report):
         ("other size", "pose1_A.png: expected an image of 512 x 512 px, as the sheet's, found 300 x 200"),
         ("corrupted", "pose1_A.png: expected a readable image, found a damaged or foreign file"),
         ("text", "undistort_A.png: expected a readable image"),
+        ("pipe", r"undistort_A.png: expected a readable image, .* is no regular file"),
         ("flat", "undistort_A.png: expected a grey X-ray image, found one value everywhere"),
         ("photograph", "undistort_A.png: expected an X-ray of a perforated sheet"),
         ("no cube in it", r"pose1_A.png: expected (12 beads of the cube|a lattice that explains 12)"),
@@ -94,6 +96,9 @@ def test_bad_input_gives_one_clear_sentence(folder, tmp_path, capsys, spoil, mes
         cube.write_bytes(cube.read_bytes()[:20_000])
     elif spoil == "text":
         sheet.write_text("not a picture")
+    elif spoil == "pipe":
+        sheet.unlink()
+        os.mkfifo(sheet)
     elif spoil == "flat":
         Image.new("L", (512, 512), 90).save(sheet)
     elif spoil == "photograph":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from guide3d.dataset.cvat import write_cvat
 from guide3d.dataset.dataset import Dataset, split
 from guide3d.dataset.frame import ImageError
 from guide3d.dataset.true_curves import TrueCurve, write_truth
@@ -144,6 +146,34 @@ def test_annotations_without_images(root: Path) -> None:
     assert frame.mask("a").any()
     with pytest.raises(ImageError, match="annotations only"):
         frame.image("a")
+
+
+def test_names_in_capitals_are_found_and_hidden_files_are_not(root: Path, tmp_path: Path) -> None:
+    expected = Dataset.open(root)
+    for name in ("raw.json", "sphere.json", "truth.json", "dataset.json"):
+        (root / name).rename(root / name.title().replace("Json", "JSON"))
+        (root / f"._{name}").write_bytes(b"\0\5\x16\7")  # what macOS leaves on other disks
+    data = Dataset.open(root)
+    assert data.undistorted is True
+    for frame, one in zip(data.frames, expected.frames, strict=True):
+        assert np.array_equal(frame.curve_mm, one.curve_mm)
+        assert np.array_equal(frame.reconstruction_mm, one.reconstruction_mm)
+    (root / "Raw.JSON").unlink()
+    pairs = [annotation("1-bca-angle-1", 0, wire(0.0))]
+    write_cvat(root / "Export.XML", pairs, {"a": (SIZE, SIZE), "b": (SIZE, SIZE)})
+    (root / "._Export.XML").write_bytes(b"\0\5\x16\7")
+    assert [frame.label for frame in Dataset.open(root).frames] == ["1-bca-angle-1/000"]
+
+
+@pytest.mark.parametrize("name", ["raw.json", "truth.json", "dataset.json"])
+def test_pipes_are_no_part_of_a_data_set(root: Path, name: str) -> None:
+    (root / name).unlink()
+    os.mkfifo(root / name)
+    with pytest.raises(ValueError, match=rf"{name} is no regular file"):
+        Dataset.open(root)
+    if name == "raw.json":
+        with pytest.raises(ValueError, match=rf"{name} is no regular file"):
+            Dataset.open(root / name)
 
 
 def test_properties_say_whether_annotations_are_undistorted(root: Path) -> None:

@@ -91,6 +91,13 @@ def test_what_is_no_film_is_one_sentence(tmp_path: Path) -> None:
             list(Source(tmp_path / name).images())
 
 
+def test_a_pipe_among_pictures_is_one_sentence(tmp_path: Path) -> None:
+    write_png(RAMP, tmp_path / "1.png")
+    os.mkfifo(tmp_path / "2.png")
+    with pytest.raises(ValueError, match=r"2\.png is no regular file"):
+        list(Source(tmp_path).images())
+
+
 def test_folders_of_dicom_frames_are_a_run(tmp_path: Path) -> None:
     pytest.importorskip("pydicom", reason="the extra guide3d[dicom] is not installed")
     from tests.guide3d.dicom.written_xray import frames_of, write, xray_dataset

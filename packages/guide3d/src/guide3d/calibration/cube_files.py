@@ -80,7 +80,7 @@ def read_grey(path: str | Path) -> np.ndarray:
         ValueError: The file is damaged or no image.
     """
     path = Path(path)
-    if not path.is_file():
+    if not path.exists():
         raise FileNotFoundError(f"image {path} is missing")
     try:
         values = read_grey_levels(path).astype(float)

@@ -31,6 +31,7 @@ from guide3d.dataset.annotation_files import Annotation, Views, read_curves, rea
 from guide3d.dataset.cvat import read_cvat
 from guide3d.dataset.frame import Frame
 from guide3d.dataset.true_curves import VIEWS, read_truth
+from guide3d.file_names import files_in
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.distortion import Distortion
 from guide3d.json_file import read_json
@@ -100,7 +101,7 @@ class Dataset:
         sizes = {view: _size(camera, properties) for view, camera in zip(VIEWS, cameras, strict=True)}
         annotations = _annotations(path, folder, damaged)
         fitted = _curves(folder, None if curves is None else Path(curves), damaged)
-        truths = read_truth(folder / TRUTH, damaged) if (folder / TRUTH).is_file() else {}
+        truths = next((read_truth(file, damaged) for file in files_in(folder, TRUTH)), {})
         pictures = Path(images) if images is not None else _image_folder(folder, annotations)
         frames: dict[tuple[str, int], Frame] = {}
         for annotation in annotations:
@@ -188,12 +189,12 @@ def images_of(data: Dataset, acquisitions: Sequence[str], at_most: int = 0) -> N
 
 
 def _annotations(path: Path, folder: Path, damaged: list[str]) -> list[Annotation]:
-    raw = path if path.is_file() else _find(folder, RAW)
+    raw = _find(folder, RAW) if path.is_dir() else path
     if raw is not None:
         return read_raw(raw, damaged)
-    exports = sorted(folder.rglob("*.xml"))
-    if exports:
-        return read_cvat(exports[0], damaged)
+    export = _find(folder, "*.xml")
+    if export is not None:
+        return read_cvat(export, damaged)
     raise FileNotFoundError(f"{folder} holds no annotation: expected {RAW} or an export of CVAT (*.xml)")
 
 
@@ -206,9 +207,10 @@ def _curves(folder: Path, given: Path | None, damaged: list[str]) -> dict[tuple[
 
 
 def _find(folder: Path, name: str) -> Path | None:
-    """The file of that name nearest to the folder."""
-    found = sorted(folder.rglob(name), key=lambda file: (len(file.parts), str(file)))
-    return found[0] if found else None
+    """The file of that name, whatever its capitals, nearest to the folder."""
+    pattern = "".join(f"[{letter}{letter.upper()}]" if letter.isalpha() else letter for letter in name)
+    found = (file for file in folder.rglob(pattern) if not file.name.startswith("."))
+    return min(found, key=lambda file: (len(file.parts), str(file)), default=None)
 
 
 def _image_folder(folder: Path, annotations: list[Annotation]) -> Path | None:
@@ -243,8 +245,8 @@ def _outside(annotation: Annotation, sizes: Mapping[str, tuple[int, int]]) -> st
 
 
 def _properties(folder: Path) -> dict[str, Any]:
-    path = folder / PROPERTIES
-    content = read_json(path, "file") if path.is_file() else {}
+    path = next(iter(files_in(folder, PROPERTIES)), None)
+    content = {} if path is None else read_json(path, "file")
     if not isinstance(content, dict) or not isinstance(content.get("undistorted"), bool | None):
         raise ValueError(f'{path}: expected an object whose "undistorted", if it is there, is true or false')
     side = content.get("image_size_px", PUBLIC_SIZE_PX)
