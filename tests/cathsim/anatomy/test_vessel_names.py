@@ -24,7 +24,8 @@ from cathsim.anatomy.volume.labels.choice import AORTASEG24, choose_labels
 KNOWN = {
     "aorta": (
         "aorta.nii.gz", "VHF_descending_aorta_b", "aortic arch", "AAo", "Thoracic Aorta", "Aorta descendens",
-        "Arcus aortae", "aortic root", "sub-01_aorta", "patient7_aorta_final_v2", "s0011_AscendingAorta",
+        "Arcus aortae", "thoracic aorta", "aortic root", "sub-01_aorta", "patient7_aorta_final_v2",
+        "s0011_AscendingAorta",
     ),
     "bca": (
         "brachiocephalic_trunk", "VHF_brachiocephalic_artery_a", "Innominate", "bct", "BCA.stl", "co",
@@ -100,6 +101,14 @@ def test_a_volumes_bones_and_walls_are_no_lumen():
     choice = choose_labels(dict.fromkeys(names, 100), names, None, "a.nii.gz")
     assert choice.vessels == {(0, 1): "aorta", (0, 4): "lsa"}
     assert choice.notes == ("labels not taken, whose names are no known artery's: vertebral column, aortic wall",)
+
+
+def test_beside_an_aorta_only_names_of_arteries_are_taken():
+    texts = [text for text in KNOWN[""] if text]
+    names = {(0, 1): "aorta"} | {(0, number): text for number, text in enumerate(texts, 2)}
+    choice = choose_labels(dict.fromkeys(names, 100), names, None, "a.nii.gz")
+    assert choice.vessels == {(0, 1): "aorta"}
+    assert any(note.endswith(f" and {len(texts) - 8} more") for note in choice.notes)
 
 
 @pytest.mark.parametrize("numbers", [(52, 58), (1,)])

@@ -103,6 +103,27 @@ def test_materials_are_no_part_of_a_surface_and_not_opened(reference: str, tmp_p
     assert surface_files(path) == [path]
 
 
+@pytest.mark.parametrize("kind", ["obj", "ply", "gltf"])
+def test_textures_are_not_opened(kind: str, tmp_path: Path):
+    path = tmp_path / f"model.{kind}"
+    if kind == "obj":
+        (tmp_path / "a.mtl").write_text("newmtl a\nmap_Kd pipe.png\n")
+        path.write_text("mtllib a.mtl\nusemtl a\n" + SPHERE.export(file_type="obj", include_normals=False))
+    elif kind == "ply":
+        content = SPHERE.export(file_type="ply", encoding="ascii")
+        path.write_bytes(content.replace(b"element vertex", b"comment TextureFile pipe.png\nelement vertex", 1))
+    else:
+        _gltf(tmp_path)
+        tree = json.loads(path.read_text())
+        tree |= {"images": [{"uri": "pipe.png"}], "textures": [{"source": 0}]}
+        tree["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
+        tree["meshes"][0]["primitives"][0]["material"] = 0
+        path.write_text(json.dumps(tree))
+    os.mkfifo(tmp_path / "pipe.png")
+    surface = read_parts(path)
+    assert (surface.faces, surface.notes) == (COUNT, ())
+
+
 def _gltf(folder: Path) -> tuple[Path, Path]:
     folder.mkdir(exist_ok=True)
     for name, content in trimesh.Scene(SPHERE).export(file_type="gltf", merge_buffers=True).items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
+import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -110,6 +111,29 @@ def test_what_is_no_sound_polydata_is_refused(content: bytes, message: str, tmp_
     (tmp_path / "bad.vtp").write_bytes(content)
     with pytest.raises(MeshRefusedError, match=message):
         read_triangles(tmp_path / "bad.vtp")
+
+
+LEGACY = "# vtk DataFile Version {}\na\nASCII\nDATASET POLYDATA\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 0 0 1\n{}\n"
+LISTS = "{} 3 6\nOFFSETS vtktypeint64\n0 3 {}\nCONNECTIVITY vtktypeint64\n0 1 2 0 1 2"
+
+
+@pytest.mark.parametrize("end", [5_000_000, -5_000_000])
+@pytest.mark.parametrize("cells", ["Polys", "Strips", "POLYGONS", "TRIANGLE_STRIPS", "POLYGONS of version 4"])
+def test_an_offset_beyond_its_list_takes_no_memory(cells: str, end: int, tmp_path: Path):
+    path = tmp_path / ("a.vtk" if cells.isupper() or "version" in cells else "a.vtp")
+    if path.suffix == ".vtp":
+        path.write_bytes(_vtp("0 1 2", f"3 {end}").replace(b"Strips", b"Lines").replace(b"Polys", cells.encode()))
+    elif cells.isupper():
+        path.write_text(LEGACY.format("5.1", LISTS.format(cells, end)))
+    else:
+        path.write_text(LEGACY.format("4.2", f"POLYGONS 2 8\n3 0 1 2 {end} 0 1 2"))
+    tracemalloc.start()
+    try:
+        with pytest.raises(MeshRefusedError, match="its polygons do not lie within their list of points"):
+            read_triangles(path)
+        assert tracemalloc.get_traced_memory()[1] < 5e6
+    finally:
+        tracemalloc.stop()
 
 
 def test_files_that_are_cut_off_or_no_polydata_are_refused(tmp_path: Path):

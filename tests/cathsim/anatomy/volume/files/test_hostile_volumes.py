@@ -157,6 +157,7 @@ def test_lines_and_bytes_that_a_header_skips(tmp_path: Path) -> None:
         ),
         ("away.nhdr", NRRD.format(sizes="40 40 40", more="encoding: raw\ndata file: ../a.raw"), "its own folder"),
         ("printf.mhd", META.format(axes=3, more="", sizes="40 40 40", data="%s%s%n%n.raw 1 64 1"), "by a pattern"),
+        ("large.mhd", META.format(axes=3, more="", sizes="1600 1600 1600", data="LOCAL"), "thousand million values"),
         ("minus_one.mhd", META.format(axes=-1, more="", sizes="40 40 40", data="x"), "header cannot be read"),
         ("axes.mhd", META.format(axes=999999, more="", sizes="40 40 40", data="x"), "header cannot be read"),
         ("any_file.mhd", META.format(axes=3, more="", sizes="40 40 40", data="/etc/passwd"), "its own folder"),
@@ -220,7 +221,10 @@ def test_slices_in_files_of_their_own_are_read_and_part_of_the_hash(tmp_path: Pa
 
 def test_an_analyze_file_is_to_be_converted(tmp_path: Path) -> None:
     nibabel.save(nibabel.AnalyzeImage(tubes().astype(np.int16), np.eye(4)), tmp_path / "analyze.img")
-    refused(tmp_path / "analyze.img", "no NIfTI file but one of the kind .*; convert it to .nii.gz")
+    for name in ("analyze.img", "analyze.hdr"):
+        refused(tmp_path / name, "no NIfTI file but one of the kind .*; convert it to .nii.gz")
+        with pytest.raises(MeshRefusedError, match=f"{name} is no file of a kind that is read: .*; convert it"):
+            import_anatomy(tmp_path / name, cache_dir=tmp_path)
 
 
 def test_a_reader_that_takes_too_much_memory_ends_in_a_sentence(
