@@ -25,7 +25,7 @@ KNOWN = {
     "aorta": (
         "aorta.nii.gz", "VHF_descending_aorta_b", "aortic arch", "AAo", "Thoracic Aorta", "Aorta descendens",
         "Arcus aortae", "thoracic aorta", "aortic root", "sub-01_aorta", "patient7_aorta_final_v2",
-        "s0011_AscendingAorta",
+        "s0011_AscendingAorta", "A_Aorta_Asc",
     ),
     "bca": (
         "brachiocephalic_trunk", "VHF_brachiocephalic_artery_a", "Innominate", "bct", "BCA.stl", "co",
@@ -61,7 +61,12 @@ KNOWN = {
         "mesenteric fat", "quadriceps_femoris_left", "prevertebral_left", "LEFT KIDNEY AORTA", "myocardial scar",
         # veins
         "iliac vein left", "iliac_vena_left", "superior mesenteric vein", "innominate vein", "left brachiocephalic",
+        "V_Subclavian_L", "V. subclavia sinistra", "v. carotis", "V_Iliac_L", "VEN_ILIACA_L", "VN_SUBCLAVIA_L",
+        # nerves, lymph nodes, volumes to irradiate, vertebrae, and what a first word denies
+        "N. femoralis links", "N_Femoral_L", "LN_Iliac_L", "GTV_Carotid_L", "PTV aorta", "PRV05_Aorta", "A_Aorta_PRV05",
+        "PTV5040_Iliac_L", "C7_vertebral_left", "L4 left vertebral", "MUSC_femoral_left", "NOT_AORTA", "NO AORTA",
         # of arteries, but no lumen of one
+        "THROMB_AORTA", "ILT2_aorta", "IMH aorta", "CALC_AORTA", "RING_aorta", "PLAQ_carotid_left",
         "aortic wall", "aorta calcification", "aortic aneurysm thrombus", "stent graft aorta", "false lumen thrombus",
         "FLT", "aorta plaque", "PVAT_aorta", "periaortic lymph node", "left_coronary_cusp",
         # of no one vessel, or of no known one
@@ -81,7 +86,7 @@ def test_the_projects_own_names_mean_themselves():
 
 
 def test_names_of_something_else():
-    for text in ("vertebrae_L1", "Ribs", "inferior vena cava", "aortic wall", "left kidney"):
+    for text in ("vertebrae_L1", "Ribs", "V_Subclavian_L", "inferior vena cava", "aortic wall", "left kidney"):
         assert is_other(text), text
     for text in ("Segment_1", "lumen", "vessels", "aorta", "", "tree"):
         assert not is_other(text), text

@@ -92,10 +92,10 @@ _PARTS_OF_AORTA = _these(
 )
 # Words that do not say which vessel it is: of parts, of what a program makes, endings of files
 _PASSING = _these(
-    "proximal distal part segment section portion lumen lumina vessel blood contrast enhanced main whole the of a b c "
-    "d e f v version final new old edited copy smooth smoothed clean cleaned remeshed closed open cut mask label "
-    "labels seg segmentation surface mesh model object group geometry node roi patient pat case subject scan ct cta "
-    "cect mra mr stl obj ply vtp vtk glb gltf nii gz nrrd nhdr mha mhd dcm"
+    "proximal distal part segment section portion lumen lumina vessel blood contrast enhanced main whole the of a b "
+    "c d e f version final new old edited copy smooth smoothed clean cleaned remeshed closed open cut mask label "
+    "labels seg segmentation surface mesh model object group geometry node roi patient pat case subject vhf vhm scan "
+    "ct cta cect mra mr stl obj ply vtp vtk glb gltf nii gz nrrd nhdr mha mhd dcm"
 )
 # Vessels by the words that name them. Those of the second table are adjectives, of bones and organs as well: they need
 # a side, or the word artery or trunk.
@@ -167,14 +167,15 @@ _OWN_NAMES = frozenset(
 )
 # Words of what is no artery of interest, in small letters and the singular.
 _OTHER = _these(
-    "vein vena venous vene veine venae vc ivc svc sinus portal azygos jugular bone os spine spinal column vertebra "
-    "vertebrae body rib costa sternum sacrum femur hip ilium pelvis humerus scapula clavicle clavicula skull mandible "
-    "crest cord disc discs liver kidney spleen stomach pancreas bladder prostate uterus colon bowel intestine "
-    "duodenum esophagus oesophagus trachea bronchus bronchi lung pleura heart cardiac ventricle atrium atrial auricle "
-    "appendage myocardium pericardium valve leaflet cusp coronary pulmonary brain cerebellum thyroid gland adrenal "
-    "muscle gluteus iliopsoas iliacus psoas autochthon fat skin nerve ganglion sheath lymph node tumor tumour cyst "
-    "lesion wall thrombus thrombosis ilt flt pvat clot calcification calcium calcified plaque aneurysm hematoma "
-    "haematoma dissection flap stent graft endograft prosthesis catheter guidewire wire air background tissue table"
+    "v vv vn ven vein vena venous vene veine venae vc ivc svc sinus portal azygos jugular bone os spine spinal "
+    "column vertebra vertebrae body rib costa sternum sacrum femur hip ilium pelvis humerus scapula clavicle "
+    "clavicula skull mandible crest cord disc discs liver kidney spleen stomach pancreas bladder prostate uterus "
+    "colon bowel intestine duodenum esophagus oesophagus trachea bronchus bronchi lung pleura heart cardiac "
+    "ventricle atrium atrial auricle appendage myocardium pericardium valve leaflet cusp coronary pulmonary brain "
+    "cerebellum thyroid gland adrenal muscle musc gluteus iliopsoas iliacus psoas autochthon fat skin n nn nerve "
+    "ganglion sheath lymph ln node gtv ctv itv ptv prv tumor tumour cyst lesion wall thromb thrombus thrombosis ilt "
+    "flt pvat clot calcification calcium calcified plaque aneurysm hematoma haematoma dissection flap stent graft "
+    "endograft prosthesis catheter guidewire wire air background tissue table"
 )
 _FEW_NAMES = 8  # in a list
 
@@ -250,17 +251,15 @@ def _with_side(vessel: str, side: str) -> str:
 def _words(text: str) -> list[str]:
     """Words in small letters, without accents and numbers; capitals within a word part it ("LeftCommonCarotid2").
 
-    A letter with a number stays one, for that is a vertebra ("L3"). A first word that is an identifier, in capitals or
-    with a number, is left out where nothing is known of it.
+    A letter with a number stays one, for that is a vertebra ("L3"), but for a version ("v2"). A subject's number at the
+    beginning ("sub-01", "s0011") is left out, no other word: "NOT_AORTA" and "PRV05_Aorta" are no aortas.
     """
     ascii_text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     parted = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", ascii_text)
-    raw = [word for word in re.split(r"[^A-Za-z0-9]+", parted) if word]
-    if len(raw) > 2 and raw[0].lower() == "sub" and raw[1].isdecimal():
-        raw = raw[2:]  # a subject, as in "sub-01_aorta"
-    if len(raw) > 1 and (raw[0].isupper() or re.search(r"\d", raw[0])):
-        first = raw[0].lower()
-        if not (first in _SPELLINGS or first in _ABBREVIATIONS or first in _SIDED or first in _OTHER):
-            raw = raw[1:]
-    words = [word if re.fullmatch(r"[a-uw-z]\d+", word) else word.rstrip("0123456789") for word in map(str.lower, raw)]
+    raw = [word for word in re.split(r"[^a-z0-9]+", parted.lower()) if word and not re.fullmatch(r"v\d+", word)]
+    if len(raw) > 2 and raw[0] == "sub" and raw[1].isdecimal():
+        raw = raw[2:]
+    if len(raw) > 1 and re.fullmatch(r"[a-z]?\d{3,}", raw[0]):
+        raw = raw[1:]
+    words = [word if re.fullmatch(r"[a-z]\d+", word) else word.rstrip("0123456789") for word in raw]
     return [word for word in words if word]
