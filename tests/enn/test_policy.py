@@ -132,7 +132,7 @@ def test_settings_refuse_unknown_names() -> None:
     for name in ("algorithm", "extractor", "variant", "activation"):
         with pytest.raises(ValueError, match=f"unknown {name} 'other'; there are"):
             NetworkSettings(**{name: "other"})
-    with pytest.raises(ValueError, match="leave critic_keys empty with ppo"):
+    with pytest.raises(ValueError, match="leave critic_keys and critic_layer_norm out with ppo"):
         NetworkSettings(algorithm="ppo", critic_keys=("tip",))
     image = gymnasium.spaces.Dict({"image": gymnasium.spaces.Box(0, 255, (1, 8, 8), np.uint8)})
     with pytest.raises(
