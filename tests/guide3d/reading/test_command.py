@@ -150,6 +150,8 @@ def test_images_that_are_not_read_are_said(data: Path, tmp_path: Path, capsys: p
         (("missing.mp4", "--video"), "is missing"),
         (("cut.dcm",), "cut.dcm"),
         (("a.png", "b.png"), "add --cameras FOLDER"),
+        (("a.png", "a.png", "--cameras", "cameras"), "two views need two different images"),
+        (("a.png", "a.png", "--cameras", "cameras", "--video"), "two views need two different images"),
         (("a.png", "--cameras", "cameras"), "--cameras needs two images"),
         (("a.png", "b.png", "--cameras", "missing"), "is missing"),
         (("a.png", "b.png", "--cameras", "."), "holds no cameras"),
@@ -170,7 +172,8 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
 
 
 def test_an_image_of_another_moment_is_said(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [str(data / "a.png"), str(data / "a.png"), "--cameras", str(data / "cameras")]
+    write_png(picture(maps_of(SCENES[0].points[1])), tmp_path / "other.png")
+    words = [str(data / "a.png"), str(tmp_path / "other.png"), "--cameras", str(data / "cameras")]
     command.main([*words, "--output", str(tmp_path)])
     error = capsys.readouterr().err
     assert "fit each other poorly" in error or "do not show one wire" in error

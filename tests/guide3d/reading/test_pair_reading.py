@@ -118,3 +118,9 @@ def test_bad_input_is_one_sentence(arch: tuple[SyntheticScene, list[np.ndarray],
         read_pair(*pictures, scene.cameras, frame="round", reader=READER)
     with pytest.raises(ValueError, match="raw images need the distortions"):
         read_pair(*pictures, scene.cameras, frame="raw", reader=READER)
+
+
+def test_one_image_as_both_views_is_refused(arch: tuple[SyntheticScene, list, list[ImageReading]]) -> None:
+    scene, pictures, _ = arch
+    with pytest.raises(ValueError, match="two views need two different images"):
+        read_pair(pictures[0], pictures[0].copy(), scene.cameras, reader=READER)

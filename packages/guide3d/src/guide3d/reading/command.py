@@ -47,7 +47,7 @@ from guide3d.reading.output.curve_files import (
 )
 from guide3d.reading.output.overlay import draw_reading
 from guide3d.reading.output.space_page import space_page
-from guide3d.reading.pair_reading import FRAMES, PairReading, combine
+from guide3d.reading.pair_reading import FRAMES, PairReading, check_different, combine
 from guide3d.reading.sequence import FrameReading, read_pairs, read_sequence
 from guide3d.reconstruction.matching import clearly_better
 
@@ -244,6 +244,7 @@ def _fitting(
                 f"{path} has {image.shape[1]} x {image.shape[0]} px, but camera {name} was calibrated for "
                 f"{camera.width} x {camera.height}"
             )
+    check_different(*images)
     views = []
     for path, image in zip((given.a, given.b), images, strict=True):
         try:

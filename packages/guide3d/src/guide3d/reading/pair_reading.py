@@ -120,8 +120,8 @@ def read_pair(
         priors: of both images, the wire a moment before, px.
 
     Raises:
-        ValueError: an image that cannot be read or shows no wire, of another size than its camera's, or two curves
-            that have nothing in common.
+        ValueError: an image that cannot be read or shows no wire, of another size than its camera's, one image twice,
+            or two curves that have nothing in common.
     """
     chosen = settings or PairReadingSettings()
     if len(cameras) != 2 or (distortions is not None and len(distortions) != 2):
@@ -130,10 +130,21 @@ def read_pair(
         raise ValueError(f"expected a frame among {', '.join(FRAMES)}, got {frame!r}")
     if frame == "raw" and distortions is None:
         raise ValueError("raw images need the distortions of both detectors, or cameras that were calibrated raw")
+    check_different(image_a, image_b)
     views = []
     for name, image, camera, prior in zip(VIEWS, (image_a, image_b), cameras, priors, strict=True):
         views.append(_view(name, np.asarray(image), camera, reader, prior, chosen))
     return combine(views, cameras, distortions, frame, chosen)
+
+
+def check_different(image_a: ArrayLike, image_b: ArrayLike) -> None:
+    """Refuses one image as both views.
+
+    Raises:
+        ValueError: both have the same pixels.
+    """
+    if np.array_equal(np.asarray(image_a), np.asarray(image_b)):
+        raise ValueError("images A and B are one image: two views need two different images")
 
 
 def combine(
