@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -41,3 +42,27 @@ def test_a_package_lists_its_commands(package: str, tmp_path: Path) -> None:
 
 def test_a_word_too_many_is_wrong_usage(tmp_path: Path) -> None:
     assert run("guide3d", tmp_path, "moon").returncode == 2
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_reader_that_has_gone_is_no_fault(package: str) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "wb") as gone:
+        command = [sys.executable, "-m", package]
+        done = subprocess.run(command, stdout=gone, stderr=subprocess.PIPE, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["guide3d.train", "guide3d.train_reader", "splineformer.train", "splineformer.train_on_fluoroscopy"],
+)
+def test_a_training_without_torch_ends_with_one_line(command: str) -> None:
+    code = (
+        "import runpy, sys; sys.modules['torch'] = None; sys.argv = [sys.argv[1], '--help']\n"
+        "runpy.run_module(sys.argv[0], run_name='__main__', alter_sys=True)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, command], capture_output=True, text=True, check=False)
+    said = f"{command}: this part of guide3d needs torch: pip install 'endonav-guide3d[learning]'\n"
+    assert (done.returncode, done.stderr) == (1, said)

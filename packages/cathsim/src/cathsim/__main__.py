@@ -1,6 +1,7 @@
 """Lists the package's command lines: `python -m cathsim`."""
 
 import ast
+import os
 import sys
 from pathlib import Path
 
@@ -19,5 +20,8 @@ def commands() -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    print("\n".join(f"python -m {name}: {what}" for name, what in commands().items()))
+    try:
+        print("\n".join(f"python -m {name}: {what}" for name, what in commands().items()), flush=True)
+    except BrokenPipeError:  # nobody reads any more, as after `head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains again at its end
     sys.exit(0 if set(sys.argv[1:]) <= {"-h", "--help"} else 2)

@@ -2,9 +2,9 @@
 
 import sys
 
-from guide3d.commands import listing
+from guide3d.commands import listing, say
 
 if __name__ == "__main__":
     text, code = listing("guide3d", sys.argv[1:])
-    print(text)
+    say(text)
     sys.exit(code)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -30,6 +32,14 @@ def listing(package: str, words: Sequence[str]) -> tuple[str, int]:
     """What `python -m PACKAGE` prints, a line a command, and its exit code: 2 for words other than --help."""
     lines = [f"python -m {name}: {what}" for name, what in commands(package).items()]
     return "\n".join(lines), 0 if set(words) <= {"-h", "--help"} else 2
+
+
+def say(text: str) -> None:
+    """Prints a text and a line end; where nobody reads any more, as after `head`, it is dropped."""
+    try:
+        print(text, flush=True)  # noqa: T201
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains again at its end
 
 
 def in_words(error: BaseException) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 
 
 def require(module: str, extra: str) -> None:
@@ -15,3 +16,11 @@ def require(module: str, extra: str) -> None:
         raise ModuleNotFoundError(
             f"this part of guide3d needs {module}: pip install 'endonav-guide3d[{extra}]'", name=module
         )
+
+
+def required_by_command(command: str, module: str, extra: str) -> None:
+    """As `require`, for a program of which even the imports need it: ends it with one line and exit code 1."""
+    try:
+        require(module, extra)
+    except ModuleNotFoundError as error:
+        sys.exit(f"{command}: {error}")

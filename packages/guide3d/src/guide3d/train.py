@@ -16,6 +16,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from guide3d.extras import required_by_command
+
+if __name__ == "__main__":
+    required_by_command("guide3d.train", "torch", "learning")
+
 from guide3d.dataset.acquisition_split import Split
 from guide3d.dataset.dataset import Dataset
 from guide3d.json_file import json_fields

@@ -23,6 +23,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from guide3d.extras import required_by_command
+
+if __name__ == "__main__":
+    required_by_command("guide3d.train_reader", "torch", "learning")
+
 from guide3d.atomic_file import whole_file
 from guide3d.dataset.dataset import Dataset
 from guide3d.json_file import json_fields

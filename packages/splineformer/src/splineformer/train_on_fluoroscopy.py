@@ -19,6 +19,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from guide3d.extras import required_by_command
+
+if __name__ == "__main__":
+    required_by_command("splineformer.train_on_fluoroscopy", "torch", "learning")
+
 import torch
 
 from guide3d.atomic_file import whole_file
