@@ -140,7 +140,7 @@ def test_written_pictures_are_red_green_blue(tmp_path: Path) -> None:
     assert np.array_equal(cv2.imdecode(np.frombuffer(encode_png(GREY), np.uint8), cv2.IMREAD_UNCHANGED), GREY)
 
 
-@pytest.mark.parametrize("ending", [".png", ".jpg", ".tif"])
+@pytest.mark.parametrize("ending", [".png", ".jpg", ".tif", ".bmp"])
 def test_cut_off_images_are_refused_in_one_sentence(
     ending: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -143,7 +143,7 @@ def _content(path: Path) -> bytes:
     elif data.startswith(_JPEG):
         fault = _fault_of_jpeg(data)
     elif data.startswith(_BMP):
-        fault = _fault_of_sides(*(abs(int.from_bytes(data[at : at + 4], "little", signed=True)) for at in (18, 22)))
+        fault = _fault_of_bmp(data)
     elif data:
         fault = "" if data.startswith(_TIFF) else "it is damaged, or no image of the kinds PNG, JPEG, TIFF and BMP"
     if fault:
@@ -229,6 +229,16 @@ def _page(path: Path, data: bytes, page: tuple[int, bool], colours: bool) -> Gre
 
 def _fault_of_sides(width: int, height: int) -> str:
     return "" if 0 < width <= _LARGEST_PX and 0 < height <= _LARGEST_PX else f"it claims {width} x {height} px"
+
+
+def _fault_of_bmp(data: bytes) -> str:
+    width, height = (abs(int.from_bytes(data[at : at + 4], "little", signed=True)) for at in (18, 22))
+    start, bits, compression = (int.from_bytes(data[at : at + n], "little") for at, n in ((10, 4), (28, 2), (30, 4)))
+    whole = start + height * ((width * bits + 31) // 32 * 4)  # without its last row's filling, which writers leave out
+    if len(data) < 34:
+        return "it is cut off"
+    fault = _fault_of_sides(width, height)
+    return fault or ("it is cut off" if compression in (0, 3) and len(data) < whole - 3 else "")
 
 
 def _fault_of_jpeg(data: bytes) -> str:
