@@ -44,6 +44,8 @@ def test_channels_that_agree_are_grey_and_a_photograph_is_refused() -> None:
         (np.zeros(10), "expected a grey image"),
         (np.zeros((200, 200), bool), "expected a grey image"),
         (np.where(RNG.random((200, 200)) < 0.01, np.nan, 1.0), "finite"),
+        (GREY * 1e300, "finite grey values of at most 1e[+]30"),
+        (np.repeat(GREY[..., None], 3, axis=2) * 1e305, "finite grey values of at most 1e[+]30"),
     ],
 )
 def test_what_cannot_be_read_is_one_sentence(image: np.ndarray, message: str) -> None:
@@ -70,3 +72,9 @@ def test_the_black_rim_is_not_exposed() -> None:
     assert outside[5, 5]
     assert not outside[256, 256]
     assert (outside != ~field).mean() < 0.03
+
+
+def test_a_strip_is_not_made_thinner_than_a_wire_needs() -> None:
+    strip = RNG.integers(0, 255, (3000, 140), dtype=np.uint8)
+    assert [one.pixels.shape for one in grey_image(strip).at_known_scales()] == [(2743, 128)]
+    assert [one.pixels.shape for one in grey_image(strip[:2000].repeat(3, 1)).at_known_scales()] == [(1024, 215)]

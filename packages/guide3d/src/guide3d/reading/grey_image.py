@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from guide3d.opencv import cv2
 SMALLEST_PX = 128  # of a side: a wire and what is around it
 READ_PX = 1024  # of the longer side: in images of that size the reader knows wires 1 to 4.5 px wide
 _SMALL_PX = 512  # of the longer side, below which a wire may be too thin to be seen
+_LARGEST = 1e30  # of real numbers, which are worked with in single precision
 _COLOUR = 12  # grey levels between the channels of a pixel that is coloured
 _COARSE = 8
 
@@ -50,7 +52,8 @@ class GreyImage:
     def at_known_scales(self) -> list[GreyImage]:
         """The image as it is, or made smaller where it is large; and enlarged, too, where it is small."""
         longer = max(self.pixels.shape)
-        scales = [self.resampled(min(longer, READ_PX))]
+        least = math.ceil(SMALLEST_PX * longer / min(self.pixels.shape))  # a long strip stays as wide as a wire needs
+        scales = [self.resampled(min(longer, max(READ_PX, least)))]
         return [*scales, self.resampled(READ_PX)] if longer < _SMALL_PX else scales
 
     def to_given(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -72,7 +75,7 @@ def grey_levels(image: ArrayLike, smallest_px: int = SMALLEST_PX) -> tuple[NDArr
     """Checks an image and brings it to 8 bits.
 
     Args:
-        image: (h, w), or (h, w, 3) without colours; bytes, 16 bits, or real numbers, in any range.
+        image: (h, w), or (h, w, 3) without colours; bytes, 16 bits, or real numbers, of at most 1e30.
         smallest_px: of a side.
 
     Returns:
@@ -83,6 +86,8 @@ def grey_levels(image: ArrayLike, smallest_px: int = SMALLEST_PX) -> tuple[NDArr
     """
     values = np.asarray(image)
     messages: list[str] = []
+    if values.dtype.kind == "f" and values.size and not max(-float(values.min()), float(values.max())) <= _LARGEST:
+        raise ValueError(f"expected finite grey values of at most {_LARGEST:g}, found some that are not")
     if values.ndim == 3 and values.shape[2] in (1, 2, 3, 4):
         values = _without_colour(values, messages)
     if values.ndim != 2 or values.dtype.kind not in "uif":
@@ -93,8 +98,6 @@ def grey_levels(image: ArrayLike, smallest_px: int = SMALLEST_PX) -> tuple[NDArr
             f"expected an image of at least {smallest_px} x {smallest_px} px, got {width} x {height}: "
             "too small to tell a wire from its surroundings"
         )
-    if values.dtype.kind == "f" and not np.isfinite(values).all():
-        raise ValueError("expected finite grey values, found some that are not")
     low, high = float(values.min()), float(values.max())
     if high - low < 1e-3 * max(abs(high), abs(low), 1e-9) or (values.dtype == np.uint8 and high - low < 3.0):
         raise ValueError(f"the image has no contrast: its grey values are {low:g} to {high:g}")

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from guide3d.geometry.polyline import Array
 from guide3d.reading.curve_reading import CurveReadingSettings, CurvesOfImage, ImageCurve, Prior, read_curves
-from guide3d.reading.grey_image import GreyImage, grey_image
+from guide3d.reading.grey_image import SMALLEST_PX, GreyImage, grey_image
 from guide3d.reading.ridges import Map
 
 _UNSURE = 0.5  # confidence below which a point counts as guessed
@@ -125,8 +125,11 @@ def read(
     notes = list(grey.messages)
     seen, found = _best(network, scales, prior, settings)
     longer = max(scales[0].pixels.shape)
+    smaller = []
     if _score(found) < _FAINT_PX and longer >= _SMALL_PX:
         smaller = [scales[0].resampled(round(share * longer)) for share in _WIDE_SCALES]
+        smaller = [one for one in smaller if min(one.pixels.shape) >= SMALLEST_PX]
+    if smaller:
         coarse, other = _best(network, smaller, prior, settings)
         if _outdoes(coarse, other, found) and _is_wide_wire(coarse, other.candidates[0]):
             seen, found = coarse, other
