@@ -96,7 +96,7 @@ class LocalError(Exception):
 
 
 def raising(kind: str) -> None:
-    raise {"local": LocalError(1, 2), "exit": SystemExit(3)}[kind]
+    raise {"local": LocalError(1, 2), "exit": SystemExit(3), "end": StopIteration(), "key": KeyError("sizes")}[kind]
 
 
 def crashing() -> None:
@@ -132,10 +132,10 @@ def test_results_and_errors_come_back(child: str, capfd: pytest.CaptureFixture[s
     with pytest.raises(MeshRefusedError, match="no surface; see the picture") as caught:
         call_in_child(refusing, subject="a.stl")
     assert caught.value.picture == Path("picture.png")
-    with pytest.raises(RuntimeError, match="LocalError: 1 2"):
-        call_in_child(raising, "local", subject="a.stl")
-    with pytest.raises(RuntimeError, match="SystemExit: 3"):
-        call_in_child(raising, "exit", subject="a.stl")
+    words = {"local": "LocalError: 1 2", "exit": "SystemExit: 3", "end": "StopIteration", "key": "KeyError: 'sizes'"}
+    for kind, word in words.items():
+        with pytest.raises(UnreadableFileError, match=rf"^a\.stl cannot be read \({word}\); export it again\.$"):
+            call_in_child(raising, kind, subject="a.stl")
     assert capfd.readouterr() == ("", "")
 
 

@@ -26,6 +26,7 @@ from typing import Any, BinaryIO, TypeVar
 MEMORY = 4 << 30  # bytes that a reader may take
 SECONDS = 60.0  # that a reader may take
 _BLOCK = 1 << 20  # bytes read from a child at once
+_REFUSALS = (ValueError, FileNotFoundError, ImportError, MemoryError)  # that reach the caller as they are
 _FORKS = sys.platform.startswith("linux")  # elsewhere a fork without exec is missing or unsafe
 _BOOT = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); pickle.load(sys.stdin.buffer)()"
 
@@ -125,8 +126,8 @@ def call_in_child(
         What the function returned.
 
     Raises:
-        UnreadableFileError: the function crashed, or took more time or memory.
-        Exception: whatever the function raised, unchanged.
+        UnreadableFileError: the function crashed, took more time or memory, or raised another error than the next.
+        ValueError, FileNotFoundError, ImportError: the function raised it; unchanged.
     """
     answer = functools.partial(_answer, function, arguments, seconds, memory)
     try:
@@ -148,6 +149,8 @@ def call_in_child(
         return result
     if isinstance(result, MemoryError):
         raise UnreadableFileError(too_much) from None
+    if isinstance(result, str):
+        raise UnreadableFileError(f"{subject} cannot be read ({result}); export it again.") from None
     raise result
 
 
@@ -220,15 +223,16 @@ def _answer(function: Callable, arguments: tuple, seconds: float, memory: int, d
         try:
             answer = True, function(*arguments)
         except BaseException as error:
-            answer = False, _picklable(error)
+            answer = False, _error_or_words(error)
         pickle.dump(answer, pipe, protocol=5)
 
 
-def _picklable(error: BaseException) -> BaseException:
+def _error_or_words(error: BaseException) -> Exception | str:
+    """A refusal itself; in words what a library raised, which callers do not expect."""
     with contextlib.suppress(Exception):
-        if isinstance(error, Exception) and type(pickle.loads(pickle.dumps(error))) is type(error):
+        if isinstance(error, _REFUSALS) and type(pickle.loads(pickle.dumps(error))) is type(error):
             return error
-    return RuntimeError(f"{type(error).__name__}: {error}")
+    return f"{type(error).__name__}: {error}".removesuffix(": ")
 
 
 def _set_limits(seconds: float, memory: int) -> None:

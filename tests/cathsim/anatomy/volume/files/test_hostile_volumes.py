@@ -243,3 +243,14 @@ def test_a_process_of_its_own_costs_little(tmp_path: Path) -> None:
     began = time.monotonic()
     read_labels(path, OWN)
     assert time.monotonic() - began < 1.0  # 0.05 s measured, on a machine that does nothing else
+
+
+@pytest.mark.parametrize(
+    "ending", ["nrrd", "seg.nrrd", "nhdr", "nii", "nii.gz", "mha", "mhd", "dcm", "stl", "glb", "vtp"]
+)
+@pytest.mark.parametrize("size", [0, 10])
+def test_files_of_no_content_are_refused_in_a_sentence(ending: str, size: int, tmp_path: Path):
+    path = tmp_path / f"aorta.{ending}"
+    path.write_bytes(b"NRRD0005\n\n"[:size])
+    with pytest.raises(MeshRefusedError, match=rf"^aorta\.{ending} .+[.\w]$"):
+        import_anatomy(path)

@@ -101,7 +101,8 @@ def open_volume(path: Path, transform: str | None = None, *, image: bool = False
     if path.is_dir() or is_dicom_file(path):
         _refuse_transform(path, transform)
         return open_dicom(path, image=image)
-    check_regular(path)
+    if check_regular(path) == 0:
+        raise MeshRefusedError(f"{path.name} is empty; export it again.")
     if name.endswith((*nrrd_file.SUFFIXES, *metaimage.SUFFIXES)):
         _refuse_transform(path, transform)
         return nrrd_file.open_nrrd(path) if name.endswith(nrrd_file.SUFFIXES) else metaimage.open_metaimage(path)
