@@ -32,3 +32,5 @@ def test_a_part_that_was_torn_off_the_lumen_is_refused():
     surface = np.concatenate([open_pipe(10e-3, 100e-3, 0.0), open_pipe(6e-3, 50e-3, 25e-3)])
     with pytest.raises(MeshRefusedError, match="falls into 2 parts that do not hang together"):
         find_cavity(sample_surface(surface, 0.7 * SPACING), SPACING)
+    rough = find_cavity(sample_surface(surface, 0.7 * SPACING), SPACING, rough=True)  # only its width is wanted
+    assert rough.widest == pytest.approx(10e-3, abs=1.5e-3)

@@ -78,13 +78,14 @@ class _Room:
         return mask
 
 
-def find_cavity(samples: SurfaceSamples, spacing: float, *, in_metres: bool = True) -> Cavity:
+def find_cavity(samples: SurfaceSamples, spacing: float, *, rough: bool = False) -> Cavity:
     """Finds the lumen of a surface whose borders are closed; at a tunnel's ends it stops somewhat before the opening.
 
     Args:
         samples: points on the surface, at most 0.7 voxels apart.
         spacing: m between voxels.
-        in_metres: False where all lengths are in another unit, so that an error must not name them.
+        rough: only its widest place is wanted: narrow places may be shut at this spacing, so that parts beyond them
+            are no fault, and lengths may be in any unit, so that an error must not name them.
 
     Raises:
         MeshRefusedError: there is no lumen, or several that are not connected.
@@ -111,12 +112,12 @@ def find_cavity(samples: SurfaceSamples, spacing: float, *, in_metres: bool = Tr
             kind, chosen = "lumen in a closed wall", within[0] if within else chosen
         rivals = [room for room in rivals if room not in [*around, *within]]
     else:
-        raise MeshRefusedError(_why_none([*enclosed, *tunnels], span, spacing, in_metres=in_metres))
+        raise MeshRefusedError(_why_none([*enclosed, *tunnels], span, spacing, rough=rough))
     rivals = [r for r in rivals if r.radius >= _LEAST_RADIUS and r.volume >= _PART_SHARE * chosen.volume]
     if len(rivals) > 1 and abs(_winding(chosen, samples, origin, spacing)) > _WOUND:
         # a hollow between vessels lies outside of the surface, a part of the lumen that was torn off within it
         rivals = [r for r in rivals if r is chosen or abs(_winding(r, samples, origin, spacing)) > 1 - _WOUND]
-    if len(rivals) > 1:
+    if len(rivals) > 1 and not rough:
         raise MeshRefusedError(
             f"the lumen falls into {len(rivals)} parts that do not hang together; join them, or give one of them."
         )
@@ -205,7 +206,7 @@ def _surrounds(outer: _Room, inner: _Room, shape: tuple[int, ...]) -> bool:
     return bool(binary_fill_holes(shell)[inner.box][inner.part].mean() > 0.95)
 
 
-def _why_none(rooms: list[_Room], span: float, spacing: float, *, in_metres: bool) -> str:
+def _why_none(rooms: list[_Room], span: float, spacing: float, *, rough: bool) -> str:
     long = [room.radius for room in rooms if room.span >= span]
     if not long:
         return (
@@ -217,7 +218,7 @@ def _why_none(rooms: list[_Room], span: float, spacing: float, *, in_metres: boo
         f"it is {width * spacing * 1e3:.1f} mm wide, {needed * spacing * 1e3:.1f} mm are needed at this resolution"
     )
     relative = f"it is {width / span * _LEAST_SPAN:.1%} of the whole's size wide"
-    return f"the lumen is too narrow for a wire: at its widest {measured if in_metres else relative}."
+    return f"the lumen is too narrow for a wire: at its widest {relative if rough else measured}."
 
 
 def _enclosed_voxels(wall: Mask) -> Mask:

@@ -304,7 +304,7 @@ def measure_size(mesh: Triangles, budget: Budget) -> Size:
     """
     spacing = mesh.extent / _VOXELS
     samples = sample_surface(mesh.corners, 0.7 * spacing, budget)
-    return Size(2 * find_cavity(samples, spacing, in_metres=False).widest, mesh.extent)
+    return Size(2 * find_cavity(samples, spacing, rough=True).widest, mesh.extent)
 
 
 def detect_unit(size: Size) -> tuple[str, str, tuple[str, ...]]:
