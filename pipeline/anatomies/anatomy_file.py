@@ -96,6 +96,11 @@ class AnatomyFile:
         return None if self.ct is None else _room(self)
 
 
+def in_settings(text: object) -> str:
+    """A refusal or a note of an import, whose arguments are named as the settings that a command line gives."""
+    return re.sub(r"(?<![\w.])(labels|names|transform|unit)=", r"phantom.\1=", str(text))
+
+
 @functools.lru_cache(maxsize=_KEPT)
 def _imported(file: AnatomyFile, resolution: float) -> Phantom:
     from cathsim.anatomy import import_anatomy

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from annotated_types import Len
 
-from pipeline.anatomies.anatomy_file import AnatomyFile, world_point
+from pipeline.anatomies.anatomy_file import AnatomyFile, in_settings, world_point
 from pipeline.anatomies.fitting import fitted_task
 from pipeline.anatomies.known import require_known_entry, require_known_phantoms, require_known_targets
 from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
@@ -196,7 +196,7 @@ def settle(settings: ChosenAnatomies) -> None:
             phantom.entry(entry_name(place, target))
         settings.fit(phantom)
     except ValueError as error:
-        raise ConfigurationError(str(error)) from error
+        raise ConfigurationError(in_settings(error)) from error
 
 
 def check_anatomies(settings: ChosenAnatomies) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import numpy as np
 from annotated_types import Ge, Le
 
-from pipeline.anatomies.anatomy_file import AnatomyFile
+from pipeline.anatomies.anatomy_file import AnatomyFile, in_settings
 from pipeline.anatomies.known import require_known_phantoms
 from pipeline.anatomies.settings import FileSettings
 from pipeline.settings.checks import validated
@@ -95,7 +95,7 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> Results:
             phantom = _build(anatomy, settings)
             room = None if anatomy.file is None else anatomy.file.room()
         except ValueError as error:
-            raise ConfigurationError(f"phantom {anatomy.label} cannot be built: {error}") from error
+            raise ConfigurationError(f"phantom {anatomy.label} cannot be built: {in_settings(error)}") from error
         if room is not None and phantom.imported is not None:
             of_ct = tuple(note for solid in room.body for note in getattr(solid, "notes", ()))
             phantom = replace(phantom, imported=replace(phantom.imported, notes=phantom.imported.notes + of_ct))
@@ -117,7 +117,7 @@ def _tell(label: str, folder: Path) -> None:
     """Says what an import left out, assumed or changed, and where the picture is."""
     if (folder / IMPORT).is_file():
         for note in json.loads((folder / IMPORT).read_text(encoding="utf-8"))["notes"]:
-            _LOGGER.info("%s: note: %s", label, note)
+            _LOGGER.info("%s: note: %s", label, in_settings(note))
     if (folder / PICTURE).is_file():
         _LOGGER.info("%s: picture: %s", label, folder / PICTURE)
 

@@ -11,6 +11,7 @@ import pytest
 import trimesh
 
 from cathsim.anatomy import load_phantom
+from pipeline.anatomies.anatomy_file import in_settings
 from pipeline.launch import main
 from pipeline.stages.phantoms import PhantomsSettings
 from pipeline.store.errors import ConfigurationError
@@ -99,3 +100,11 @@ def test_wrong_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "text.stl cannot be read as a mesh: it begins as no STL file" in capsys.readouterr().err
     assert main(["stage=phantoms", f"phantom.mesh={text}", "phantom.unit=foot", f"runs_dir={tmp_path / 'runs'}"]) == 2
     assert "unknown unit 'foot'; choose from m, cm, mm, inch" in capsys.readouterr().err
+
+
+def test_what_an_import_advises_is_named_as_settings():
+    text = "a.nii.gz: say which is which by labels={number: 'aorta'}; transform='qform' takes the other"
+    assert in_settings(text) == (
+        "a.nii.gz: say which is which by phantom.labels={number: 'aorta'}; phantom.transform='qform' takes the other"
+    )
+    assert in_settings(in_settings(text)) == in_settings(text)
