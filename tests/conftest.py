@@ -25,8 +25,8 @@ PROJECT_ROOT = Path(__file__).resolve().parent.parent
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Ray's workers have a niceness of 15 otherwise, and starve where other tests keep all cores busy.
 os.environ.setdefault("RAY_worker_niceness", "0")
-# A make that a test starts is no part of the make that runs the tests.
-for _name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "MAKEOVERRIDES"):
+# A make that a test starts is no part of the make that runs the tests, whose variables it would take over.
+for _name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "MAKEOVERRIDES", "ARGS", "NAME", "BUDGET", "SEEDS", "BESIDE", "DEMO"):
     os.environ.pop(_name, None)
 
 
