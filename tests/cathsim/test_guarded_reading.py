@@ -140,6 +140,7 @@ def test_results_and_errors_come_back(child: str, capfd: pytest.CaptureFixture[s
 
 
 def test_a_crash_a_hang_and_a_bomb_are_one_sentence(child: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]):
+    before = _children()  # of other tests
     with pytest.raises(UnreadableFileError, match=r"^a\.stl cannot be read: its reader crashed \(SIGSEGV\); export"):
         call_in_child(crashing, subject="a.stl")
     assert call_in_child(within, LIMIT_MB - 100, subject="a.stl", memory=LIMIT_MB << 20)
@@ -152,6 +153,13 @@ def test_a_crash_a_hang_and_a_bomb_are_one_sentence(child: str, tmp_path: Path, 
     mark = tmp_path / "mark"  # on a busy machine a new interpreter may not have begun to read
     assert not mark.exists() or not _alive(int(mark.read_text()))
     assert capfd.readouterr() == ("", "")
+    assert _children() <= before, "no zombie"
+
+
+def _children() -> set[str]:
+    """The processes that this thread has started, those that have ended but were not waited for, too."""
+    file = Path("/proc/thread-self/children")
+    return set(file.read_text(encoding="utf-8").split()) if file.exists() else set()
 
 
 def _alive(process: int) -> bool:

@@ -1,4 +1,4 @@
-"""The guards for files from outside: one module each, which packages that import nothing of each other carry alike."""
+"""Modules that packages which import nothing of each other carry alike: guards for files from outside, lazy names."""
 
 from __future__ import annotations
 
@@ -10,9 +10,14 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.parametrize(
-    ("name", "package"), [("guarded_reading.py", "cathsim/src/cathsim"), ("bounded_content.py", "enn/src/enn")]
+    ("name", "package"),
+    [
+        ("guarded_reading.py", "cathsim/src/cathsim"),
+        ("bounded_content.py", "enn/src/enn"),
+        ("lazy_names.py", "guide3d/src/guide3d"),
+    ],
 )
-def test_packages_carry_the_same_guards(name: str, package: str):
+def test_packages_carry_the_same_module(name: str, package: str):
     copies = sorted((ROOT / "packages").glob(f"*/src/**/{name}"))
     assert ROOT / "packages" / package / name in copies
     assert len(copies) > 1
