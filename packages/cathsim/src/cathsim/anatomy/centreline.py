@@ -10,6 +10,7 @@ skeletons", Pacific Graphics 2000.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -77,17 +78,15 @@ class LumenPaths:
             leaves = int(inside[-1]) if len(inside) else 0
             return way[leaves:], float(away[tuple(candidate)] - away[tuple(way[leaves])])
 
-        while len(found) < _MOST_ENDS:
-            left = open_ & ~covered
-            if not left.any():
-                break
-            candidate = np.array(np.unravel_index(int(np.argmax(np.where(left, away, -1.0))), self.inside.shape))
+        for candidate in self._farthest_first(open_, away, covered):
             way, stands_out = beyond(candidate, covered)
             self._cover(covered, way)
             covered[tuple(candidate)] = True
             if stands_out >= _LEAST_LENGTH:
                 found.append(candidate)
                 self._cover(led_to, way)
+            if len(found) == _MOST_ENDS:
+                break
         self._add_stumps(found, led_to, away, ways)
         for candidate in np.empty((0, 3), int) if openings is None else openings:
             if open_[tuple(candidate)] and not led_to[tuple(candidate)] and len(found) < _MOST_ENDS:
@@ -103,14 +102,15 @@ class LumenPaths:
         for end in found:
             self._cover(covered, np.array(ways.traceback(tuple(end))), _COVER_CLOSELY)
         widest = float(self.depth.max())
-        left = self.inside & np.isfinite(away) & ~covered
+        left = self.inside & np.isfinite(away)
         for tip in self.wide_tips()[0]:  # the rim of an end that is cut aslant stands out as well
             far = np.sqrt(
                 sum((axis - x) ** 2 for axis, x in zip(np.ogrid[tuple(map(slice, left.shape))], tip, strict=True))
             )
             left &= far * self.spacing > _RIM * widest
-        while left.any() and len(found) < _MOST_ENDS:
-            candidate = np.array(np.unravel_index(int(np.argmax(np.where(left, away, -1.0))), self.inside.shape))
+        for candidate in self._farthest_first(left, away, covered):
+            if len(found) == _MOST_ENDS:
+                break
             way = np.array(ways.traceback(tuple(candidate)))
             inside = np.flatnonzero(covered[tuple(way.T)])
             leaves = int(inside[-1]) if len(inside) else 0
@@ -118,10 +118,18 @@ class LumenPaths:
             stands_out = float(away[tuple(candidate)] - away[tuple(way[leaves])])
             self._cover(covered, beyond, _COVER_CLOSELY)
             covered[tuple(candidate)] = True
-            left &= ~covered
             if stands_out >= _LEAST_LENGTH and self.depth[tuple(beyond.T)].max() < _STUMP * widest:
                 found.append(candidate)
                 self._cover(led_to, beyond)
+
+    @staticmethod
+    def _farthest_first(places: Mask, away: Array, covered: Mask) -> Iterator[Voxels]:
+        """The places, the farthest first, that are not covered by the time that it is their turn."""
+        order = np.flatnonzero(places)
+        order = order[np.argsort(-away.ravel()[order], kind="stable")]
+        for index in order.tolist():
+            if not covered.ravel()[index]:
+                yield np.array(np.unravel_index(index, places.shape))
 
     def wide_tips(self) -> tuple[Voxels, float]:
         """Both tips of the lumen's wide part, voxels (2, 3), and the radius, m, of the ball that fits everywhere in it.

@@ -18,9 +18,15 @@ Array = NDArray[np.float64]
 def across_frames(tangents: Array) -> tuple[Array, Array]:
     """Two unit vectors (n, 3) each, at right angles to tangents (n, 3) and to each other."""
     aside = np.where(np.abs(tangents[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    first = np.cross(tangents, aside)
+    first = _cross(tangents, aside)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(tangents, first)
+    return first, _cross(tangents, first)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products (n, 3); many times as fast as NumPy's for few vectors."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 def plane_coordinates(points: Array, centre: Array, normal: Array) -> tuple[Array, Array]:

@@ -247,5 +247,5 @@ def _load(name: str, parameters: Recipe, resolution: float, directory: Path) -> 
     phantom = cache.read(name, digest, parameters)
     if phantom is None:
         phantom = build_phantom(name, parameters, resolution=resolution)
-        cache.write(phantom)
+        phantom = cache.write(phantom)
     return phantom

@@ -97,6 +97,7 @@ class Phantom:
     # what it was imported with, for a phantom from a mesh: path, unit, names
     source: Mapping[str, Any] | None = field(default=None, repr=False)
     _load_field: Callable[[str], LatticeField | None] | None = field(default=None, repr=False)
+    _save_field: Callable[[str, LatticeField], None] | None = field(default=None, repr=False)
     _fields: dict[str, LatticeField] = field(default_factory=dict, repr=False)  # computed
     # of each phantom alone, also of one made by `dataclasses.replace`
     _read: KeptWhileUsed[LatticeField] = field(init=False, default_factory=_named_fields, repr=False)
@@ -209,6 +210,8 @@ class Phantom:
         if loaded is not None:
             return loaded
         self._fields[name] = geodesic_field(self.grid, place.position)  # which takes long: it is kept
+        if self._save_field is not None:
+            self._save_field(name, self._fields[name])
         return self._fields[name]
 
     def geodesic_distance(self, points: ArrayLike, target: TargetLike) -> NDArray[np.float64]:

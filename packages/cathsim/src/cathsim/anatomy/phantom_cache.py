@@ -1,4 +1,5 @@
-"""Built phantoms on disk: one file each, named by content, written atomically, rebuilt when damaged.
+"""Built phantoms on disk: a file each and one a geodesic field, named by content, written atomically, made again when
+damaged.
 
 Only lattice points near the lumen are stored; all others hold one constant (the distance grid's clamp, a geodesic
 field's largest value).
@@ -7,13 +8,14 @@ field's largest value).
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import logging
 import os
 import tempfile
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -31,7 +33,7 @@ from cathsim.anatomy.vessel_tree import Branch, VesselTree
 from cathsim.lattice.node_blocks import EDGE, NodeBlocks
 
 logger = logging.getLogger(__name__)
-LAYOUT = 2  # of the files; raise it whenever they are written in another way
+LAYOUT = 3  # of the files; raise it whenever they are written in another way
 DAMAGE = (BadZipFile, OSError, ValueError, KeyError, TypeError, EOFError, IndexError, NotImplementedError, zlib.error)
 
 
@@ -117,11 +119,12 @@ class PhantomCache:
                 e["name"]: Entry(e["name"], np.array(e["position"]), np.array(e["direction"])) for e in meta["entries"]
             },
             imported=ImportReport.from_json(meta["imported"]) if meta.get("imported") else None,
-            _load_field=_FieldReader(path, grid),
+            _load_field=(fields := _FieldFiles(path, grid)).read,
+            _save_field=fields.write,
         )
 
-    def write(self, phantom: Phantom) -> None:
-        """Writes a phantom with its geodesic fields, except those of targets at open ends (computed at first use)."""
+    def write(self, phantom: Phantom) -> Phantom:
+        """Writes a phantom; returns it as one whose geodesic fields are written when they are first asked for."""
         grid = phantom.grid
         blocks = grid.blocks
         near = blocks.own != blocks.constant
@@ -161,40 +164,50 @@ class PhantomCache:
             "points": np.concatenate([b.points for b in phantom.tree]),
             "radius": np.concatenate([b.radius for b in phantom.tree]),
         }
-        marched = blocks.own_indices(_marched(grid))
-        for target, place in phantom.targets.items():
-            if place.at_end:
-                continue
-            field = phantom.geodesic_field(target).blocks
-            arrays[f"geodesic_{target}"] = field.at(marched)
-            arrays[f"farthest_{target}"] = np.array(field.constant, dtype=np.float32)
-        write_archive(self.path(phantom.hash), arrays, f"phantom {phantom.name} is")
+        path = self.path(phantom.hash)
+        write_archive(path, arrays, f"phantom {phantom.name} is")
+        fields = _FieldFiles(path, grid)
+        return replace(phantom, _load_field=fields.read, _save_field=fields.write)
 
 
 @dataclass(frozen=True, eq=False)
-class _FieldReader:
-    """Reads one geodesic field of a cached phantom."""
+class _FieldFiles:
+    """The geodesic fields of a cached phantom, a file each."""
 
-    path: Path
+    phantom: Path  # the phantom's file
     grid: SignedDistanceGrid
 
-    def __call__(self, target: str) -> LatticeField | None:
-        grid = self.grid
+    def _path(self, target: str) -> Path:
+        name = hashlib.sha256(target.encode()).hexdigest()[:12]  # names of vessels are the user's
+        return self.phantom.with_name(f"{self.phantom.stem}-{name}.npz")
+
+    def read(self, target: str) -> LatticeField | None:
+        """A field, or None where there is no sound file (a damaged one is reported with a warning)."""
+        grid, path = self.grid, self._path(target)
+        if not path.is_file():
+            return None
         try:
-            with np.load(self.path, allow_pickle=False) as file:
-                if f"geodesic_{target}" not in file:
-                    return None
+            with np.load(path, allow_pickle=False) as file:
                 marched = _marched(grid)
                 kept = marched.any(axis=(1, 2, 3))
-                farthest = float(file[f"farthest_{target}"])
+                farthest = float(file["farthest"])
                 cores = np.full((int(kept.sum()), *marched.shape[1:]), farthest, dtype=np.float32)
-                cores[marched[kept]] = file[f"geodesic_{target}"]
+                cores[marched[kept]] = file["geodesic"]
         except DAMAGE as error:
-            logger.warning("geodesic field %s in %s is damaged (%s) and is computed again.", target, self.path, error)
+            logger.warning("geodesic field %s in %s is damaged (%s) and is computed again.", target, path, error)
             return None
         occupied = np.array(grid.blocks.stored)
         occupied[occupied] = kept
         return LatticeField(NodeBlocks.from_cores(occupied, cores, grid.shape, farthest), grid.origin, grid.spacing)
+
+    def write(self, target: str, field: LatticeField) -> None:
+        """Writes a field."""
+        blocks = self.grid.blocks
+        arrays = {
+            "geodesic": field.blocks.at(blocks.own_indices(_marched(self.grid))),
+            "farthest": np.array(field.blocks.constant, dtype=np.float32),
+        }
+        write_archive(self._path(target), arrays, f"the distances to target {target} are")
 
 
 def _marched(grid: SignedDistanceGrid) -> NDArray[np.bool_]:

@@ -107,6 +107,7 @@ def _displaced(phantom: Phantom, seed: int, farthest: float) -> Phantom:
         source=None,
         grid=displaced,
         _load_field=phantom.geodesic_field,
+        _save_field=None,
         _fields={},
     )
 

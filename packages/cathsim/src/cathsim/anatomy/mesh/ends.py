@@ -290,17 +290,17 @@ def _sweep(
     angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
     travel = np.arange(step, _REACH * radius, step)
 
-    def across(middle: Array) -> tuple[Array, NDArray[np.bool_], Array]:
-        """Reaches of the rays, which of them met a wall, and the way to the middle between those walls."""
+    def across(middle: Array) -> tuple[Array, float, Array]:
+        """Reaches of the rays that met a wall, their share, and the way to the middle between those walls."""
         first, second = (v[0] for v in across_frames(normal[None]))
         rays = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
         struck = cavity.holds(wall, middle + travel[None, :, None] * rays[:, None, :])
-        met: NDArray[np.bool_] = struck.max(axis=1)
+        met = struck.max(axis=1)
         if not met.any():
-            return travel, met, np.zeros(3)
-        reach: Array = np.where(met, travel[np.argmax(struck, axis=1)], np.nan)
-        shift: Array = np.nanmean(np.minimum(reach, 1.3 * np.nanmedian(reach))[:, None] * rays, axis=0)
-        return reach, met, shift
+            return travel, 0.0, np.zeros(3)
+        reach: Array = travel[np.argmax(struck[met], axis=1)]
+        shift: Array = np.mean(np.minimum(reach, 1.3 * np.median(reach))[:, None] * rays[met], axis=0)
+        return reach, float(met.mean()), shift
 
     centres: list[Array] = []
     reaches: list[float] = []
@@ -309,16 +309,16 @@ def _sweep(
     for _ in range(_CENTRING):
         middle = middle + across(middle)[2]
     for _ in range(int(_LONGEST * radius / step)):
-        reach, met, shift = across(middle)
-        if cavity.holds(wall, middle) or met.mean() < surrounded:
+        reach, share, shift = across(middle)
+        if cavity.holds(wall, middle) or share < surrounded:
             break
         # The wall's voxels are thickened by one, which counts in a narrow vessel.
-        if reaches and np.nanmin(reach) + thick < _CLOSING * (np.median(reaches[-back:]) + thick):
+        if reaches and reach.min() + thick < _CLOSING * (np.median(reaches[-back:]) + thick):
             break
         middle = middle + min(1.0, 0.5 * step / max(float(np.linalg.norm(shift)), 1e-12)) * shift
         centres.append(middle)
-        reaches.append(float(np.nanpercentile(reach, 90)))
-        if met.all():
+        reaches.append(float(np.percentile(reach, 90)))
+        if share == 1.0:
             whole = len(centres)
         if len(centres) > back:
             lately = middle - centres[-1 - back]

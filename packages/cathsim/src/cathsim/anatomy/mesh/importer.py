@@ -88,7 +88,7 @@ def _load(
         picture = directory / "refused" / f"{path.stem}-{digest[:12]}.png"
         phantom = _build(path, digest, unit, names, resolution, picture)
         phantom = with_picture_of_doubts(phantom, directory / "imports" / picture.name)
-        cache.write(phantom)
+        phantom = cache.write(phantom)
     return replace(
         phantom, source={"path": str(path.resolve()), "unit": unit, "names": names, "resolution": resolution}
     )

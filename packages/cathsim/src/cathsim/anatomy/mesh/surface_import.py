@@ -159,7 +159,7 @@ class SurfaceImport:
         if not targets:
             raise MeshRefusedError("no branch of this vessel is wide and long enough for a wire and a target.")
         entries = propose_entries(tree)
-        phantom = Phantom(self.name, self.digest, None, tree, grid, targets, entries)  # knows the way to each target
+        phantom = Phantom(self.name, self.digest, None, tree, grid, targets, entries)
         report = ImportReport(
             file=self.facts.file,
             unit=self.facts.unit,

@@ -115,7 +115,7 @@ def _load(
         )
         picture = directory / "imports" / f"{file_stem(path)}-{digest[:12]}.png"
         phantom = with_picture_of_doubts(phantom, picture)
-        cache.write(phantom)
+        phantom = cache.write(phantom)
     source = {"path": str(path.resolve()), "unit": None, "names": names, "labels": labels, "transform": transform}
     return replace(phantom, source=source)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -36,7 +37,7 @@ class Subtree:
         """All parts below it."""
         return tuple(one for d in self.daughters for one in (d, *d.inner))
 
-    @property
+    @cached_property
     def radius(self) -> float:
         """m, median distance to the wall from its start, outside the parent, to where it parts."""
         return float(np.median(self.vessel.depth[self._own]))
@@ -58,7 +59,7 @@ class Subtree:
         last = int(np.searchsorted(arc, self.split, side="right"))
         return slice(min(first, len(arc) - 1, max(last - 1, 0)), max(last, 1))
 
-    @property
+    @cached_property
     def main_leaf(self) -> Subtree:
         """The widest of its leaves."""
         return max(self.leaves, key=lambda leaf: leaf.radius)
@@ -69,7 +70,7 @@ class Subtree:
         tip: Array = self.main_leaf.vessel.points[-1]
         return tip
 
-    @property
+    @cached_property
     def base(self) -> Array:
         """(3,) m, where it leaves its parent's lumen, or parts from its sister."""
         arc = arc_length(self.vessel.points)
