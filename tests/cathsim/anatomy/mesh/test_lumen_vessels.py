@@ -37,7 +37,7 @@ def test_an_end_that_is_found_before_a_narrow_vessel_and_left_out_later_is_told_
         return bool(np.linalg.norm(points[-1] - upper.centre) < 0.01)
 
     monkeypatch.setattr(
-        lumen_vessels, "find_end", lambda c, w, points, *a: None if at_upper(points) else found(c, w, points, *a)
+        lumen_vessels, "find_end", lambda c, points, *a: None if at_upper(points) else found(c, points, *a)
     )
     monkeypatch.setattr(lumen_vessels, "end_at_opening", lambda *_, **__: None)
     monkeypatch.setattr(lumen_vessels, "end_before", lambda *_: upper)

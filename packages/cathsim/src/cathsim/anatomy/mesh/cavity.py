@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -45,6 +46,14 @@ class Cavity:
     spacing: float  # m between voxels
     kind: str  # "closed lumen", "lumen in a closed wall", or "tunnel"
     widest: float  # m, radius of the widest ball inside
+
+    @cached_property
+    def thick_wall(self) -> Mask:
+        """The wall's voxels (nx, ny, nz), thickened so that no ray slips through."""
+        from scipy.ndimage import binary_dilation
+
+        thick: Mask = binary_dilation(self.wall)
+        return thick
 
     def index(self, points: Array) -> NDArray[np.int64]:
         """Voxels (..., 3) that points (..., 3) m lie in; points outside the lattice get its border's."""

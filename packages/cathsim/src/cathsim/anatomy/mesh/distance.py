@@ -237,7 +237,7 @@ def _far_distance(surface: Array, points: Array, farthest: float, unbounded: Mas
     cells -= cells.min(axis=0)
     _, ny, nz = (int(n) for n in cells.max(axis=0) + 1)
     _, first = np.unique((cells[:, 0] * ny + cells[:, 1]) * nz + cells[:, 2], return_index=True)
-    tree = cKDTree(surface[first])
+    tree = cKDTree(surface[first], leafsize=48, balanced_tree=False, compact_nodes=False)  # twice as fast
     distance = np.empty(len(points))
     distance[unbounded] = tree.query(points[unbounded])[0]
     distance[~unbounded] = tree.query(points[~unbounded], distance_upper_bound=farthest)[0]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.centreline import arc_length, resampled, smoothed
 from cathsim.anatomy.cross_section import across_frames, plane_coordinates
 from cathsim.anatomy.mesh.cavity import Cavity
+from cathsim.lifetime_cache import kept_with_owner
 
 _RAYS = 48
 _SURROUNDED = 0.94  # share of rays across the vessel that must meet its wall
@@ -51,25 +52,22 @@ class VesselEnd:
 Refusal = Callable[[VesselEnd], bool]
 
 
-def find_end(
-    cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array, refused: Refusal | None = None
-) -> VesselEnd | None:
+def find_end(cavity: Cavity, way: Array, depth: Array, refused: Refusal | None = None) -> VesselEnd | None:
     """Follows a vessel to its end; None where its wall surrounds it nowhere.
 
     Args:
-        wall: (nx, ny, nz) the wall's voxels, thickened so that no ray slips through.
         way: (n, 3) m along the vessel's middle, to somewhere at its end.
         depth: (n,) m, distance to the wall along it.
         refused: whether an end is none of this vessel, as another vessel's.
     """
     for share in (_SURROUNDED, *_LOOSELY):
-        end = _find_end(cavity, wall, way, depth, share, refused)
+        end = _find_end(cavity, way, depth, share, refused)
         if end is not None:
             return end
-    return _plain_end(cavity, wall, way, depth)
+    return _plain_end(cavity, way, depth)
 
 
-def _plain_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) -> VesselEnd | None:
+def _plain_end(cavity: Cavity, way: Array, depth: Array) -> VesselEnd | None:
     """A cut across the way where the vessel still has its full width, if walls stand around most of it there."""
     from_end = arc_length(way[::-1])[::-1]
     start = _well_inside(from_end, depth, _FOLLOWED * cavity.spacing)
@@ -85,7 +83,7 @@ def _plain_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array
         normal = _direction(inner, radius)
         first, second = (v[0] for v in across_frames(normal[None]))
         rays = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
-        struck = cavity.holds(wall, inner[-1] + travel[None, :, None] * rays[:, None, :])
+        struck = cavity.holds(cavity.thick_wall, inner[-1] + travel[None, :, None] * rays[:, None, :])
         met = struck.max(axis=1)
         if met.mean() >= _PLAINLY:
             reach = float(np.percentile(travel[np.argmax(struck[met], axis=1)], 90))
@@ -95,7 +93,6 @@ def _plain_end(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array
 
 def _find_end(
     cavity: Cavity,
-    wall: NDArray[np.bool_],
     way: Array,
     depth: Array,
     surrounded: float,
@@ -107,14 +104,14 @@ def _find_end(
     # The way bends to its corner a little before that.
     start = max(int(np.searchsorted(-from_end, -(from_end[start] + radius), side="right")) - 1, min(start, 2))
     first = max(start - 4, min(start, 2))
-    end = _followed(cavity, wall, way, first + int(np.argmax(depth[first : start + 1])), radius, surrounded)
+    end = _followed(cavity, way, first + int(np.argmax(depth[first : start + 1])), radius, surrounded)
     if end is not None and _misses(end, way[-1], refused) <= _NEAR:
         return end
     # Where the vessel bends sharply before it ends, the sweep left it: begin further on.
     for ratio in _FURTHER:
         start = int(np.flatnonzero(from_end >= ratio * radius)[-1]) if (from_end >= ratio * radius).any() else 0
         if depth[start] >= _STILL_WIDE * radius:
-            later = _followed(cavity, wall, way, start, float(depth[start]), surrounded)
+            later = _followed(cavity, way, start, float(depth[start]), surrounded)
             if (
                 later is not None
                 and _misses(later, way[-1], refused) <= _SHORT_BEYOND
@@ -126,13 +123,13 @@ def _find_end(
     # A short vessel reaches its full width nowhere before it opens into a wider one, and the sweep began in that one.
     for ratio in _STARTS:
         start = int(np.flatnonzero(from_end >= ratio * depth)[-1]) if (from_end >= ratio * depth).any() else 0
-        short = _followed(cavity, wall, way, start, float(depth[start]), surrounded)
+        short = _followed(cavity, way, start, float(depth[start]), surrounded)
         if short is not None and _misses(short, way[-1], refused) <= _SHORT_BEYOND:
             return short
     return end if end is not None and _misses(end, way[-1], refused) <= _FAR_BEYOND else None
 
 
-def end_before(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array) -> VesselEnd | None:
+def end_before(cavity: Cavity, way: Array, depth: Array) -> VesselEnd | None:
     """The end of a wide vessel from which a way goes on in one too narrow to be followed; None where there is none."""
     from_end = arc_length(way[::-1])[::-1]
     least = _FOLLOWED * cavity.spacing
@@ -141,7 +138,7 @@ def end_before(cavity: Cavity, wall: NDArray[np.bool_], way: Array, depth: Array
         return None
     radius = float(depth[start])
     earlier = max(int(np.count_nonzero(from_end > from_end[start] + radius)) - 1, 0)
-    return _followed(cavity, wall, way, earlier, radius, _SURROUNDED)
+    return _followed(cavity, way, earlier, radius, _SURROUNDED)
 
 
 def end_at_opening(
@@ -180,7 +177,7 @@ def end_at_opening(
     return VesselEnd(centre, along, max(1.2 * radius, 2 * cavity.spacing), track)
 
 
-def straightened(cavity: Cavity, wall: NDArray[np.bool_], end: VesselEnd) -> VesselEnd:
+def straightened(cavity: Cavity, end: VesselEnd) -> VesselEnd:
     """An end whose direction is that in which the vessel is narrowest a radius before it; as it was where none is."""
     back = arc_length(end.way[::-1])[::-1]
     inner = end.way[: max(int(np.count_nonzero(back >= end.radius)), 2)]
@@ -194,12 +191,12 @@ def straightened(cavity: Cavity, wall: NDArray[np.bool_], end: VesselEnd) -> Ves
         normal /= np.linalg.norm(normal)
         u, v = (w[0] for w in across_frames(normal[None]))
         rays = np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v
-        struck = cavity.holds(wall, inner[-1] + travel[None, :, None] * rays[:, None, :])
+        struck = cavity.holds(cavity.thick_wall, inner[-1] + travel[None, :, None] * rays[:, None, :])
         reach = np.where(struck.max(axis=1), travel[np.argmax(struck, axis=1)], travel[-1])
         reach = np.minimum(reach, 1.3 * np.median(reach))  # openings of other vessels do not count
         if (area := float((reach**2).sum())) < best:
             best, direction = area, normal
-    centres, normal, reach_90 = _sweep(cavity, wall, inner[-1], direction, end.radius, step, _SURROUNDED)
+    centres, normal, reach_90 = _sweep(cavity, tuple(inner[-1]), tuple(direction), end.radius, step, _SURROUNDED)
     if len(centres) < 3:
         return end
     track = resampled(np.concatenate([inner[:-1], np.array(centres)]), 2 * step)
@@ -243,13 +240,12 @@ def _gap(end: VesselEnd, place: Array) -> float:
     return float(np.linalg.norm(end.centre - place)) / end.radius
 
 
-def _followed(
-    cavity: Cavity, wall: NDArray[np.bool_], way: Array, start: int, radius: float, surrounded: float
-) -> VesselEnd | None:
+def _followed(cavity: Cavity, way: Array, start: int, radius: float, surrounded: float) -> VesselEnd | None:
     """The end of the vessel in which a place of a way lies, None where its wall does not surround it there."""
     step = 0.5 * cavity.spacing
     inner = smoothed(resampled(way[: start + 1], 2 * step), radius / 2) if start >= 2 else way[:2]
-    centres, normal, reach = _sweep(cavity, wall, inner[-1], _direction(inner, 1.5 * radius), radius, step, surrounded)
+    direction = tuple(_direction(inner, 1.5 * radius))
+    centres, normal, reach = _sweep(cavity, tuple(inner[-1]), direction, radius, step, surrounded)
     if len(centres) < 3:
         return None
     track = resampled(np.concatenate([inner[:-1], np.array(centres)]), 2 * step)
@@ -277,16 +273,17 @@ def _direction(points: Array, length: float) -> Array:
     return direction
 
 
+@kept_with_owner
 def _sweep(
     cavity: Cavity,
-    wall: NDArray[np.bool_],
-    middle: Array,
-    normal: Array,
+    start: tuple[float, ...],
+    direction: tuple[float, ...],
     radius: float,
     step: float,
     surrounded: float,
 ) -> tuple[list[Array], Array, float]:
     """Goes along a vessel as long as its wall surrounds it: middles (3,) m, last direction, radius m about the last."""
+    middle, normal = np.array(start), np.array(direction)
     angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
     travel = np.arange(step, _REACH * radius, step)
 
@@ -294,7 +291,7 @@ def _sweep(
         """Reaches of the rays that met a wall, their share, and the way to the middle between those walls."""
         first, second = (v[0] for v in across_frames(normal[None]))
         rays = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
-        struck = cavity.holds(wall, middle + travel[None, :, None] * rays[:, None, :])
+        struck = cavity.holds(cavity.thick_wall, middle + travel[None, :, None] * rays[:, None, :])
         met = struck.max(axis=1)
         if not met.any():
             return travel, 0.0, np.zeros(3)
@@ -310,7 +307,7 @@ def _sweep(
         middle = middle + across(middle)[2]
     for _ in range(int(_LONGEST * radius / step)):
         reach, share, shift = across(middle)
-        if cavity.holds(wall, middle) or share < surrounded:
+        if cavity.holds(cavity.thick_wall, middle) or share < surrounded:
             break
         # The wall's voxels are thickened by one, which counts in a narrow vessel.
         if reaches and reach.min() + thick < _CLOSING * (np.median(reaches[-back:]) + thick):

@@ -41,7 +41,7 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
     Raises:
         MeshRefusedError: there are fewer than three, so no branch to steer into, or it is no vessel at all.
     """
-    from scipy.ndimage import binary_dilation, label
+    from scipy.ndimage import label
 
     paths = _coarse(cavity, cavity.inside)
     labels, _ = label(paths.inside, np.ones((3, 3, 3)))
@@ -56,16 +56,15 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
         raise MeshRefusedError("the lumen is no vessel: it has no two ends; expected an aorta with its branches.")
     ways = paths.ways(voxels[0], voxels[1:])
     longest = max(ways, key=len)
-    wall = binary_dilation(cavity.wall)
     found: list[tuple[VesselEnd, Voxels]] = []
     lost: set[tuple[int, ...]] = set()  # far ends of the ways whose vessel's end is not surrounded, or cut off
     for way in [longest[::-1], *ways]:
         points, depth = paths.points(way), paths.depth[tuple(way.T)]
-        end = find_end(cavity, wall, points, depth)
+        end = find_end(cavity, points, depth)
         if end is not None and (others := [o for o, _ in found if same_end(end, o) and _is_beside(o, points[-1])]):
             # A short vessel beside a wide one: what was found is that one's end.
             end = end_at_opening(cavity, points, depth, openings, flared=True)
-            end = end or find_end(cavity, wall, points, depth, _one_of(others))
+            end = end or find_end(cavity, points, depth, _one_of(others))
             if end is not None and end.radius > _NARROWER * others[0].radius:
                 end = None
         else:
@@ -74,11 +73,11 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
                 end = open_end
         if end is None:
             lost.add(_far_end(way))
-            end = end_before(cavity, wall, points, depth)
+            end = end_before(cavity, points, depth)
         if end is not None and not any(same_end(end, other) for other, _ in found):
             found.append((end, way))
-    whole = _whole_ends(cavity, wall, paths, found, ways)
-    hidden, kept = _hidden_ends(cavity, wall, paths, whole, voxels[0])
+    whole = _whole_ends(cavity, paths, found, ways)
+    hidden, kept = _hidden_ends(cavity, paths, whole, voxels[0])
     ends = [*kept, *hidden]
     lost |= {_far_end(way) for _, way in found} - {
         _far_end(way) for end, way in whole if any(end is one for one in kept)
@@ -100,7 +99,6 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
 
 def _whole_ends(
     cavity: Cavity,
-    wall: NDArray[np.bool_],
     paths: LumenPaths,
     found: Sequence[tuple[VesselEnd, Voxels]],
     ways: Sequence[Voxels],
@@ -120,7 +118,7 @@ def _whole_ends(
         def refused(other: VesselEnd, severing: Refusal = severing, of_others: Refusal = of_others) -> bool:
             return severing(other) or of_others(other)
 
-        nearer = find_end(cavity, wall, paths.points(own), paths.depth[tuple(own.T)], refused)
+        nearer = find_end(cavity, paths.points(own), paths.depth[tuple(own.T)], refused)
         if nearer is not None and not refused(nearer):
             whole.append((nearer, own))
     return whole
@@ -128,7 +126,6 @@ def _whole_ends(
 
 def _hidden_ends(
     cavity: Cavity,
-    wall: NDArray[np.bool_],
     paths: LumenPaths,
     found: Sequence[tuple[VesselEnd, Voxels]],
     root: Voxels,
@@ -147,8 +144,8 @@ def _hidden_ends(
         if any(one.radius > _AS_WIDE * radius and _near_tip(one, place, radius) for one in known):
             continue
         (way,) = paths.ways(root, tip[None])
-        end = find_end(cavity, wall, paths.points(way), paths.depth[tuple(way.T)], _one_of(known))
-        end = None if end is None else straightened(cavity, wall, end)
+        end = find_end(cavity, paths.points(way), paths.depth[tuple(way.T)], _one_of(known))
+        end = None if end is None else straightened(cavity, end)
         if end is None or end.radius < _AS_WIDE * radius or not _near_tip(end, place, radius):
             continue
         cut = [one for one, own in kept if severs(end, paths.points(own))]
