@@ -25,6 +25,8 @@ _STUMP = 0.6  # ... of the widest ball's radius: as wide as this they are at mos
 _LEAST_LENGTH = 7e-3  # m that an end must stand out of what is accounted for
 _LEAST_TO_OPENING = 2e-3  # m that it must where the surface is open there, so that a bulge cannot be meant
 _MOST_ENDS = 24
+_BESIDE_TIP = 3e-3  # m about the tip of a way, besides its vessel's width, in which another way round a ring is sought
+_LOOKED_AT = 60  # of the voxels there
 _WIDE = 0.55  # of the widest ball's radius: what a ball so wide fits into is the wide part of a lumen
 
 Array = NDArray[np.float64]
@@ -64,7 +66,7 @@ class LumenPaths:
         widest = np.unravel_index(int(np.argmax(self.depth)), self.inside.shape)
         far = self._farthest(MCP_Geometric(level).find_costs([widest])[0])
         away = MCP_Geometric(level).find_costs([far])[0] * self.spacing
-        ways = self._ways(tuple(far))
+        _, ways = self._costs_and_ways(tuple(far))
         open_ = self.inside & np.isfinite(away)
         found = [np.array(far)]
         covered = np.zeros_like(self.inside)  # what was looked at
@@ -148,22 +150,66 @@ class LumenPaths:
         second = self._farthest(MCP_Geometric(level).find_costs([first])[0])
         return np.array([first, second]), radius
 
+    def ring_tips(self, root: Voxels, ends: Voxels) -> Voxels:
+        """Voxels (k, 3) where ways from a root (3,) that go round a ring of vessels meet: one for each way.
+
+        Args:
+            ends: voxels (n, 3) that ways lead to anyhow.
+        """
+        costs, ways = self._costs_and_ways(tuple(root))
+        covered = np.zeros_like(self.inside)
+        for end in ends:
+            self._cover(covered, np.array(ways.traceback(tuple(end))))
+        tips: list[Voxels] = []
+        for candidate in self._farthest_first(self.inside & np.isfinite(costs), costs, covered):
+            way = np.array(ways.traceback(tuple(candidate)))
+            known = np.flatnonzero(covered[tuple(way.T)])
+            beyond = way[int(known[-1]) if len(known) else 0 :]
+            self._cover(covered, beyond)
+            covered[tuple(candidate)] = True
+            if self._length(beyond) >= _LEAST_LENGTH and self._is_round(way, ways):
+                tips.append(candidate)
+            if len(tips) == _MOST_ENDS:
+                break
+        return np.array(tips, dtype=np.int64).reshape(-1, 3)
+
+    def _is_round(self, way: Voxels, ways: MCP_Geometric) -> bool:  # type: ignore[name-defined]  # noqa: F821
+        """Whether the lumen next to the last voxel of a way is reached from the root by quite another way, too."""
+        from scipy.ndimage import label
+
+        tip = way[-1]
+        reach = 2 * float(self.depth[tuple(way[-8:].T)].max()) + _BESIDE_TIP
+        count = round(reach / self.spacing)
+        low = np.maximum(tip - count, 0)
+        part, _ = label(self.inside[tuple(slice(a, b + count + 1) for a, b in zip(low, tip, strict=True))])
+        near = np.argwhere(part == part[tuple(tip - low)]) + low
+        for voxel in near[:: max(1, len(near) // _LOOKED_AT)]:
+            other = np.array(ways.traceback(tuple(voxel)))
+            n = min(len(way), len(other))
+            apart = np.flatnonzero((way[:n] != other[:n]).any(axis=1))
+            fork = int(apart[0]) if len(apart) else n
+            if min(self._length(way[fork:]), self._length(other[fork:])) > 3 * reach:
+                return True
+        return False
+
+    def _length(self, way: Voxels) -> float:
+        return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) * self.spacing
+
     def ways(self, root: Voxels, ends: Voxels) -> list[Voxels]:
         """Ways (n, 3) of voxels along the lumen's middle from a root (3,) to ends (k, 3), shared until they part."""
-        ways = self._ways(tuple(root))
+        _, ways = self._costs_and_ways(tuple(root))
         return [np.array(ways.traceback(tuple(end))) for end in ends]
 
     def _farthest(self, away: Array) -> Voxels:
         reached = np.where(self.inside & np.isfinite(away), away, -1.0)
         return np.array(np.unravel_index(int(np.argmax(reached)), self.inside.shape))
 
-    def _ways(self, root: tuple[int, ...]) -> MCP_Geometric:  # type: ignore[name-defined]  # noqa: F821
+    def _costs_and_ways(self, root: tuple[int, ...]) -> tuple[Array, MCP_Geometric]:  # type: ignore[name-defined]  # noqa: F821
         from skimage.graph import MCP_Geometric
 
         cost = np.where(self.inside, (self.spacing / np.maximum(self.depth, self.spacing)) ** 2, -1.0)
         ways = MCP_Geometric(cost)
-        ways.find_costs([root])
-        return ways
+        return ways.find_costs([root])[0], ways
 
     def _cover(self, covered: Mask, way: Voxels, radii: float = _COVER) -> None:
         """Marks the lumen that a way accounts for."""

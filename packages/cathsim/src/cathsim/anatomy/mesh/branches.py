@@ -27,11 +27,16 @@ class RoughVessel:
 
     points: Array  # (n, 3) m, from the place where its way leaves the parent's
     depth: Array  # (n,) m, distance to the wall along it
-    end: int | None  # number of the end it leads to, None where it ends in a fork
+    end: int | None  # number of the end it leads to, negative where vessels meet in a ring, None where it forks
     children: list[RoughVessel] = field(default_factory=list)  # vessels that leave it, in the order in which they do
     start: float = 0.0  # m along the parent's points at which it leaves them
     from_fork: bool = False  # whether it goes on from the parent's last point
     clear: int = 0  # its first point that was seen to lie outside the parent's lumen; 0: nobody has looked
+
+    @property
+    def every(self) -> list[RoughVessel]:
+        """It and all that leaves it."""
+        return [self] + [vessel for child in self.children for vessel in child.every]
 
     @property
     def ends(self) -> list[int]:
@@ -337,6 +342,23 @@ def continued(trunk: RoughVessel, onward: RoughVessel) -> None:
     trunk.depth = np.concatenate([trunk.depth, onward.depth[1:]])
     trunk.end = onward.end
     trunk.children += onward.children
+
+
+def led_into(vessel: RoughVessel, side: RoughVessel) -> RoughVessel:
+    """Makes a vessel go on as one of its side branches; what it was beyond leaves it there, and is returned."""
+    arc = arc_length(vessel.points)
+    at = int(np.clip(np.searchsorted(arc, side.start), 1, len(arc) - 3))
+    later = [child for child in vessel.children if child is not side and child.start > side.start]
+    beyond = RoughVessel(vessel.points[at:], vessel.depth[at:], vessel.end, later, float(arc[at]))
+    for child in later:
+        child.start = max(child.start - float(arc[at]), 0.0)
+    for child in side.children:
+        child.start += float(arc[at])
+    earlier = [child for child in vessel.children if child is not side and child not in later]
+    vessel.points = np.concatenate([vessel.points[: at + 1], side.points[1:]])
+    vessel.depth = np.concatenate([vessel.depth[: at + 1], side.depth[1:]])
+    vessel.end, vessel.children = side.end, [*earlier, beyond, *side.children]
+    return beyond
 
 
 def turned(vessel: RoughVessel, rotation: Array, offset: Array) -> RoughVessel:

@@ -37,6 +37,7 @@ _TILTS = np.linspace(-0.7, 0.7, 9)  # of a direction, as tangents
 _FAR_BEYOND = 2.5  # radii beyond which an end that was found otherwise is none, either
 
 Array = NDArray[np.float64]
+_GOES_ON = 4.0  # radii: caps reach to at most 2 beyond an end, vessels in a ring to 6 and more
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +216,23 @@ def severs(end: VesselEnd, way: Array) -> bool:
         if max(_gap(end, point) for point in (beyond[0], beyond[-1])) > _BEYOND:
             return True
     return False
+
+
+def goes_on(cavity: Cavity, end: VesselEnd) -> bool:
+    """Whether the lumen goes on beyond an end for longer than a cap does, as it does within a ring of vessels."""
+    from scipy.ndimage import label
+
+    reach = (_GOES_ON + 1.5) * end.radius + 4 * cavity.spacing
+    low, high = cavity.index(end.centre - reach), cavity.index(end.centre + reach)
+    axes = [cavity.origin[k] + np.arange(low[k], high[k] + 1) * cavity.spacing for k in range(3)]
+    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    height, aside = plane_coordinates(places, end.centre, end.normal)
+    cut = (np.abs(height) <= cavity.spacing) & (aside < 1.5 * end.radius)
+    part = cavity.inside[tuple(slice(a, b + 1) for a, b in zip(low, high, strict=True))] & ~cut
+    labels, _ = label(part, np.ones((3, 3, 3)))
+    next_to_cut = part & (height > cavity.spacing) & (height < 3.5 * cavity.spacing) & (aside < 0.8 * end.radius)
+    beyond = part & np.isin(labels, labels[next_to_cut])
+    return bool(beyond.any() and np.linalg.norm(places[beyond] - end.centre, axis=1).max() > _GOES_ON * end.radius)
 
 
 def same_end(end: VesselEnd, other: VesselEnd) -> bool:

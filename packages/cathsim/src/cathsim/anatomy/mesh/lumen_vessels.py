@@ -16,6 +16,7 @@ from cathsim.anatomy.mesh.ends import (
     end_at_opening,
     end_before,
     find_end,
+    goes_on,
     same_end,
     severs,
     straightened,
@@ -35,8 +36,20 @@ _NARROWER = 0.7  # of a wide vessel's radius: the end of a short one beside it i
 Array = NDArray[np.float64]
 
 
-def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[str, ...]]:
+def count_rings(cavity: Cavity) -> int:
+    """How many rings the vessels of a lumen form, at least: by its Euler number."""
+    from skimage.measure import euler_number
+
+    box = tuple(slice(int(at.min()), int(at.max()) + 1) for at in np.nonzero(cavity.inside))
+    return max(1 - int(euler_number(cavity.inside[box], 3)), 0)
+
+
+def find_ends(cavity: Cavity, openings: Array, *, rings: bool = False) -> tuple[list[VesselEnd], tuple[str, ...]]:
     """The ends of all vessels, and notes on those that were given up.
+
+    Args:
+        openings: (k, 3) m, middles of the surface's openings.
+        rings: vessels form rings, so that a way may lead to where the lumen goes on: there is no end.
 
     Raises:
         MeshRefusedError: there are fewer than three, so no branch to steer into, or it is no vessel at all.
@@ -74,6 +87,8 @@ def find_ends(cavity: Cavity, openings: Array) -> tuple[list[VesselEnd], tuple[s
         if end is None:
             lost.add(_far_end(way))
             end = end_before(cavity, points, depth)
+        if rings and end is not None and goes_on(cavity, end):
+            continue
         if end is not None and not any(same_end(end, other) for other, _ in found):
             found.append((end, way))
     whole = _whole_ends(cavity, paths, found, ways)
@@ -189,8 +204,10 @@ def _is_beside(end: VesselEnd, tip: Array) -> bool:
     return bool(np.linalg.norm(tip - end.centre) > _BESIDE * end.radius)
 
 
-def find_vessels(cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd]) -> RoughVessel:
-    """The aorta with its branches, from its descending end on.
+def find_vessels(
+    cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd], *, rings: bool = False
+) -> RoughVessel:
+    """The aorta with its branches, from its descending end on; vessels of a ring lead to where they meet.
 
     Raises:
         MeshRefusedError: the ends are not of one lumen, or the aorta has no branch.
@@ -213,13 +230,20 @@ def find_vessels(cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd
 
     def vessels(first: int, last: int) -> RoughVessel:
         others = [n for n in range(len(ends)) if n != first]
-        ways = paths.ways(places[first], np.array([places[n] for n in others]))
+        goals = np.array([places[n] for n in others])
+        tips = paths.ring_tips(places[first], goals) if rings else goals[:0]
+        ways = paths.ways(places[first], np.concatenate([goals, tips]))
+        last_points = [*(ends[n].centre for n in others), *paths.points(tips)]
         points = [
-            np.concatenate([ends[first].centre[None], paths.points(way)[1:-1], ends[n].centre[None]])
-            for n, way in zip(others, ways, strict=True)
+            np.concatenate([ends[first].centre[None], paths.points(way)[1:-1], point[None]])
+            for point, way in zip(last_points, ways, strict=True)
         ]
         depths = [paths.depth[tuple(way.T)] for way in ways]
-        return build_vessels(ways, points, depths, others.index(last))
+        aorta = build_vessels(ways, points, depths, others.index(last))
+        for vessel in aorta.every:
+            if vessel.end is not None and vessel.end >= len(others):
+                vessel.end = -vessel.end
+        return aorta
 
     first, last = by_radius[1], by_radius[0]
     if ends[first].radius < _AORTIC * ends[last].radius:  # the aorta goes on into the iliac arteries

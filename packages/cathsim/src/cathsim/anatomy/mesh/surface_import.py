@@ -18,7 +18,7 @@ from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.cavity import Cavity, find_cavity
 from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, trim_cavity, voxels_away
 from cathsim.anatomy.mesh.lattice import lattice_spacing
-from cathsim.anatomy.mesh.lumen_vessels import find_ends, find_vessels
+from cathsim.anatomy.mesh.lumen_vessels import count_rings, find_ends, find_vessels
 from cathsim.anatomy.mesh.naming import (
     ordered_names,
     propose_entries,
@@ -141,13 +141,16 @@ class SurfaceImport:
         mesh, openings = self._closed(mesh)
         samples, cavity = self._lumen(mesh)
         self.budget.check_time("finding its ends")
-        ends, lost = find_ends(cavity, openings)
+        if rings := count_rings(cavity):
+            form = "a ring" if rings == 1 else f"{rings} rings"
+            self.notes.append(f"its vessels form {form}; those in a ring end where they meet, and nothing closes them")
+        ends, lost = find_ends(cavity, openings, rings=rings > 0)
         self.notes += lost
         inside = trim_cavity(cavity, ends)
         away = voxels_away(inside)
         surface = lumen_samples(samples, cavity, inside, ends, away)
         self.budget.check_time("finding its vessels")
-        aorta = find_vessels(cavity, inside, ends)
+        aorta = find_vessels(cavity, inside, ends, rings=rings > 0)
         pose = self._pose(aorta, cavity.origin + np.argwhere(inside) * cavity.spacing)
         aorta = turned(aorta, pose.rotation, pose.offset)
         automatic, final, named = self._named(aorta, pose)

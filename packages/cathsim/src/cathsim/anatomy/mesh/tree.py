@@ -43,6 +43,7 @@ def grow_tree(
         names: of the vessels, by `id()`.
     """
     notes: list[str] = []
+    in_rings: set[str] = set()
     root = _main(aorta, grid)
     branches = [root]
     queue = [(child, root) for child in sorted(aorta.children, key=lambda child: -child.start)]  # from the heart on
@@ -56,8 +57,10 @@ def grow_tree(
         if branch is None:
             continue
         branches.append(branch)
+        if vessel.end is not None and vessel.end < 0:
+            in_rings.add(name)
         queue += [(child, branch) for child in vessel.children]
-    kept = {branch.parent for branch in branches}
+    kept = in_rings.union(branch.parent for branch in branches if branch.parent)
     # A trunk whose fork was left out ends where it ends.
     whole = [
         b if b.open_end or b.name in kept else Branch(b.name, b.points, b.radius, b.parent, b.parent_arc, True)
@@ -101,7 +104,7 @@ def _branch(
         keep = max(int(np.searchsorted(arc_length(points), arc_length(points)[-1] - _FORK * radius[-6:].min())), 4)
         points, radius = points[:keep], radius[:keep]
     narrow = np.flatnonzero((radius < settings.least_radius) & (np.arange(len(points)) >= outside))
-    note, open_end = "", vessel.end is not None
+    note, open_end = "", vessel.end is not None and vessel.end >= 0
     if len(narrow):
         cut = int(narrow[0])
         note = f"{name} ends where its radius falls below {settings.least_radius * 1e3:.1f} mm"

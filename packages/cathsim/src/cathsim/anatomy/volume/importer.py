@@ -31,7 +31,7 @@ from cathsim.guarded_reading import UnreadableFileError, check_regular
 
 logger = logging.getLogger(__name__)
 
-VOLUME_VERSION = 13  # raise it whenever the same volume gives another phantom
+VOLUME_VERSION = 14  # raise it whenever the same volume gives another phantom
 _VOLUME_KEPT = 0.03  # share of a vessel's volume by which the phantom's may differ without a note
 _LEAST_ML = 1.0  # of a vessel whose volume is compared
 

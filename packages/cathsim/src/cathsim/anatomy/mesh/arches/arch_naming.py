@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.mesh.arches.arch_types import (
     CAROTID_TRUNK,
     LEFT_TRUNK,
@@ -17,7 +18,7 @@ from cathsim.anatomy.mesh.arches.arch_types import (
     read_arch,
 )
 from cathsim.anatomy.mesh.arches.subtrees import RIGHT, Subtree, rebuilt, subtree
-from cathsim.anatomy.mesh.branches import RoughVessel, leaving, parted
+from cathsim.anatomy.mesh.branches import RoughVessel, leaving, led_into, parted
 from cathsim.anatomy.mesh.naming import arch_branches
 from cathsim.anatomy.vessel_names import AORTA
 
@@ -27,6 +28,10 @@ _ALIKE = 0.6  # of score between an arch and its mirror image: below, neither lo
 _CLEAR = 0.7  # of score between the likeliest reading and the next: below, the names are noted as unsure
 
 Array = NDArray[np.float64]
+VERTEBRALS = {"lsa": "vertebral_left", "rsa": "vertebral_right"}
+_TO_THE_HEAD = 80e-3  # m that a vertebral artery rises, and none to an arm
+_ARM = 0.5  # of its radius, at least that of the artery to the arm
+
 LabelOf = Callable[[Array], Sequence[str]]
 NamesAndNotes = tuple[dict[int, str], tuple[str, ...]]
 
@@ -49,6 +54,7 @@ def name_vessels(aorta: RoughVessel, *, sides_known: bool = False) -> NamesAndNo
         best = readings[0]
         _give_names(aorta, parts, dict(best.names), names)
         notes += _doubts(readings, list(parts.values()))
+    _tell_vertebrals(aorta, names)
     _number_others(aorta, names)
     return names, tuple(notes)
 
@@ -134,6 +140,22 @@ def _give_names(
             if name not in names.values():
                 names[id(found)] = name
     aorta.children = children
+
+
+def _tell_vertebrals(aorta: RoughVessel, names: dict[int, str]) -> None:
+    """Lets a subclavian artery that was followed up into the vertebral one go on to the arm instead."""
+    for vessel in aorta.every:
+        name = names.get(id(vessel))
+        if name in VERTEBRALS and _rise(vessel) > _TO_THE_HEAD:
+            arms = [child for child in vessel.children if not child.from_fork and _rise(child) < _TO_THE_HEAD / 2]
+            arm = max(arms, key=lambda child: child.radius, default=None)
+            beyond = 0.0 if arm is None else float(np.median(vessel.depth[arc_length(vessel.points) > arm.start]))
+            if arm is not None and arm.radius > _ARM * beyond:
+                names[id(led_into(vessel, arm))] = VERTEBRALS[name]
+
+
+def _rise(vessel: RoughVessel) -> float:
+    return float(vessel.points[-1, 2] - vessel.points[0, 2])
 
 
 def _trunk_name(names: set[str]) -> str:
