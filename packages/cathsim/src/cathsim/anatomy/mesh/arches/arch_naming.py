@@ -202,8 +202,9 @@ def _doubts(readings: Sequence[Reading], parts: Iterable[Subtree]) -> list[str]:
         notes.append("left and right cannot be told by its shape: a mirrored file would look as usual")
     other = next((r for r in readings if _ends(r) != _ends(best)), None)
     if other is not None and best.score - other.score < _CLEAR:
+        meant = "in other places" if other.in_words == best.in_words else other.in_words
         notes.append(
-            f"the names are unsure: {best.in_words} is taken, {other.in_words} could be meant; look at the picture "
+            f"the names are unsure: {best.in_words} is taken, {meant} could be meant; look at the picture "
             "and give names to be sure"
         )
     return notes
