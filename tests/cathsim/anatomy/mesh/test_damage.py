@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -131,6 +132,15 @@ def test_an_import_that_takes_too_long_is_refused(surface: Surface):
     build = SurfaceImport(SurfaceFacts("slow.ply"), "slow", "slow", COARSE, budget=Budget(seconds=0.0))
     with pytest.raises(MeshRefusedError, match="has taken the 0 s of processor time it may take, before finding"):
         build.phantom(Triangles(np.asarray(surface[0]) / 1000, np.asarray(surface[1])))
+
+
+def test_a_long_import_tells_its_steps_on_a_terminal(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    budget = Budget()
+    budget.check_time("finding its ends")
+    budget._began -= 7.0
+    budget.check_time("finding its vessels")
+    assert capsys.readouterr().err == "the import is finding its vessels after 7 s\n"
 
 
 def test_too_many_points_are_refused_before_they_are_made():

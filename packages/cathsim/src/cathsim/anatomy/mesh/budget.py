@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import dataclass, field
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
 
-MOST_SECONDS = 120.0  # s of processor time; whole arches take 4 to 40
+MOST_SECONDS = 120.0  # s of processor time; whole arches take 4 to 15, a tree from groin to head 40
 MOST_BYTES = 1.5e9
 VOXEL_BYTES = 25  # of every voxel of the lattice, all steps' arrays together at their peak
+_LONG = 5.0  # s
 SAMPLE_BYTES = 200  # of every point on the surface, its place in the search tree included
 
 
@@ -22,8 +24,14 @@ class Budget:
     _began: float = field(default_factory=time.thread_time, init=False)
 
     def check_time(self, step: str) -> None:
-        """Raises `MeshRefusedError` once the time is spent, before a step such as "finding its ends"."""
-        if time.thread_time() - self._began > self.seconds:
+        """Raises `MeshRefusedError` once the time is spent, before a step such as "finding its ends".
+
+        On a terminal, steps of an import that takes long are told on stderr.
+        """
+        spent = time.thread_time() - self._began
+        if spent > _LONG and sys.stderr.isatty():
+            print(f"the import is {step} after {spent:.0f} s", file=sys.stderr)
+        if spent > self.seconds:
             raise MeshRefusedError(
                 f"the import has taken the {self.seconds:g} s of processor time it may take, before {step}; repair the "
                 "mesh (holes, loose sheets), cut it to the arch and its branches, or take a coarser resolution."
