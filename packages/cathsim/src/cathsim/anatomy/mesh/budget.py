@@ -30,7 +30,7 @@ class Budget:
         """
         spent = time.thread_time() - self._began
         if spent > _LONG and sys.stderr.isatty():
-            print(f"the import is {step} after {spent:.0f} s", file=sys.stderr)
+            sys.stderr.write(f"the import is {step} after {spent:.0f} s\n")
         if spent > self.seconds:
             raise MeshRefusedError(
                 f"the import has taken the {self.seconds:g} s of processor time it may take, before {step}; repair the "
