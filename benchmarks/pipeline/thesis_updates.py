@@ -3,7 +3,7 @@
     python benchmarks/pipeline/thesis_updates.py [--quick] [--repeats N] [--device cpu|cuda]
 
 Networks, batches and image sizes of `budget=thesis`, observations and images random, one thread. The hours in
-docs/results/gpu.md are made from these. Prints tables and, in
+docs/results/computing.md are made from these. Prints tables and, in
 its last line, a JSON object: by row update_ms (median of the repeats) and the seconds per decision that it comes to; by
 network the seconds of an image (shape networks: of a clip of three), forward, backward, without augmentation.
 

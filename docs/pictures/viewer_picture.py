@@ -1,4 +1,4 @@
-"""Takes the picture of docs/pipeline/viewers.md: an episode in Rerun's web viewer, in a browser without a screen.
+"""Takes the picture of docs/pipeline/logs.md: an episode in Rerun's web viewer, in a browser without a screen.
 
     python docs/pictures/viewer_picture.py [LOG.mcap]
 

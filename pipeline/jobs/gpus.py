@@ -69,7 +69,7 @@ def check_device(device: str, find: Callable[[], Sequence[Gpu]] = find_gpus) -> 
     if count == 0:
         raise ConfigurationError(
             f"stage.device={device}, but torch finds no GPU: install a build of torch for its CUDA "
-            "(docs/getting_started.md, With a GPU), or take cpu or auto"
+            "(docs/installation.md, Which torch), or take cpu or auto"
         )
     if _index(device) >= count:
         raise ConfigurationError(

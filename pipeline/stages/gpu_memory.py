@@ -18,7 +18,7 @@ LEARNT_BATCH = 64  # samples an update of what learns from episodes
 _WEIGHTS_GB = 0.4  # weights, gradients, moments and copies of the networks that steer; a GRU's workspace
 # Bytes kept for the way back of a pixel of what the network sees, counted on the CPU for one image (a clip of three for
 # the shape networks), and the number of weights: of the thesis's sizes, and of a desk's, which serve for a smoke's too.
-# See docs/results/gpu.md.
+# See docs/results/computing.md.
 _THESIS = {
     "unet": (3280, 31.0e6), "transunet": (8070, 105.3e6), "swinunet": (4160, 27.2e6), "fgrn": (400, 3.4e6),
     "shape": (9250, 88.1e6), "published": (164, 15.8e6), "ordered": (268, 22.7e6),

@@ -8,7 +8,6 @@ import importlib.util
 import json
 import os
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +21,15 @@ from tests.pipeline.stages.small_expert import write_expert
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 NOTEBOOK = DOCS / "tutorial.ipynb"
-# The first records a log, which the others read; training leaves a policy, which imitation reads.
+BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+# The first records a log, which the report reads; training leaves a policy, which imitation reads on the same page.
 PAGES = (
-    "pipeline/logs.md", "pipeline/viewers.md", "guide3d/dataset.md",
-    "guide3d/reconstruction.md", "guide3d/networks.md", "splineformer/network.md", "splineformer/xray.md",
-    "splineformer/navigation.md", "enn/policies.md", "enn/networks.md", "enn/training.md", "enn/imitation.md",
-    "getting_started.md",
+    "pipeline/logs.md", "guide3d/dataset.md", "guide3d/reading.md", "guide3d/random_fluoroscopy.md",
+    "guide3d/networks.md", "splineformer/network.md", "splineformer/navigation.md", "enn/policies.md",
+    "enn/training.md", "getting_started.md", "cheat_sheet.md",
 )  # fmt: skip
+# Run by tests/integration/test_conventions.py.
+ELSEWHERE = {"conventions.md", *(f"cathsim/{page.name}" for page in (DOCS / "cathsim").glob("*.md"))}
 
 
 @pytest.fixture(scope="module")
@@ -87,6 +88,11 @@ def test_every_cell_runs(
     assert not os.path.exists(names["path"])
 
 
+def test_every_page_s_blocks_are_run() -> None:
+    pages = {page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md") if BLOCK.search(page.read_text())}
+    assert pages == {*PAGES, *(ELSEWHERE & pages)}
+
+
 # What takes minutes on a page, and seconds here.
 SMALLER = {
     "30_000": "400",
@@ -115,7 +121,7 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
     draw(Path("runs/desk/guide3d/dataset"))
     frames = {f"frame{k}": np.full((1024, 1024), 150, np.uint8) for k in range(3)}
     for page in (*PAGES, "../README.md", "../packages/enn/README.md"):
-        blocks = re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.DOTALL)
+        blocks = BLOCK.findall((DOCS / page).read_text(encoding="utf-8"))
         assert blocks, page
         results[page] = {
             "__name__": page,
@@ -130,8 +136,6 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
                 except ModuleNotFoundError:
                     continue
             exec(compile(quick(block, used), page, "exec"), results[page])
-        if page == "pipeline/logs.md":
-            shutil.copy("mine.mcap", "episode.mcap")
     logged = results["pipeline/logs.md"]
     assert logged["force"].shape == (41,)
     assert logged["P"].shape == (3, 4)
@@ -139,7 +143,7 @@ def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkey
     assert used == set(SMALLER)
     assert results["getting_started.md"]["policy"].keys == ("roadmap", "history")
     assert results["enn/policies.md"]["own"].keys == ("offset", "shape", "feeder")
-    assert results["enn/imitation.md"]["policy"].keys == ("image",)
+    assert results["enn/training.md"]["policy"].keys == ("image",)
     assert list(tables_from_logs(Path("runs/desk"))["baselines"]) == ["type_1/bca/mine"]
     assert results["guide3d/networks.md"]["mask"].shape == (1024, 1024)
     assert len(results["guide3d/dataset.md"]["data"].frames) == 24

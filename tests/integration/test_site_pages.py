@@ -28,10 +28,10 @@ def site() -> ModuleType:
 @pytest.mark.parametrize(
     ("page", "link", "expected"),
     [
-        ("about.md", "[a](docs/cathsim/goals.md#x)", "[a](cathsim/goals.md#x)"),
+        ("about.md", "[a](docs/cathsim/environments.md#x)", "[a](cathsim/environments.md#x)"),
         ("about.md", "![film](docs/pictures/navigation.gif)", "![film](pictures/navigation.gif)"),
         ("about.md", "see [examples/](examples) and [MIT](LICENSE)", "see examples/ and MIT"),
-        ("cathsim/goals.md", "[r](../../packages/cathsim/README.md)", "[r](../packages/cathsim.md)"),
+        ("cathsim/environments.md", "[r](../../packages/cathsim/README.md)", "[r](../packages/cathsim.md)"),
         ("packages/enn.md", "[p](../../docs/enn/policies.md)", "[p](../enn/policies.md)"),
         ("tutorial.md", "![output](tutorial_0.png)", "![output](tutorial_0.png)"),
         ("models.md", "[c](../packages/guide3d/src/guide3d/weights/reader.md)", "[c](models/reader.md)"),

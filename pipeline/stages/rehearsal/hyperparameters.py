@@ -13,7 +13,7 @@ from pipeline.stages.rehearsal.settings import RehearsalSettings
 if TYPE_CHECKING:
     from enn.reinforcement.training import TrainingSettings
 
-MOST_THREADS = 4  # of a training, unless the settings say; more gain nothing (docs/results/gpu.md)
+MOST_THREADS = 4  # of a training, unless the settings say; more gain nothing (docs/results/computing.md)
 
 
 def threads_of(settings: RehearsalSettings) -> int:

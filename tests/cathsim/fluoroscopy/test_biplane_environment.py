@@ -1,6 +1,5 @@
 """Bi-planar views of the environment: observations, determinism, logs, and that they leave the rest alone."""
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -87,12 +86,3 @@ def test_log_holds_every_camera(make_env, tmp_path: Path):
     np.testing.assert_array_equal(arrays["image/a"][-1], env.biplane.frame("a").image)
     np.testing.assert_array_equal(arrays["mask/b"][-1], env.biplane.frame("b").mask)
     assert info.configuration["cameras"]["a"]["distortion"]["pincushion"] > 0
-
-
-def test_code_of_the_page_runs():
-    page = (Path(__file__).parents[3] / "docs" / "cathsim" / "fluoroscopy.md").read_text(encoding="utf-8")
-    code = re.search(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE).group(1)
-    assert code.count("assert ") == 2
-    names = {}
-    exec(code, names)
-    assert names["image"].shape == (1024, 1024)

@@ -47,7 +47,7 @@ class Accuracy:
 
 
 # The motion is quasi-static, so more than the wire's mass changes forces little and keeps contacts stiff at long steps.
-# With a catheter fewer repetitions come nearly as near to `reference` (docs/results/two_devices.md).
+# With a catheter fewer repetitions come nearly as near to `reference` (docs/results/simulator.md).
 ACCURACY: dict[str, Accuracy] = {
     "reference": Accuracy(timestep=0.001, refinement=4),
     "accurate": Accuracy(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MASK = "mask"  # what a name of a two-valued image starts with
-# Expected size of a compressed frame, as a share of its pixels; simulated images take less (docs/results/gpu.md).
+# Expected size of a compressed frame, as a share of its pixels; simulated images take less (docs/results/computing.md).
 EXPECTED_SHARE = 1 / 20
 _LEVEL = 1  # of zlib: the fastest; level 6 saves a quarter more and takes three times as long
 _REFERENCE = 8  # bytes that name a stack in the list of rows

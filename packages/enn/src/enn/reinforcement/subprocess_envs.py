@@ -1,7 +1,7 @@
 """Environments in a process of their own, where they and a training's updates do not wait for each other.
 
 In threads of one process both want the interpreter's lock after every native call; then the environments take twice as
-long, and the updates a third longer: `docs/results/rehearsal.md#a-process-of-its-own`.
+long, and the updates a third longer: `docs/results/rehearsal.md#how-long-it-trains`.
 """
 
 from __future__ import annotations
