@@ -1,4 +1,4 @@
-"""Makes the films of the readme and of the gallery: python docs/pictures/films.py [NAME ...].
+"""Makes the films of the readme and of the environments' pages: python docs/pictures/films.py [NAME ...].
 
 Episodes of the sampling expert, or scripted motions; a few CPU-minutes in all. Without names, every film is made.
 """
