@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import functools
+from typing import Any
 
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
@@ -14,7 +16,22 @@ _registered = functools.cache(register_schemas)  # of all stages: as long as com
 
 def composed(*overrides: str) -> RunConfig:
     """The checked configuration of these words of a command line."""
+    return copy.deepcopy(_checked(*overrides))
+
+
+@functools.cache
+def _checked(*overrides: str) -> RunConfig:
     return run_config(unchecked(*overrides))
+
+
+class Stages(dict[str, Any]):
+    """The settings of each stage with these words, composed when they are first asked for."""
+
+    def __init__(self, *overrides: str) -> None:
+        self._overrides = overrides
+
+    def __missing__(self, name: str) -> Any:
+        return composed(f"stage={name}", *self._overrides).stage
 
 
 def unchecked(*overrides: str) -> DictConfig:

@@ -14,7 +14,7 @@ from cathsim import load_catheter
 from cathsim.devices.device_file import preset_path
 from pipeline.config import BUDGETS
 from pipeline.recording.record import record_episode
-from pipeline.stages import available_stages, baselines, enn, force, imitation
+from pipeline.stages import baselines, enn, force, imitation
 from pipeline.stages.expert import check_expert
 from pipeline.stages.learning.expert_episodes import require_demonstrations, require_expert, task_of_log
 from pipeline.stages.learning.settings import BaselinesSettings, EnnSettings, ForceSettings, ImitationSettings
@@ -35,18 +35,16 @@ from pipeline.task import (
     task_from,
     task_in_random_arches,
 )
-from tests.pipeline.composed import composed
+from tests.pipeline.composed import Stages, composed
 from tests.pipeline.stages.small_expert import TASK, context, write_expert
 
 
-def stages_of(*overrides: str) -> dict[str, Any]:
-    return {name: composed(f"stage={name}", *overrides).stage for name in available_stages()}
-
-
-@pytest.mark.parametrize("further", [(), ("task.max_steps=200", "task.success_radius_mm=4", "task.wire=thesis")])
-@pytest.mark.parametrize("budget", BUDGETS)
-def test_every_stage_has_the_task_of_what_it_goes_on_from(budget: str, further: tuple[str, ...]) -> None:
-    stages = stages_of(f"budget={budget}", *further)
+@pytest.mark.parametrize(
+    "words",
+    [*(f"budget={budget}" for budget in BUDGETS), "task.max_steps=200 task.success_radius_mm=4 task.wire=thesis"],
+)
+def test_every_stage_has_the_task_of_what_it_goes_on_from(words: str) -> None:
+    stages = Stages(*words.split())
     for follower in ("imitation", "force", "navigation"):
         assert stages[follower].task == stages["enn"].task, follower
     assert stages["navigation"].arch_task == stages["unseen"].task
@@ -58,7 +56,7 @@ def test_every_stage_has_the_task_of_what_it_goes_on_from(budget: str, further: 
 
 
 def test_tasks_of_the_budgets() -> None:
-    desk, thesis = stages_of("budget=desk"), stages_of("budget=thesis")
+    desk, thesis = Stages("budget=desk"), Stages("budget=thesis")
     for name in ("expert", "enn", "baselines", "imitation", "force", "navigation"):
         assert desk[name].task == Task()
     assert desk["unseen"].task == thesis["unseen"].task == task_in_random_arches()
