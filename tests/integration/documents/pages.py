@@ -63,12 +63,6 @@ def read(document: Path) -> str:
 documents = pytest.mark.parametrize("document", DOCUMENTS, ids=relative)
 
 
-def package_folders(package: str) -> tuple[Path, set[str]]:
-    """The source folder of a package, and its folders with an ``__init__`` as paths below it."""
-    root = PROJECT_ROOT / "pipeline" if package == "pipeline" else PROJECT_ROOT / "packages" / package / "src" / package
-    return root, {one.parent.relative_to(root).as_posix() for one in root.rglob("__init__.py")} - {"."}
-
-
 def table_column(text: str, header: str) -> list[str]:
     """The first cells of the tables whose first header cell is this."""
     cells: list[str] = []
