@@ -56,7 +56,7 @@ def test_a_second_device_is_as_strict_as_a_gpu() -> None:
 
 def _small(preset: TrainingSettings, **changed: Any) -> TrainingSettings:
     return dataclasses.replace(
-        preset, decisions=64, learning_starts=32, evaluate_every=64, evaluation_episodes=1, curve_every=64,
+        preset, decisions=40, learning_starts=32, evaluate_every=40, evaluation_episodes=1, curve_every=40,
         batch_size=8, hidden=(8, 8), **changed,
     )  # fmt: skip
 
@@ -72,7 +72,7 @@ TRAININGS = {
         gradient_steps=0.25,
         buffer_size=400,
     ),
-    "ppo": _small(DESK_PPO, n_steps=16, action_repeat=1, epochs=2),
+    "ppo": _small(DESK_PPO, n_steps=16, action_repeat=1, epochs=1),
 }
 
 
@@ -103,7 +103,7 @@ def test_an_interrupted_training_goes_on_on_another_device(
         pass
 
     def stop(progress: Any) -> None:
-        if progress.decisions >= 48:
+        if progress.decisions >= 36:
             raise Stop
 
     settings = dataclasses.replace(TRAININGS["sac"], checkpoint_seconds=0.0, evaluate_every=0)
@@ -120,12 +120,12 @@ def test_an_interrupted_training_goes_on_on_another_device(
 
 
 @functools.cache
-def _episodes(count: int = 6) -> tuple[Trajectory, ...]:
+def _episodes(count: int = 3) -> tuple[Trajectory, ...]:
     return tuple(record(DrawnPoint(), expert, seed=seed, keys=("image", "place")) for seed in range(count))
 
 
 def test_cloning_and_dagger(tmp_path: Path) -> None:
-    fit = EpisodeFitSettings(epochs=2, batch_size=32, validation_share=0.3)
+    fit = EpisodeFitSettings(epochs=1, batch_size=32, validation_share=0.4)
     settings = dataclasses.replace(DESK_CLONING, fit=fit, shift_px=2, noise=1.0)
     episodes, outcomes = _episodes(), {}
     features = [episode.observations["place"] for episode in episodes]
@@ -150,7 +150,7 @@ def test_force(tmp_path: Path) -> None:
     episodes = list(_episodes())
     features = [episode.observations["place"] for episode in episodes]
     samples = force_samples(episodes, features=features)
-    settings = dataclasses.replace(DESK_FORCE, fit=EpisodeFitSettings(epochs=2, batch_size=32, validation_share=0.0))
+    settings = dataclasses.replace(DESK_FORCE, fit=EpisodeFitSettings(epochs=1, batch_size=32, validation_share=0.0))
     outcomes = {}
     with second_device() as device:
         for place in ("cpu", device):
@@ -164,7 +164,7 @@ def test_force(tmp_path: Path) -> None:
 
 
 def test_path_follower(tmp_path: Path) -> None:
-    settings = PathFollowerSettings(fit=EpisodeFitSettings(epochs=2, batch_size=32), hidden=(16,))
+    settings = PathFollowerSettings(fit=EpisodeFitSettings(epochs=1, batch_size=32), hidden=(16,))
     episodes = list(_episodes())
     paths = [np.array([[0.0, 0, 0], [10, 5, 0], [20, 0, 0]])] * len(episodes)
     seen, outcomes = np.ones((3, settings.size), np.float32), {}
@@ -180,7 +180,7 @@ def test_path_follower(tmp_path: Path) -> None:
 
 
 def test_encoder_and_what_learns_through_it(tmp_path: Path) -> None:
-    samples = scripted_samples(Rod, 300, seed=0)
+    samples = scripted_samples(Rod, 150, seed=0)
     settings = EncoderSettings(epochs=1, hidden=16, features=8)
     training = dataclasses.replace(TRAININGS["sac"], evaluate_every=0)
     outcomes, seen = {}, {}
@@ -211,7 +211,7 @@ def test_segmenter_and_image_policy(tmp_path: Path) -> None:
             perception = ImagePerception(segmenter, device=place)
             policy = policy_on(perception, place)
             episodes = advised(policy, perception, 0.5, 1, 3)
-            loss = clone_sequences(policy, episodes, dataclasses.replace(CLONING, epochs=2))[-1]
+            loss = clone_sequences(policy, episodes, dataclasses.replace(CLONING, epochs=1))[-1]
             policy.save(tmp_path / f"{place[:3]}.pt")
             results[place] = loss, policy.act(episodes[0].features[:1])[0]
         env = WireEnv()

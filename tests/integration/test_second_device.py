@@ -13,10 +13,9 @@ ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("package", ["enn", "splineformer", "pipeline"])
-def test_networks_train_and_are_read_on_a_second_device(package: str) -> None:
-    file = f"tests/{package}/on_second_device.py"
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", file]
+def test_networks_train_and_are_read_on_a_second_device() -> None:
+    files = [f"tests/{package}/on_second_device.py" for package in ("enn", "splineformer", "pipeline")]
+    command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *files]
     ran = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=900, check=False)
     assert ran.returncode == 0, ran.stdout[-4000:] + ran.stderr[-2000:]
     assert " passed" in ran.stdout

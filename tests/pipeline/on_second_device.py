@@ -52,7 +52,7 @@ def test_imitation(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     cloned = devices_of(monkeypatch, enn.imitation.distillation, "clone")
     refined = devices_of(monkeypatch, enn.imitation.distillation, "dagger")
     place = context(tmp_path, "imitation")
-    imitation.run_imitation(imitation_tests.settings(), place).write(place.path)
+    imitation.run_imitation(imitation_tests.settings(episodes=[1], evaluation_episodes=1), place).write(place.path)
     assert set(cloned) == set(refined) == {there}
     assert "bc_architecture" in json.loads((place.path / "results.json").read_text())
 
@@ -63,6 +63,6 @@ def test_force(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     write_expert(tmp_path / "enn")
     fitted = devices_of(monkeypatch, enn.force.prediction, "fit_force")
     place = context(tmp_path, "force")
-    force.run_force(force_tests.settings(), place).write(place.path)
+    force.run_force(force_tests.settings(inputs=["V", "I+V"]), place).write(place.path)
     assert set(fitted) == {there}
     assert "force_share" in json.loads((place.path / "results.json").read_text())
