@@ -147,7 +147,7 @@ def test_cut_off_images_are_refused_in_one_sentence(
     path = tmp_path / f"image{ending}"
     Image.fromarray(GREY).save(path)
     whole = path.read_bytes()
-    for length in range(0, len(whole) - 1, 61):
+    for length in np.linspace(0, len(whole) - 2, 15, dtype=int).tolist():
         path.write_bytes(whole[:length])
         with pytest.raises(ImageError, match=rf"^image {path} cannot be read: it is [A-Za-z ,]+$"):
             read_grey_levels(path)

@@ -32,27 +32,27 @@ from enn.reinforcement.training import (
 
 SAC = dataclasses.replace(
     DESK_SAC,
-    decisions=600,
+    decisions=320,
     n_envs=4,
     hidden=(16, 16),
     batch_size=32,
     learning_starts=100,
     gradient_steps=0.25,
-    evaluate_every=200,
+    evaluate_every=100,
     evaluation_episodes=3,
     curve_every=50,
     buffer_size=1000,
 )
 PPO = dataclasses.replace(
     DESK_PPO,
-    decisions=600,
+    decisions=320,
     n_envs=4,
     hidden=(16, 16),
     n_steps=32,
     epochs=2,
     batch_size=32,
     learning_starts=100,
-    evaluate_every=200,
+    evaluate_every=100,
     evaluation_episodes=3,
     curve_every=50,
 )
@@ -90,7 +90,7 @@ def test_interrupted_and_resumed_is_the_same_as_straight(
     monkeypatch.setattr("enn.reinforcement.training.run.TICK", 0.0)
     monkeypatch.setattr("enn.reinforcement.training.inputs.WORTH_A_PROCESS", 0)
     straight = Training(settings, point_env, None, seed=3).run()
-    for stop in (60, 300):
+    for stop in (60, 200):
         with pytest.raises(_Interruption):
             Training(settings, point_env, tmp_path, seed=3).run(_interrupt_at(stop))
         assert (tmp_path / "checkpoint" / "index.json").is_file()

@@ -351,8 +351,8 @@ def test_damaged_files_are_refused_or_read_and_never_quote_the_patient(
     dataset = xray_dataset(frames_of(3, 16, 16), FrameTime="66.5", StudyDate="19440607")
     whole = write(dataset, tmp_path / "whole.dcm").read_bytes()
     generator = np.random.default_rng(0)
-    cases = [whole[:length] for length in generator.integers(0, len(whole) - 1, 20).tolist()]
-    for bit in generator.integers(0, 8 * (len(whole) - 3 * 256), 50).tolist():
+    cases = [whole[:length] for length in generator.integers(0, len(whole) - 1, 10).tolist()]
+    for bit in generator.integers(0, 8 * (len(whole) - 3 * 256), 20).tolist():
         damaged = bytearray(whole)
         damaged[bit // 8] ^= 1 << bit % 8
         cases.append(bytes(damaged))
@@ -365,7 +365,7 @@ def test_damaged_files_are_refused_or_read_and_never_quote_the_patient(
             except ValueError as error:
                 sentences.append(str(error))
                 shown.append(traceback.format_exc())  # with the errors that it hides, were they not hidden
-    assert len(sentences) > 20
+    assert len(sentences) > 10
     assert not [said for said in sentences if "\n" in said]
     out = capfd.readouterr()
     everything = "\n".join([*shown, caplog.text, out.out, out.err])

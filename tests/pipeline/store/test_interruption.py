@@ -45,9 +45,9 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory, anatomy_cache: Path) -> dict[str, str]:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """What the stage leaves when nothing stops it."""
-    process = PipelineProcess(tmp_path_factory.mktemp("whole"), {"CATHSIM_CACHE": str(anatomy_cache)})
+    process = PipelineProcess(tmp_path_factory.mktemp("whole"))
     done = process.run_here(*STAGE)
     assert done.returncode == 0, done.stderr
     return contents(process.runs / "run" / "phantoms")
