@@ -49,6 +49,8 @@ def test_a_segmentation_and_its_series_are_built_and_drawn(
     folder = tmp_path / "runs" / "desk" / "phantoms" / "vessels"
     assert set(json.loads((folder / "targets.json").read_text())["targets"]) >= {"bca", "lcca", "lsa", "rsa", "rcca"}
     assert np.asarray(Image.open(folder / "radiograph.png"), float).std() > 20
-    (note,) = (note for note in json.loads((folder / "import.json").read_text())["notes"] if "mm apart" in note)
+    account = json.loads((folder / "import.json").read_text())
+    assert account["volumes_ml"]["aorta"][0] == pytest.approx(account["volumes_ml"]["aorta"][1], rel=0.03)
+    (note,) = (note for note in account["notes"] if "mm apart" in note)
     assert note.startswith("the CT and the vessels lie 5 mm apart")
     assert f"vessels: note: {note}" in capfd.readouterr().out

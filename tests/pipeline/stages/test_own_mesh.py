@@ -15,7 +15,6 @@ from pipeline.anatomies.anatomy_file import in_settings
 from pipeline.launch import main
 from pipeline.stages.phantoms import PhantomsSettings
 from pipeline.store.errors import ConfigurationError
-from tests.cathsim.anatomy.volume.rasterising import rasterise, save_nifti
 
 
 @pytest.fixture
@@ -50,19 +49,6 @@ def test_a_mesh_is_built_once(arch: Path, tmp_path: Path, capfd: pytest.CaptureF
     written = manifest.stat().st_mtime_ns
     assert main(arguments) == 0
     assert manifest.stat().st_mtime_ns == written
-
-
-def test_a_label_volume_is_built(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    pytest.importorskip("nibabel", reason="label volumes need nibabel")
-    monkeypatch.setenv("CATHSIM_CACHE", str(tmp_path / "cache"))
-    labels, affine = rasterise(load_phantom("type_1", resolution=2e-3), spacing=(1.5e-3, 1.5e-3, 2.5e-3))
-    path = save_nifti(tmp_path / "scan.nii.gz", labels, affine)
-    arguments = ["stage=phantoms", f"phantom.file={path}", "stage.resolution_mm=2.0", "stage.picture=false"]
-    assert main([*arguments, f"runs_dir={tmp_path / 'runs'}"]) == 0
-    folder = tmp_path / "runs" / "desk" / "phantoms" / "scan"
-    account = json.loads((folder / "import.json").read_text())
-    assert account["volumes_ml"]["aorta"][0] == pytest.approx(account["volumes_ml"]["aorta"][1], rel=0.03)
-    assert {"bca", "lcca", "lsa"} <= set(json.loads((folder / "targets.json").read_text())["targets"])
 
 
 def test_a_folder_counts_by_its_files(tmp_path: Path):

@@ -150,11 +150,8 @@ def test_the_pose_is_near_the_patients(imported: tuple[Disguise, Phantom]):
     assert np.abs(found.bounds.mean(axis=0)).max() < 5e-3
 
 
-def test_it_can_be_described_and_a_changed_file_is_refused(
-    plain: tuple[Path, Phantom], cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_it_can_be_described_and_a_changed_file_is_refused(plain: tuple[Path, Phantom], tmp_path: Path):
     path, found = plain
-    monkeypatch.setenv("CATHSIM_CACHE", str(cache))
     description = json.loads(json.dumps(phantom_description(found)))
     assert phantom_described(description).hash == found.hash
     moved = tmp_path / "arch_0.stl"
@@ -296,9 +293,8 @@ def test_too_many_faces_are_thinned_out(phantom: Phantom):
     assert away.max() < 1e-3
 
 
-@pytest.mark.parametrize("name", [b"a$_$b.stl", b"caf\xe9.stl"])
-def test_a_name_that_is_a_formula_or_no_text_is_drawn(name: bytes, tmp_path: Path):
-    path = tmp_path / os.fsdecode(name)
+def test_a_name_that_is_a_formula_and_no_text_is_drawn(tmp_path: Path):
+    path = tmp_path / os.fsdecode(b"a$_$b caf\xe9.stl")
     trimesh.creation.icosphere(2, 0.01).export(tmp_path / "ball.stl")
     (tmp_path / "ball.stl").rename(path)
     with pytest.raises(MeshRefusedError) as refused:

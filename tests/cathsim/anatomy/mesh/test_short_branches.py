@@ -43,10 +43,8 @@ def test_short_branches_are_kept_and_the_aorta_is_whole(tmp_path: Path):
     assert check_lumen(found).problems == ()
 
 
-@pytest.mark.parametrize(("across", "width"), [(-0.032, 7.5e-3)])
-def test_a_wide_branch_that_is_cut_soon_after_it_leaves_the_ascending_limb_is_the_first(
-    across: float, width: float, tmp_path: Path
-):
+def test_a_wide_branch_that_is_cut_soon_after_it_leaves_the_ascending_limb_is_the_first(tmp_path: Path):
+    across, width = -0.032, 7.5e-3
     tree = arch_tree(0.03)
     aorta = tree.root
     top = int(aorta.points[:, 2].argmax())
@@ -79,9 +77,8 @@ def _with_coronaries(above: float) -> VesselTree:
     return VesselTree(tuple(branches))
 
 
-@pytest.mark.parametrize("above", [0.004])
-def test_coronary_arteries_do_not_hide_the_aortas_end(above: float, tmp_path: Path):
-    drawn = _with_coronaries(above)
+def test_coronary_arteries_do_not_hide_the_aortas_end(tmp_path: Path):
+    drawn = _with_coronaries(0.004)
     mesh = lumen_surface(build_lumen(drawn, resolution=1e-3, fillet_radius=1e-3))
     mesh.apply_scale(1000)
     mesh.export(tmp_path / "coronaries.stl")
@@ -118,7 +115,7 @@ def test_a_closed_aorta_is_refused(tmp_path: Path):
 @pytest.mark.skipif(not REAL.is_dir(), reason="../shared/real/aortas is not there")
 @pytest.mark.parametrize(("name", "unit"), [("patient1", "mm"), ("feelpp_aorta2", "cm")])
 def test_real_arches_with_short_branches(name: str, unit: str, tmp_path: Path):
-    found = import_mesh(REAL / f"{name}.stl", cache_dir=tmp_path)
+    found = import_mesh(REAL / f"{name}.stl", resolution=COARSE, cache_dir=tmp_path)
     assert found.imported is not None
     assert found.imported.unit == unit
     assert found.imported.borders == 5
