@@ -14,7 +14,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
@@ -73,8 +73,8 @@ def locale_as_before() -> Iterator[None]:
         warnings.warn(f"the process's locale was switched from {LOCALE} to {found}", stacklevel=1)
 
 
-@pytest.fixture(autouse=True)
-def process_as_before() -> Iterator[None]:
+@contextlib.contextmanager
+def process_kept() -> Iterator[None]:
     """Undoes what a command line run in this process sets: loggers' levels and handlers, and what signals do.
 
     Handlers made before are kept from Hydra, which closes all that logging knows: absl's would close pytest's capture.
@@ -100,12 +100,19 @@ def process_as_before() -> Iterator[None]:
     root._cache.clear()
 
 
+@pytest.fixture(autouse=True)
+def process_as_before() -> Iterator[None]:
+    """Every test leaves the process as it was."""
+    with process_kept():
+        yield
+
+
 @dataclass(frozen=True)
 class PipelineProcess:
     """Starts ``python -m pipeline`` with its runs below a temporary folder."""
 
     folder: Path
-    environment: dict[str, str]
+    environment: dict[str, str] = field(default_factory=os.environ.copy)
 
     @property
     def runs(self) -> Path:
@@ -129,8 +136,11 @@ class PipelineProcess:
         from pipeline.launch import main
 
         out, errors = io.StringIO(), io.StringIO()
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors), pytest.MonkeyPatch.context() as patch:
-            patch.setenv("CATHSIM_CACHE", self.environment["CATHSIM_CACHE"])
+        with (
+            process_kept(),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(errors),
+        ):
             code = main(self._arguments(overrides))
         return subprocess.CompletedProcess(overrides, code, out.getvalue(), errors.getvalue())
 
@@ -162,17 +172,21 @@ class PipelineProcess:
         return [*overrides] if "--help" in overrides else [*overrides, f"runs_dir={self.runs}"]
 
 
-@pytest.fixture(scope="session")
-def anatomy_cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache of anatomies for the test session: tests neither see nor fill the user's own."""
-    return tmp_path_factory.mktemp("anatomy_cache")
+@pytest.fixture(scope="session", autouse=True)
+def anatomy_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A cache of anatomies for the test session and all its workers: tests neither see nor fill the user's own."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "anatomy_cache"
+    folder.mkdir(exist_ok=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CATHSIM_CACHE", str(folder))
+        yield folder
 
 
 @pytest.fixture
-def pipeline_process(tmp_path: Path, anatomy_cache: Path) -> PipelineProcess:
+def pipeline_process(tmp_path: Path) -> PipelineProcess:
     """A pipeline that writes below the test's temporary folder."""
-    environment = {**os.environ, "CATHSIM_CACHE": str(anatomy_cache)}
-    return PipelineProcess(tmp_path, environment)
+    return PipelineProcess(tmp_path)
 
 
 @pytest.fixture(scope="session")

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -54,12 +54,11 @@ def wait_until(condition: Callable[[], Any], seconds: float) -> Any:
 
 
 @contextlib.contextmanager
-def running_console(*arguments: str, environment: Mapping[str, str] | None = None) -> Iterator[str]:
+def running_console(*arguments: str) -> Iterator[str]:
     """A console in a process of its own, at a free port, without the expert's scores.
 
     Args:
         arguments: of its command line.
-        environment: of the process; this one's when None.
 
     Yields:
         Its address.
@@ -68,7 +67,7 @@ def running_console(*arguments: str, environment: Mapping[str, str] | None = Non
         BrowserError: it did not start.
     """
     command = [sys.executable, "-m", "cathsim.console", "--port", "0", "--no-expert", *arguments]
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         line = process.stdout.readline() if process.stdout else ""
         found = re.search(r"http://\S+", line)

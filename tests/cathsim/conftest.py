@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,14 +21,6 @@ BEND_RADIUS = 0.007  # m
 
 MakeEnv = Callable[..., NavigateEnv]
 MakeSimulation = Callable[..., Simulation]
-
-
-@pytest.fixture(scope="session", autouse=True)
-def own_cache(anatomy_cache: Path) -> Iterator[None]:
-    """Phantoms come from the cache of the test run, also in processes that tests start."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-        yield
 
 
 @pytest.fixture

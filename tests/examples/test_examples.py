@@ -35,9 +35,8 @@ def test_every_example_has_a_test() -> None:
 
 @of("own_anatomy")
 def test_an_arch_of_own_measures_and_a_mesh_are_entered(
-    example: ModuleType, tmp_path: Path, anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch
+    example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     assert example.main(steps=20)["insertion"] == pytest.approx(0.04, abs=0.002)
     mesh = tmp_path / "arch.stl"
     load_phantom("low_tortuosity", resolution=2e-3).lumen_mesh.export(mesh)
@@ -85,9 +84,8 @@ def test_every_combination_is_run(example: ModuleType) -> None:
 
 @of("shown_by_policies")
 def test_a_policy_learns_from_what_others_show(
-    example: ModuleType, tmp_path: Path, anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch
+    example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     cases = example.steep_cases(2000, 1)
     assert [(kind, seed) for kind, seed, _ in cases] == [("II", 2000)] * 2
     env = example.training_env(cases, 5)

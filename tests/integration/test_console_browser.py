@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,10 +25,9 @@ def episodes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def address(episodes: Path, anatomy_cache: Path) -> Iterator[str]:
+def address(episodes: Path) -> Iterator[str]:
     """A running console with short procedures (4 s)."""
-    environment = {**os.environ, "CATHSIM_CACHE": str(anatomy_cache)}
-    with running_console("--record", str(episodes), "--max-steps", "40", environment=environment) as address:
+    with running_console("--record", str(episodes), "--max-steps", "40") as address:
         yield address
 
 

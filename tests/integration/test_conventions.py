@@ -16,11 +16,6 @@ README = PROJECT_ROOT / "packages" / "cathsim" / "README.md"
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
-@pytest.fixture(autouse=True)
-def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-
-
 def blocks(document: Path) -> Iterator[tuple[int, str]]:
     """Number of the first line and text of each Python block."""
     text = document.read_text(encoding="utf-8")

@@ -56,9 +56,8 @@ def test_the_script_that_runs_it_keeps_what_a_kernel_shows(tmp_path: Path) -> No
 
 
 def test_every_cell_runs(
-    notebook: dict[str, Any], anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    notebook: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     import matplotlib
 
     matplotlib.use("Agg")
@@ -112,8 +111,7 @@ def quick(block: str, used: set[str]) -> str:
     return block
 
 
-def test_the_blocks_of_the_pages_run(anatomy_cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+def test_the_blocks_of_the_pages_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     results: dict[str, dict[str, Any]] = {}
     used: set[str] = set()

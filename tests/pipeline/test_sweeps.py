@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import os
-from pathlib import Path
 
 import pytest
 from hydra.errors import MissingConfigException
@@ -41,9 +39,9 @@ def test_launcher_runs_every_job(launcher: str, pipeline_process) -> None:
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory, anatomy_cache: Path) -> PipelineProcess:
+def trained(tmp_path_factory: pytest.TempPathFactory) -> PipelineProcess:
     """A run whose stage enn has two seeds, of one arch and one target."""
-    process = PipelineProcess(tmp_path_factory.mktemp("sweep"), {**os.environ, "CATHSIM_CACHE": str(anatomy_cache)})
+    process = PipelineProcess(tmp_path_factory.mktemp("sweep"))
     process.environment["HOME"] = str(process.folder)  # Ray keeps a token of its own there
     process.environment["RAY_ADDRESS"] = "local"  # and not a cluster that another test started
     for stage in (

@@ -11,8 +11,8 @@ from cathsim.anatomy import Branch, Phantom, VesselTree, load_phantom
 
 
 @pytest.fixture(scope="session")
-def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("phantoms")
+def cache(anatomy_cache: Path) -> Path:
+    return anatomy_cache
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -40,8 +39,7 @@ def test_an_expert_that_tried_its_plans_in_vain_gives_up(monkeypatch: pytest.Mon
     assert (score["success"], score["gave_up"]) == (False, True)
 
 
-def test_scores_come_from_a_process_of_their_own(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+def test_scores_come_from_a_process_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[dict[str, Any] | None] = []
     arrived = threading.Event()
     seen: list[dict[str, Any]] = []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import socket
@@ -26,11 +25,11 @@ from cathsim.console import NpzRecorder, launch
 Console = tuple[subprocess.Popen[str], str, Path]
 
 
-def started(anatomy_cache: Path, folder: Path, *arguments: str) -> Console:
+def started(folder: Path, *arguments: str) -> Console:
     """A console in a process of its own, and the address that it printed."""
     process = subprocess.Popen(
         [sys.executable, "-m", "cathsim.console", "--port", "0", "--record", str(folder), *arguments],
-        env={**os.environ, "CATHSIM_CACHE": str(anatomy_cache)}, cwd=folder, stdout=subprocess.PIPE, text=True,
+        cwd=folder, stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stdout is not None
     found = re.search(r"http://\S+", process.stdout.readline())
@@ -39,9 +38,9 @@ def started(anatomy_cache: Path, folder: Path, *arguments: str) -> Console:
 
 
 @pytest.fixture(scope="module")
-def console(anatomy_cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
+def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
     """A console with a token."""
-    running = started(anatomy_cache, tmp_path_factory.mktemp("episodes"), "--token", "secret")
+    running = started(tmp_path_factory.mktemp("episodes"), "--token", "secret")
     yield running
     running[0].terminate()
     running[0].wait(15)
@@ -172,10 +171,10 @@ def test_the_websocket_refuses_strangers_and_answers_nonsense(console: Console) 
     assert wanted <= heard
 
 
-def test_ending_the_program_keeps_the_episode_that_was_going_on(anatomy_cache: Path, tmp_path: Path) -> None:
+def test_ending_the_program_keeps_the_episode_that_was_going_on(tmp_path: Path) -> None:
     from websockets.sync.client import connect
 
-    process, page, folder = started(anatomy_cache, tmp_path)
+    process, page, folder = started(tmp_path)
     try:
         wire, origin = page.replace("http", "ws") + "ws", page.rstrip("/")
         with connect(wire, origin=origin, close_timeout=0.1) as operator:  # type: ignore[arg-type]

@@ -311,9 +311,8 @@ def test_success_radius_and_force_limit_are_chosen_and_count(
 
 
 def test_the_page_is_told_how_far_the_expert_is_and_its_score(
-    page: Any, wait_until: Wait, anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch
+    page: Any, wait_until: Wait, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     loop = RealTimeLoop(Setup(accuracy="fast", max_steps=4), page, compared=True)
     loop.start()
     loop.operator_came()

@@ -31,14 +31,7 @@ ANSWERS = {**{criterion.key: 4 for criterion in CRITERIA}, "participant": "P1"}
 
 
 @pytest.fixture(scope="module")
-def own_cache(anatomy_cache: Path) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-        yield
-
-
-@pytest.fixture(scope="module")
-def environment(own_cache: None) -> Iterator[NavigateEnv]:
+def environment() -> Iterator[NavigateEnv]:
     environment = NavigateEnv(observation="tip", accuracy="fast", max_steps=12)
     yield environment
     environment.close()

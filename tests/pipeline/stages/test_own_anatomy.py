@@ -57,11 +57,6 @@ def mesh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "my patient.stl"
 
 
-@pytest.fixture(autouse=True)
-def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-
-
 def settled(stage: str, *overrides: str) -> Any:
     """A stage's settings as a run has them before its work begins."""
     settings = composed(f"stage={stage}", "budget=smoke", *overrides).stage
@@ -86,7 +81,7 @@ def run_stage(stage: str, folder: Path, *overrides: str) -> Path:
 
 
 @pytest.fixture(scope="module")
-def run(mesh: Path, tmp_path_factory: pytest.TempPathFactory, anatomy_cache: Path) -> Path:
+def run(mesh: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of the stages that build on each other, in the file's anatomy."""
     from splineformer.build import build, size_of
     from splineformer.predictor import Predictor
@@ -95,10 +90,8 @@ def run(mesh: Path, tmp_path_factory: pytest.TempPathFactory, anatomy_cache: Pat
     chosen = (f"phantom.file='{mesh}'", "phantom.unit=mm", NAMES, f"target={TARGET}")
     torch.manual_seed(0)
     Predictor(build(size_of("ordered", "smoke"))).save(folder / "splineformer" / "ordered" / "predictor.pt")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-        for stage in ("expert", "baselines", "enn", "imitation", "navigation"):
-            run_stage(stage, folder, *chosen)
+    for stage in ("expert", "baselines", "enn", "imitation", "navigation"):
+        run_stage(stage, folder, *chosen)
     return folder
 
 

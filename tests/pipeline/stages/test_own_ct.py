@@ -38,19 +38,12 @@ WITH_3D = 2 * ROOM_PX + VIEW_WIDTH_PX
 
 
 @pytest.fixture(scope="module")
-def scan(tmp_path_factory: pytest.TempPathFactory, anatomy_cache: Path) -> dict[str, Any]:
+def scan(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The settings of an arch and of its CT."""
     folder = tmp_path_factory.mktemp("scan")
     load_phantom("type_1", resolution=2e-3).lumen_mesh.export(folder / "arch.stl")
     own = AnatomyFile.of(str(folder / "arch.stl"), "m")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-        return {"file": own.path, "unit": "m", "ct": str(ct_of(own.load(), folder / "ct.nii.gz"))}
-
-
-@pytest.fixture(autouse=True)
-def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+    return {"file": own.path, "unit": "m", "ct": str(ct_of(own.load(), folder / "ct.nii.gz"))}
 
 
 def test_the_stage_phantoms_draws_the_contrast_run_in_the_ct(scan: dict[str, Any], tmp_path: Path) -> None:

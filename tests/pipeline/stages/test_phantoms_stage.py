@@ -15,10 +15,10 @@ RESOLUTION = 2e-3
 
 
 @pytest.fixture(scope="module")
-def phantom(tmp_path_factory):
+def phantom():
     from cathsim.anatomy import load_phantom
 
-    return load_phantom("type_1", resolution=RESOLUTION, cache_dir=tmp_path_factory.mktemp("cache"))
+    return load_phantom("type_1", resolution=RESOLUTION)
 
 
 @pytest.fixture(scope="module")

@@ -21,8 +21,7 @@ from tests.pipeline.evaluations.evaluation_logs import write_force_log
 STEPS = 40
 
 
-def test_stage_writes_tables_and_figures(tmp_path: Path, anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
+def test_stage_writes_tables_and_figures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expert, phantoms, folder = (tmp_path / name for name in ("expert", "phantoms", "validate"))
     generator = np.random.default_rng(0)
     for index, (phantom, target) in enumerate([("type_1", "bca"), ("type_1", "lcca"), ("type_2", "bca")]):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import os
 import random
 import re
 import subprocess
@@ -35,11 +34,10 @@ VALUES: list[Any] = [
 
 
 @pytest.fixture(scope="module")
-def console(anatomy_cache: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
+def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
     """A console in a process of its own, and the address of its websocket."""
     process = subprocess.Popen(
         [sys.executable, "-m", "cathsim.console", "--port", "0", "--no-record"],
-        env={**os.environ, "CATHSIM_CACHE": str(anatomy_cache)},
         cwd=tmp_path_factory.mktemp("console"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stdout is not None

@@ -31,8 +31,8 @@ def indices(values: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def phantom(tmp_path_factory: pytest.TempPathFactory) -> Phantom:
-    return load_phantom("type_1", cache_dir=tmp_path_factory.mktemp("phantoms"))
+def phantom() -> Phantom:
+    return load_phantom("type_1")
 
 
 @pytest.fixture(scope="module")

@@ -28,11 +28,6 @@ from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, all_demo
 from tests.pipeline.stages.small_expert import context
 
 
-@pytest.fixture(autouse=True)
-def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-
-
 def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = Task(start_rotation_deg=180.0, max_steps=200)
     asked = advising_policies(tmp_path, 0, task, GENERALIST)

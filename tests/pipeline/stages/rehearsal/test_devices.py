@@ -139,9 +139,8 @@ def test_without_a_choice_of_policies_nothing_is_tried(chosen: Any, changed: dic
 
 
 def test_a_trial_plays_the_policy_in_copies_that_the_training_has_too(
-    tmp_path: Path, anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     task = Task(max_steps=6)
     named = {devices.WIRE_ALONE: task}
     (given,) = devices._trials(RehearsalSettings(task=task), context(tmp_path, "rehearsal"), "bca", named).values()

@@ -22,11 +22,6 @@ from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
 from tests.pipeline.stages.small_expert import context
 
 
-@pytest.fixture(autouse=True)
-def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-
-
 def test_the_sampling_expert_shows_the_way_where_no_policy_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

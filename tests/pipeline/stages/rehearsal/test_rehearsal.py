@@ -31,11 +31,6 @@ from tests.pipeline.stages.small_expert import context
 FIRST = ANATOMY_COPIES["test"].first
 
 
-@pytest.fixture(autouse=True)
-def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-
-
 @pytest.mark.parametrize(
     "changed", [{}, {"algorithm": "ppo"}, {"catheter": "vertebral"}], ids=["sac", "ppo", "catheter"]
 )

@@ -31,9 +31,8 @@ def test_a_training_whose_latest_episodes_sometimes_arrive_is_worth_another(
 
 
 def test_a_further_training_starts_from_the_one_before_and_its_policy_is_taken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, anatomy_cache: Path
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     monkeypatch.setattr(RehearsalRules, "sometimes_arrives", lambda self, result: True)
     job = dataclasses.replace(job_of(tmp_path, share_of_decisions=0.5, further_trainings=2), start=GENERALIST)
     told: list[float] = []
@@ -54,9 +53,8 @@ def test_a_further_training_starts_from_the_one_before_and_its_policy_is_taken(
 
 
 def test_what_was_played_to_choose_the_length_is_the_first_evaluation(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, anatomy_cache: Path
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
     asked, counts = list[bool](), {"play": 0, "evaluate": 0}
 
     def mostly_arrives(self: RehearsalRules, *given: Any) -> bool:

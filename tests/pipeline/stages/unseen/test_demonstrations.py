@@ -22,11 +22,6 @@ from pipeline.task import Task
 TASK = UnseenTask(("bca", "lcca"), Task(wire_length_mm=312.0, max_steps=24))
 
 
-@pytest.fixture(autouse=True)
-def own_cache(anatomy_cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CATHSIM_CACHE", str(anatomy_cache))
-
-
 def test_what_is_demonstrated_is_what_the_training_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     environment = TASK.training_environment((0,), ROADMAP_KEYS)
     made = demonstrate(environment, 1, ROADMAP_KEYS, hold=4, seed=3)
