@@ -1,4 +1,4 @@
-"""Modules that packages which import nothing of each other carry alike: guards for files from outside, lazy names."""
+"""Modules that packages which import nothing of each other carry alike: guards for files, lazy names, OpenCV."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
         ("guarded_reading.py", "cathsim/src/cathsim"),
         ("bounded_content.py", "enn/src/enn"),
         ("lazy_names.py", "guide3d/src/guide3d"),
+        ("opencv.py", "guide3d/src/guide3d"),
     ],
 )
 def test_packages_carry_the_same_module(name: str, package: str):

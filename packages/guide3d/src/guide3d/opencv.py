@@ -1,4 +1,4 @@
-"""OpenCV with the project's number of threads: everything here takes it by `from guide3d.opencv import cv2`.
+"""OpenCV with the project's number of threads: all others take `cv2` from here, and only when they need it.
 
 OpenCV starts as many threads as there are cores, whatever OMP_NUM_THREADS says. Processes that share the cores set that
 variable (the pipeline sets it to 1), so it counts here, too; OpenCV's own OPENCV_FOR_THREADS_NUM goes before it.
