@@ -9,7 +9,7 @@ import numpy as np
 
 from cathsim import NavigateEnv
 from cathsim.metrics import EpisodeMetrics, Summary, summarise
-from cathsim.metrics.intervals import wilson_interval
+from cathsim.metrics.episodes import wilson_interval
 
 
 class TurnWhenStuck:

@@ -15,9 +15,9 @@ import numpy as np
 import torch
 
 import enn
-from cathsim.anatomy.measurement.take_off import set_back
 from cathsim.anatomy.point_target import Point, as_target, points_beyond_root
-from cathsim.arch_variety.environment import ArchVarietyEnv
+from cathsim.anatomy.vessel_tree import set_back
+from cathsim.arch_variety import ArchVarietyEnv
 from cathsim.many_anatomies import SHELF, NavigateManyEnv
 from enn.reinforcement.rehearsal import REHEARSAL, demonstrated, rehearse
 from enn.trajectory import Trajectory

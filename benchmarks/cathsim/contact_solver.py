@@ -25,7 +25,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from cathsim import ACCURACY, Guidewire, Phantom, Simulation, load_guidewire, load_phantom
-from cathsim.active_chain import ActiveChain
+from cathsim.devices.active_chain import ActiveChain
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation

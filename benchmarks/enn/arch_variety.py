@@ -36,9 +36,8 @@ import numpy as np
 
 import enn
 from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
-from cathsim.arch_variety.environment import TEST_SEEDS, ArchVarietyEnv
-from cathsim.arch_variety.task import TEST_STEPS, ArchVarietyTask
-from cathsim.metrics.intervals import wilson_interval
+from cathsim.arch_variety import TEST_SEEDS, TEST_STEPS, ArchVarietyEnv, ArchVarietyTask
+from cathsim.metrics.episodes import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from cathsim.rehearsal.environment import NavigateCopiesEnv
 from cathsim.rehearsal.perturbation import Perturbation

@@ -44,7 +44,7 @@ import numpy as np
 
 import enn
 from cathsim.fluoroscopy.scene import SCENES
-from cathsim.metrics.intervals import wilson_interval
+from cathsim.metrics.episodes import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
 from enn.imitation.images.policy import ImagePolicy
 from enn.policy import Policy

@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw
 
-from guide3d.atomic_file import whole_file
 from guide3d.calibration.perforated_sheet import find_holes
+from guide3d.files import whole_file
 from guide3d.geometry.camera import Camera, read_camera
 from guide3d.geometry.distortion import Distortion
 from guide3d.geometry.metrics import curve_metrics

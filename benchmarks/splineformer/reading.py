@@ -35,7 +35,7 @@ import numpy as np
 import torch
 
 from guide3d.dataset.dataset import VIEWS, Dataset, images_of, split
-from guide3d.dataset.masks import strip_mask
+from guide3d.dataset.frame import strip_mask
 from guide3d.reconstruction.synthetic_scene import scenes
 from splineformer.build import build, size_of
 from splineformer.comparison.curve_errors import curve_errors

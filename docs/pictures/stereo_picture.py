@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import enn
-from cathsim.arch_variety.environment import ArchVarietyEnv
+from cathsim.arch_variety import ArchVarietyEnv
 from cathsim.observations.framing import field_projections
 from cathsim.observations.xray import XrayEnvironment
 from enn.imitation.images.stereo_geometry import StereoGeometry, projected

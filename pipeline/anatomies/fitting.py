@@ -29,7 +29,7 @@ def fitted_task(task: Task, phantom: Phantom, targets: Sequence[Any]) -> Task:
         ValueError: an unknown target or entry.
     """
     from cathsim.anatomy.entry import entry_name
-    from cathsim.arena import RESERVE
+    from cathsim.devices.arena import RESERVE
 
     ways = [phantom.way_length(target, entry_name(entry_place(task.entry), target)) for target in targets]
     if task.wire_length_mm or task.wire == NO_WIRE:

@@ -48,7 +48,7 @@ def set_back_mm(phantom: Phantom, target: TargetLike) -> float:
     Raises:
         ValueError: the target lies in the aorta itself.
     """
-    from cathsim.anatomy.measurement.take_off import set_back
+    from cathsim.anatomy.vessel_tree import set_back
 
     return 1e3 * set_back(phantom.tree, phantom.target(target).branch)
 

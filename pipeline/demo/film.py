@@ -9,8 +9,8 @@ from typing import Any
 import imageio_ffmpeg
 import numpy as np
 
-from cathsim.opencv import cv2
 from cathsim.viewing.film import Film, film_palette, write_gif
+from cathsim.viewing.opencv import cv2
 from cathsim.viewing.room_fluoroscope import VIEWS, DisplayWindow
 from pipeline.demo.steering import Scene
 from pipeline.store.atomic_files import atomic_path

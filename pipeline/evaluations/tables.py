@@ -240,7 +240,7 @@ def _unseen_row(name: str, target: str, test_set: str) -> str:
 
 
 def _own_row(evaluations: Sequence[Evaluation], shortest: Shortest) -> dict[str, Any]:
-    from cathsim.metrics.intervals import wilson_interval
+    from cathsim.metrics.episodes import wilson_interval
 
     fixed, drawn = of_mode(evaluations, DETERMINISTIC), of_mode(evaluations, STOCHASTIC)
     row: dict[str, Any] = {}

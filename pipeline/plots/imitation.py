@@ -25,7 +25,7 @@ def draw_success(
         curves: task to (expert episodes, success in %, evaluation episodes).
         beside: task to (row, success in %) of other ways to imitate.
     """
-    from cathsim.metrics.intervals import wilson_interval
+    from cathsim.metrics.episodes import wilson_interval
 
     with chart(file, *_SIZE) as axes:
         for index, (task, points) in enumerate(curves.items()):

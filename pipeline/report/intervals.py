@@ -18,7 +18,7 @@ CellName = tuple[str, str, str]  # table, row, column
 
 def share_interval(percent: float, samples: int | None) -> Interval | None:
     """Wilson's 95 % interval of a share, %; None where its samples are unknown."""
-    from cathsim.metrics.intervals import wilson_interval
+    from cathsim.metrics.episodes import wilson_interval
 
     if not samples:
         return None

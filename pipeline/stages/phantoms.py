@@ -179,7 +179,7 @@ def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, pictu
 
 def write_radiograph(phantom: Phantom, room: XRayScene, path: Path) -> None:
     """Writes a picture of an anatomy's contrast run in its CT, by both C-arms."""
-    from cathsim.opencv import cv2
+    from cathsim.viewing.opencv import cv2
     from cathsim.viewing.room_fluoroscope import contrast_picture
 
     with atomic_path(path) as temporary:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cathsim import GUIDEWIRES, load_guidewire
-from cathsim.active_chain import HYSTERESIS, SPACING, ActiveChains, pass_on
-from cathsim.arena import PROTRUSION, RESERVE, max_insertion
+from cathsim.devices.active_chain import HYSTERESIS, SPACING, ActiveChains, pass_on
+from cathsim.devices.arena import PROTRUSION, RESERVE, max_insertion
 
 
 @pytest.mark.parametrize("wire", GUIDEWIRES)

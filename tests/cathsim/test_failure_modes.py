@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cathsim import load_phantom
-from cathsim.failure_modes import ABORTED, OVERSHOOT, STUCK, WRONG_BRANCH, failure_mode, places
+from cathsim.metrics.failure_modes import ABORTED, OVERSHOOT, STUCK, WRONG_BRANCH, failure_mode, places
 
 
 def test_failure_modes() -> None:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy import SignedDistanceGrid
-from cathsim.arena import PROTRUSION, max_insertion, model_spec
 from cathsim.contact.sdf import Vessel
+from cathsim.devices.arena import PROTRUSION, max_insertion, model_spec
 from cathsim.guidewire import GUIDEWIRES, LINK_NAME, TIP_SITE, Guidewire, load_guidewire, preset_of
 from cathsim.presets import ACCURACY, accuracy
 

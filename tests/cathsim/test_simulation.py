@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cathsim import ACCURACY, Guidewire, Phantom, Simulation, load_guidewire, load_phantom
-from cathsim.active_chain import ActiveChains
-from cathsim.arena import max_insertion
+from cathsim.devices.active_chain import ActiveChains
+from cathsim.devices.arena import max_insertion
 from cathsim.simulation import vessel_of
 
 MakeSimulation = Callable[..., Simulation]

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
-from cathsim.arena import PROTRUSION
+from cathsim.devices.arena import PROTRUSION
 from cathsim.devices.simulation import DualSimulation
-from cathsim.wire_placement import SHAPES, laid_starts, place_wire, plan_way, pushed_shapes
+from cathsim.devices.wire_placement import SHAPES, laid_starts, place_wire, plan_way, pushed_shapes
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from guide3d.file_names import files_in
-from guide3d.json_file import read_json
-from guide3d.text_file import cells_of, numbers_in, read_text
+from guide3d.files import files_in
+from guide3d.text_file import cells_of, numbers_in, read_json, read_text
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ USES = [
     ("cathsim[hulls]", "coacd", f"{PHANTOM}from cathsim.contact.hulls import decompose; decompose(phantom, None)"),
     ("cathsim[human]", "pygame", "from cathsim.viewing.display import Window; Window()"),
     ("cathsim[metaimage]", "SimpleITK", "import cathsim; cathsim.import_anatomy('labels.mha')"),
-    ("cathsim[pictures]", "matplotlib", "from cathsim.figure import new_figure; new_figure()"),
+    ("cathsim[pictures]", "matplotlib", "from cathsim.viewing.figure import new_figure; new_figure()"),
     ("cathsim[pictures]", "PIL", "from cathsim.viewing.film import film_palette; film_palette([], 2, 2)"),
     (
         "cathsim[surfaces]",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from guide3d.dataset.masks import strip_mask
+from guide3d.dataset.frame import strip_mask
 from guide3d.geometry.polyline import resample
 
 SIDE = 256

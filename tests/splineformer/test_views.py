@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from splineformer.map_picture import map_picture
-from splineformer.modeling.curve_network import CurveBatch
-from splineformer.modeling.image_head import ImageKind
+from splineformer.modeling.curve_network import CurveBatch, ImageKind
 from splineformer.tokens import tokens_of_polyline
 from splineformer.views import VIEWS, agreement, best_of_views, points_in, turned, turned_back
 from tests.splineformer.curves import wavy_wire

@@ -126,8 +126,8 @@ def _laid(
 ) -> list[Frame]:
     """Pictures of wires that are laid along ways and moved on from there."""
     from cathsim import ACCURACY, Simulation
+    from cathsim.devices.wire_placement import pushed_shapes
     from cathsim.observations.c_arm_view import with_shaft
-    from cathsim.wire_placement import pushed_shapes
 
     phantom, task = phantom_of(anatomy), settings.task if anatomy[1] == NAMED else settings.arch_task
     wire = task.guidewire()
@@ -154,8 +154,8 @@ def _laid(
 
 
 def _ways(phantom: Phantom, targets: Sequence[str], simulation: Any) -> list[np.ndarray]:
+    from cathsim.devices.wire_placement import plan_way
     from cathsim.planning.path import UnreachableError
-    from cathsim.wire_placement import plan_way
 
     ways = []
     for target in targets:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from cathsim.failure_modes import MODES as FAILURES
+from cathsim.metrics.failure_modes import MODES as FAILURES
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.errors import EpisodeReadError
 from pipeline.plots.imitation import draw_failures, draw_success
@@ -35,7 +35,7 @@ def tables(settings: NavigationSettings, context: StageContext, outcomes: dict[s
     Returns:
         Table to row to column to cell.
     """
-    from cathsim.metrics.intervals import wilson_interval
+    from cathsim.metrics.episodes import wilson_interval
 
     rows = navigator_rows(outcomes)
     main: dict[str, dict[str, Any]] = {}

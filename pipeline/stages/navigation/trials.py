@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cathsim.failure_modes import MODES as FAILURES
-from cathsim.failure_modes import failure_mode
+from cathsim.metrics.failure_modes import MODES as FAILURES
+from cathsim.metrics.failure_modes import failure_mode
 from pipeline.episodes import EpisodeReader
 from pipeline.recording.trials import MODES, Controller, Origin, run_trials
 from pipeline.seeds import held_out_seeds
@@ -113,7 +113,7 @@ def controllers(policy: RecurrentPolicy, perception: NavigatorPerception, scene:
 
 
 def count_failures(logs: Iterable[Path], phantom: Phantom) -> dict[str, int]:
-    """How often each of `cathsim.failure_modes.MODES` occurs among trials in one anatomy."""
+    """How often each of `cathsim.metrics.failure_modes.MODES` occurs among trials in one anatomy."""
     counts = dict.fromkeys(FAILURES, 0)
     for log in logs:
         with EpisodeReader(log) as episode:

@@ -200,7 +200,7 @@ def _outcomes_of(outcomes: dict[str, Any], tested: str, kind: str) -> list[dict[
 
 def row(outcomes: dict[str, Any], tested: str, kind: str) -> dict[str, Any]:
     """A row of the table: success in the first attempt with Wilson's 95 % interval, in any, forces over all steps."""
-    from cathsim.metrics.intervals import wilson_interval
+    from cathsim.metrics.episodes import wilson_interval
 
     parts = _outcomes_of(outcomes, tested, kind)
     success, within = ([one for part in parts for one in part[key]] for key in ("success", "within_attempts"))

@@ -57,7 +57,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, JobSettings):
     own_targets: FolderNames = field(default_factory=list)  # of the tests in `phantoms`; none: those of the policies
     accuracy: Accuracy = "fast"  # of the physics that policies are trained in; tests are accurate
     anatomies: Count = 160  # random arches that the roadmap policy is trained on
-    # of the steepest target of every arch that is trained in or chosen by, `cathsim.anatomy.measurement.take_off`;
+    # of the steepest target of every arch that is trained in or chosen by, `cathsim.anatomy.vessel_tree`;
     # 0: any arch
     least_set_back_mm: Annotated[float, Ge(0), Le(100)] = 0.0
     curve: Annotated[list[Count], UNIQUE] = field(default_factory=list)  # further numbers of arches, a policy each

@@ -43,7 +43,7 @@ def lay_starts(job: StartsJob, report: Report) -> dict[str, Any]:
     Returns:
         How many anatomies there are, and how many states.
     """
-    from cathsim.wire_placement import laid_starts
+    from cathsim.devices.wire_placement import laid_starts
 
     states = 0
     environment = None

@@ -12,7 +12,7 @@ from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.entry import ENTRY_DEPTH
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.vessel_tree import VesselTree
-from cathsim.anatomy.wall.chambers import SPECK
+from cathsim.anatomy.wall.thickness import SPECK
 from cathsim.lattice.node_set import NodeSet
 from cathsim.presets import WIRE_RADIUS
 

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 
 from cathsim.anatomy.point_target import points_beyond_root
-from cathsim.arch_variety.environment import TEST_SEEDS, TRAINING_SEEDS, ArchVarietyEnv
+from cathsim.arch_variety import TEST_SEEDS, TRAINING_SEEDS, ArchVarietyEnv
 from cathsim.registration import ARCH_VARIETY
 
 COARSE = {"resolution": 2e-3, "seeds": (4, 5)}

@@ -2,7 +2,7 @@
 
 import pytest
 
-from cathsim.arch_variety.task import ArchVarietyTask
+from cathsim.arch_variety import ArchVarietyTask
 
 
 def test_reward_is_the_published_one() -> None:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cathsim import GUIDEWIRES, Accuracy, NavigateEnv, Phantom
-from cathsim.arena import model_spec
 from cathsim.contact.sdf import MAGIC
+from cathsim.devices.arena import model_spec
 from cathsim.simulation import vessel_of
 
 pytest.importorskip("dm_control")

@@ -14,7 +14,7 @@ from cathsim import NavigateEnv
 from cathsim.console import CRITERIA, NpzRecorder
 from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, between, devices_between
 from cathsim.console.recorder import episode_path
-from cathsim.console.setup.force_limit import ForceLimit
+from cathsim.console.setup.operator_setup import ForceLimit
 from cathsim.console.xray.room import XRayStep
 from cathsim.devices.device_points import wire_and_catheter
 

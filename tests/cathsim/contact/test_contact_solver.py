@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cathsim.active_chain import ActiveChain
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.contact.breathing import Breathing
+from cathsim.devices.active_chain import ActiveChain
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation

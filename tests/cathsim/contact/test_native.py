@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy import ArchParameters, Branch, Entry, Phantom, SignedDistanceGrid, VesselTree
-from cathsim.arena import model_spec
 from cathsim.contact import native
 from cathsim.contact.sdf import MAGIC, Vessel
+from cathsim.devices.arena import model_spec
 from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.presets import ACCURACY
 from cathsim.simulation import Simulation
@@ -244,7 +244,7 @@ NAN_STATE = """
 import mujoco, numpy as np
 from cathsim import ACCURACY, load_guidewire
 from cathsim.anatomy import SignedDistanceGrid
-from cathsim.arena import model_spec
+from cathsim.devices.arena import model_spec
 from cathsim.contact.sdf import Vessel
 grid = SignedDistanceGrid(np.ones((9, 9, 9)), np.zeros(3), 1e-3)
 vessel = Vessel(grid, np.zeros(3), np.array([0.0, 0.0, 1.0]))

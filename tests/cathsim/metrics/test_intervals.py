@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cathsim.metrics.intervals import wilson_interval
+from cathsim.metrics.episodes import wilson_interval
 
 
 def test_wilson_interval_is_the_textbook_one() -> None:

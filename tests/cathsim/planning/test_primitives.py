@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cathsim.planning.primitives import BEYOND, EMERGED, motion_primitives, wire_advances
+from cathsim.planning.sampling import BEYOND, EMERGED, motion_primitives, wire_advances
 
 
 @pytest.mark.parametrize("actions", [2, 4])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cathsim.arena import PROTRUSION
+from cathsim.devices.arena import PROTRUSION
 from cathsim.statics.feeder import Feeder
 from cathsim.statics.laying import distance_to, lay_along
 from cathsim.statics.observed_curve import ObservedCurve, observed_curve

@@ -10,7 +10,7 @@ from PIL import Image
 
 from guide3d.dataset.annotation_files import Annotation, Views, acquisition_name, image_name, write_curves, write_raw
 from guide3d.dataset.dataset import Dataset
-from guide3d.dataset.masks import strip_mask
+from guide3d.dataset.frame import strip_mask
 from guide3d.dataset.true_curves import TrueCurve, write_truth
 from guide3d.geometry.bspline import fit_bspline
 from guide3d.geometry.camera import Camera, write_camera

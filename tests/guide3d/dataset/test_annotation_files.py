@@ -12,7 +12,7 @@ import pytest
 from guide3d.dataset.acquisition_split import partners, split_acquisitions
 from guide3d.dataset.annotation_files import acquisition_name, camera_of, image_name, read_curves, read_raw
 from guide3d.dataset.cvat import read_cvat, write_cvat
-from guide3d.dataset.masks import strip_mask
+from guide3d.dataset.frame import strip_mask
 from tests.guide3d.dataset.drawn_dataset import SIZE, annotation, wire, write_dataset
 
 

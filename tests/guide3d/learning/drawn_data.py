@@ -9,7 +9,7 @@ from PIL import Image
 
 from guide3d.dataset.annotation_files import Annotation, image_name, write_raw
 from guide3d.dataset.dataset import Dataset
-from guide3d.dataset.masks import strip_mask
+from guide3d.dataset.frame import strip_mask
 from guide3d.dataset.true_curves import TrueCurve, write_truth
 from guide3d.geometry.camera import Camera, write_camera
 

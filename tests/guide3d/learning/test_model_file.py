@@ -16,7 +16,7 @@ from guide3d.learning.build import FGRN_SIZES, SEGMENTER_SIZES, SHAPE_SIZES, bui
 from guide3d.learning.model_file import read_content, write_content
 from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor, built
 from guide3d.learning.preprocessing import Preprocessing
-from guide3d.modeling.fgrn import FGRN
+from guide3d.modeling.shape_network import FGRN
 from tests.damaged_files import damaged, refusals
 from tests.forged_models import require_refusals
 

@@ -7,7 +7,7 @@ import torch
 from torch.nn import functional
 
 from guide3d.learning.precision import attention, bfloat16_in_training, bfloat16_on_processor
-from guide3d.modeling.fgrn import FGRN
+from guide3d.modeling.shape_network import FGRN
 
 
 @pytest.mark.parametrize(

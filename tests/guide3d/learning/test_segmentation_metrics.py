@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from guide3d.learning.segmentation_metrics import (
+from guide3d.learning.evaluation import (
     centreline_dice,
     dice,
     foreground_iou,

@@ -19,11 +19,9 @@ from guide3d.learning.build import (
     rebuilt,
 )
 from guide3d.learning.recipes import segmentation_recipe
-from guide3d.modeling.fgrn import FGRN
-from guide3d.modeling.shape_network import closed, expected_position
+from guide3d.modeling.shape_network import FGRN, closed, expected_position
 from guide3d.modeling.spherical import SphericalForm
-from guide3d.modeling.swin_transformer import SwinBlock, SwinTransformer
-from guide3d.modeling.swinunet import SwinUnet
+from guide3d.modeling.swin_transformer import SwinBlock, SwinTransformer, SwinUnet
 from guide3d.modeling.transunet import TransUnet
 from guide3d.modeling.unet import UNet
 from guide3d.modeling.vision_transformer import VisionTransformer

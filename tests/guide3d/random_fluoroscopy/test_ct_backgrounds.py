@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from guide3d.random_fluoroscopy.ct_backgrounds import projected_ct
+from guide3d.random_fluoroscopy.anatomy import projected_ct
 
 
 def phantom() -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from guide3d.opencv import cv2
-from guide3d.reading.proximal_end import ProximalEndSettings, to_border
+from guide3d.reading.path_drawing import ProximalEndSettings, to_border
 from tests.guide3d.reading.drawn_maps import soft_line
 
 SHAPE = (400, 400)

@@ -11,8 +11,8 @@ from cathsim.anatomy import Phantom
 from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.arch_parameters import ArchParameters
 from cathsim.anatomy.lumen import build_lumen
-from cathsim.anatomy.measurement.take_off import set_back
 from cathsim.anatomy.phantom import locate_targets
+from cathsim.anatomy.vessel_tree import set_back
 from pipeline.anatomies.take_offs import STEEP_MM, softened, with_catheter_where_steep
 from pipeline.task import Task
 

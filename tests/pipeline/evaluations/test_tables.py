@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pipeline.evaluations.reading as reading_module
-from cathsim.metrics.intervals import wilson_interval
+from cathsim.metrics.episodes import wilson_interval
 from pipeline.evaluations.logs import (
     changed_settings,
     evaluation_folders,

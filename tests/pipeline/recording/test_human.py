@@ -15,7 +15,7 @@ from cathsim import NavigateEnv
 from cathsim.console.procedure import Procedure
 from cathsim.console.questionnaire import CRITERIA
 from cathsim.console.recorder import TOTALS
-from cathsim.console.setup.force_limit import ForceLimit
+from cathsim.console.setup.operator_setup import ForceLimit
 from cathsim.console.xray.room import XRayStep
 from cathsim.metrics import EpisodeMetrics
 from pipeline.episodes import EpisodeOutcome, EpisodeReader, EpisodeReadError, check

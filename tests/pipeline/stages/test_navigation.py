@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 
 from cathsim import NavigateEnv, load_phantom
-from cathsim.failure_modes import MODES, STUCK
+from cathsim.metrics.failure_modes import MODES, STUCK
 from cathsim.observations.c_arm_view import CArms
 from enn.imitation.sequence_cloning import AdvisedEpisode
 from pipeline.episodes import EpisodeReader

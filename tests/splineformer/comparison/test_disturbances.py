@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from splineformer.comparison.disturbances import BARS, DETECTOR_SD, GAIN, KINDS, NOISE_SD, disturbed
+from splineformer.comparison.evaluation import BARS, DETECTOR_SD, GAIN, KINDS, NOISE_SD, disturbed
 from tests.splineformer.curves import image_of, wavy_wire
 
 WIRE = wavy_wire(0, 1024)

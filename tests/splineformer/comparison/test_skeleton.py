@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from guide3d.dataset.masks import strip_mask
+from guide3d.dataset.frame import strip_mask
 from splineformer.comparison.curve_errors import curve_errors
 from splineformer.comparison.skeleton import trace_mask
 from tests.splineformer.curves import wavy_wire

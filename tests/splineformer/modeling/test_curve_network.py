@@ -8,8 +8,7 @@ import torch
 
 from splineformer.build import VARIANTS, build, size_of
 from splineformer.decoding import decode
-from splineformer.modeling.curve_network import CurveBatch, CurveNetwork
-from splineformer.modeling.image_head import ImageKind
+from splineformer.modeling.curve_network import CurveBatch, CurveNetwork, ImageKind
 from splineformer.tokens import curve_of_tokens, round_trip_px
 from tests.splineformer.curves import image_of, wavy_wire
 

@@ -19,10 +19,10 @@ import trimesh
 
 from cathsim.anatomy import PHANTOMS, Phantom, load_phantom
 from cathsim.anatomy.entry import EntryLike, entry_name
-from cathsim.arena import model_spec
 from cathsim.contact.hull_vessel import hull_vessel
 from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.contact.sdf import GEOM_NAME
+from cathsim.devices.arena import model_spec
 from cathsim.guidewire import GUIDEWIRES, Guidewire, load_guidewire
 from cathsim.presets import Accuracy
 

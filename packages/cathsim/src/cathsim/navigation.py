@@ -13,7 +13,7 @@ from pydantic import BeforeValidator
 
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.point_target import Point, TargetLike, as_target, target_name
-from cathsim.arena import PROTRUSION
+from cathsim.devices.arena import PROTRUSION
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.simulation import DualSimulation
 from cathsim.simulation import Simulation

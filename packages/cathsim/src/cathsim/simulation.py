@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from cathsim.active_chain import ActiveChain, ActiveChains, chain_models, pass_on
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.entry import EntryLike, entry_name
-from cathsim.arena import max_insertion
 from cathsim.blood.flow import BloodFlow
 from cathsim.contact.breathing import Breathing
 from cathsim.contact.compliance import checked_wall_stiffness, stiffest_wall
 from cathsim.contact.measured import Contacts, MeasuredContacts
 from cathsim.contact.native import StepSummary, address, engine, library
 from cathsim.contact.sdf import SHEATH_RADIUS, Vessel
+from cathsim.devices.active_chain import ActiveChain, ActiveChains, chain_models, pass_on
+from cathsim.devices.arena import max_insertion
 from cathsim.guidewire import TIP_SITE, Guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.presets import Accuracy, dividing

@@ -1,4 +1,4 @@
-"""Command lines of a package: its modules that run with `python -m`, found in its sources."""
+"""Command lines of a package: its modules that run with `python -m`, what they print, and the extras that they need."""
 
 from __future__ import annotations
 
@@ -46,3 +46,23 @@ def in_words(error: BaseException) -> str:
     """One line about an error, for the end of a command; the system's with the file and without a number."""
     text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.strerror else str(error)
     return " ".join(text.split())
+
+
+def require(module: str, extra: str) -> None:
+    """Makes sure that an optional dependency is installed, without importing it.
+
+    Raises:
+        ModuleNotFoundError: it is not; the message has the command that installs it.
+    """
+    if importlib.util.find_spec(module) is None:
+        raise ModuleNotFoundError(
+            f"this part of guide3d needs {module}: pip install 'endonav-guide3d[{extra}]'", name=module
+        )
+
+
+def required_by_command(command: str, module: str, extra: str) -> None:
+    """As `require`, for a program of which even the imports need it: ends it with one line and exit code 1."""
+    try:
+        require(module, extra)
+    except ModuleNotFoundError as error:
+        sys.exit(f"{command}: {error}")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from guide3d.atomic_file import whole_file
+from guide3d.files import whole_file
 from guide3d.guarded_reading import UnreadableFileError, call_in_child, open_regular
 from guide3d.opencv import cv2
 

@@ -1,11 +1,14 @@
-"""Text files as programs of any country write them: byte order marks, separators and decimal commas."""
+"""Text and JSON files as programs of any country write them: byte order marks, separators and decimal commas."""
 
 from __future__ import annotations
 
+import argparse
 import codecs
 import csv
+import json
 import re
 from pathlib import Path
+from typing import Any
 
 from guide3d.guarded_reading import open_regular
 
@@ -61,3 +64,28 @@ def numbers_in(line: str) -> list[float] | None:
         return [float("_" if "_" in cell else cell) for cell in cells_of(line)]
     except ValueError:
         return None
+
+
+def read_json(path: Path, what: str) -> Any:
+    """Reads a file; `what` it is, for messages: "annotation file".
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is no regular file, no JSON, or nested deeper than any file of a data set.
+    """
+    text = read_text(path, what)
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: expected JSON, but it cannot be read ({error})") from None
+
+
+def json_fields(text: str) -> dict[str, Any]:
+    """What an option that changes fields of settings gives: a JSON object; argparse refuses anything else."""
+    try:
+        content = json.loads(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"expected a JSON object of fields: {error}") from None
+    if not isinstance(content, dict):
+        raise argparse.ArgumentTypeError(f"expected a JSON object of fields, got {text}")
+    return content

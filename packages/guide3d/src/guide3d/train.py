@@ -16,20 +16,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from guide3d.extras import required_by_command
+from guide3d.commands import required_by_command
 
 if __name__ == "__main__":
     required_by_command("guide3d.train", "torch", "learning")
 
 from guide3d.dataset.acquisition_split import Split
 from guide3d.dataset.dataset import Dataset
-from guide3d.json_file import json_fields
 from guide3d.learning.build import SEGMENTERS, SIZES
 from guide3d.learning.losses import ShapeLoss
 from guide3d.learning.network_training import train_network
 from guide3d.learning.recipes import FORMS, fgrn_recipe, segmentation_recipe, shape_recipe
 from guide3d.learning.training import FitReport
 from guide3d.learning.training_command import Progress, main_of, run_training, training_parser, with_epochs
+from guide3d.text_file import json_fields
 
 ANGLES_ALONE = "spherical_angles"  # the spherical form with the loss of the thesis: none on the curve itself
 NETWORKS = (*FORMS, ANGLES_ALONE, "fgrn", *SEGMENTERS)

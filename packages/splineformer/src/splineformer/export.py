@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from guide3d.atomic_file import whole_file
+from guide3d.files import whole_file
 from splineformer.modeling.curve_network import CurveNetwork
 
 _GREYEST = 255.0

@@ -21,8 +21,7 @@ from guide3d.shipped import shipped_file
 from splineformer.build import described, rebuilt
 from splineformer.image_input import Picture, picture_of
 from splineformer.map_picture import picture_by_reader
-from splineformer.modeling.curve_network import CurveBatch, CurveNetwork
-from splineformer.modeling.image_head import WIRES
+from splineformer.modeling.curve_network import WIRES, CurveBatch, CurveNetwork
 from splineformer.tokens import curve_of_tokens, sampled, tokens_px
 from splineformer.views import best_of_views
 

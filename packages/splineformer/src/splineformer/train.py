@@ -6,7 +6,7 @@
 import sys
 
 if __name__ == "__main__":
-    from guide3d.extras import required_by_command
+    from guide3d.commands import required_by_command
 
     required_by_command("splineformer.train", "torch", "learning")
     from splineformer.learning.training_command import main

@@ -19,20 +19,20 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from guide3d.extras import required_by_command
+from guide3d.commands import required_by_command
 
 if __name__ == "__main__":
     required_by_command("splineformer.train_on_fluoroscopy", "torch", "learning")
 
 import torch
 
-from guide3d.atomic_file import whole_file
-from guide3d.json_file import json_fields
+from guide3d.files import whole_file
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.training import FitProgress, finished
 from guide3d.learning.training_command import PREDICTOR, TABLE, Progress, main_of, with_epochs
 from guide3d.opencv import cv2
 from guide3d.setting_kinds import seed
+from guide3d.text_file import json_fields
 from splineformer.build import VARIANTS
 from splineformer.comparison.fluoroscopy_figures import evaluate_on_fluoroscopy
 from splineformer.learning.fluoroscopy_training import FluoroscopyRecipe, fluoroscopy_recipe, train_on_fluoroscopy

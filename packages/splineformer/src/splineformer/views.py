@@ -14,8 +14,7 @@ from torch import Tensor
 from guide3d.geometry.polyline import Array
 from guide3d.opencv import cv2
 from splineformer.map_picture import TIP, WHITE, WIRE
-from splineformer.modeling.curve_network import CurveBatch, CurveNetwork
-from splineformer.modeling.image_head import ImageKind
+from splineformer.modeling.curve_network import CurveBatch, CurveNetwork, ImageKind
 from splineformer.tokens import sampled, tokens_px
 
 VIEWS = 8

@@ -6,8 +6,8 @@ import pytest
 from cathsim.anatomy.generator.random_arch import separation
 from cathsim.anatomy.generator.recipe import build_grid, draw_recipe, recipe_content, recipe_of
 from cathsim.anatomy.generator.scan_arch import LEAST_WALL, STEEP, TRUNK, ScanArch, build_scan_arch
-from cathsim.anatomy.measurement.take_off import set_back
 from cathsim.anatomy.phantom import locate_targets, target_share
+from cathsim.anatomy.vessel_tree import set_back
 
 SEEDS = range(14)
 

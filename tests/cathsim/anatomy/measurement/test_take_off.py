@@ -6,7 +6,7 @@ import pytest
 from cathsim.anatomy import Branch, VesselTree
 from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.arch_parameters import ArchParameters
-from cathsim.anatomy.measurement.take_off import set_back
+from cathsim.anatomy.vessel_tree import set_back
 
 
 def arch_with(rise: float) -> VesselTree:

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from cathsim.anatomy import MeshRefusedError, Phantom, import_mesh
-from cathsim.anatomy.mesh.budget import Budget
+from cathsim.anatomy.mesh.lattice import Budget
 from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.reading import Size, Triangles, detect_unit
 from cathsim.anatomy.mesh.samples import sample_surface

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cathsim.anatomy.distance_grid import OUTSIDE, SignedDistanceGrid
-from cathsim.anatomy.wall.chambers import LARGEST, fill_chambers
+from cathsim.anatomy.wall.thickness import LARGEST, fill_chambers
 from cathsim.lattice.node_set import NodeSet
 from cathsim.presets import WIRE_RADIUS
 

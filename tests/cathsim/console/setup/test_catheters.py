@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cathsim.console.setup.catheters import OWN, find_offer, offered
+from cathsim.console.setup.choices import OWN, find_offer, offered
 from cathsim.devices.shelf import SHAPES, load_catheter
 
 

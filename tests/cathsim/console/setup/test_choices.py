@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from cathsim.console.setup.choices import OWN_WIRE, Choices
-from cathsim.console.setup.force_limit import ForceLimit
-from cathsim.console.setup.operator_setup import Setup
+from cathsim.console.setup.operator_setup import ForceLimit, Setup
 
 ASKED = {"type": "choose", "phantom": "type_2", "target": "lcca"}
 

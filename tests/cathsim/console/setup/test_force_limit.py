@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cathsim.console.setup.force_limit import ForceLimit, ForceWatch
+from cathsim.console.setup.operator_setup import ForceLimit, ForceWatch
 
 
 def test_each_rise_to_the_limit_is_one_warning() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from cathsim.console.web.access import Access, is_loopback
+from cathsim.console.web.requests import Access, is_loopback
 
 
 @pytest.mark.parametrize(

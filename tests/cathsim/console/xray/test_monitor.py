@@ -10,7 +10,7 @@ import pytest
 from cathsim import NavigateEnv
 from cathsim.console.procedure import Procedure, devices_between
 from cathsim.console.xray.monitor import IMAGE_SIZE, CArm, FluoroscopyMonitor
-from cathsim.opencv import cv2
+from cathsim.viewing.opencv import cv2
 
 
 @pytest.mark.parametrize("catheter", [None, "vertebral_6f"])

@@ -15,7 +15,7 @@ from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
 from cathsim.fluoroscopy import BiplaneFluoroscope, Box, CTBody, Projector, ct_body, ct_scene
 from cathsim.fluoroscopy.body import body_depth
-from cathsim.fluoroscopy.patient.hounsfield import WATER, attenuation
+from cathsim.fluoroscopy.patient.ct_body import WATER, attenuation
 
 nibabel = pytest.importorskip("nibabel", reason="a CT needs nibabel")
 

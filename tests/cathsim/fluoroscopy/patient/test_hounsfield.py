@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cathsim.fluoroscopy.materials import ATTENUATION
-from cathsim.fluoroscopy.patient.hounsfield import BONE_FACTOR, WATER, attenuation
+from cathsim.fluoroscopy.patient.ct_body import BONE_FACTOR, WATER, attenuation
 
 
 def test_air_water_and_bone() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from enn.imitation.images.curves import at_arcs, smoothed
+from enn.imitation.images.wire_tracing import at_arcs, smoothed
 
 
 def test_places_at_arcs_lie_between_the_points_and_not_beyond_the_ends() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from guide3d.learning.reader.calibration import calibrate, fitted
+from guide3d.learning.reader.evaluation import calibrate, fitted
 from guide3d.modeling.reader_network import ReaderNetwork
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings

@@ -11,8 +11,14 @@ import pytest
 import torch
 
 from guide3d.learning.reader.evaluation import evaluate_reader
-from guide3d.learning.reader.tiles import ReaderTiles, tile_batches
-from guide3d.learning.reader.training import ReaderRecipe, reader_loss, smoke_recipe, train_reader
+from guide3d.learning.reader.training import (
+    ReaderRecipe,
+    ReaderTiles,
+    reader_loss,
+    smoke_recipe,
+    tile_batches,
+    train_reader,
+)
 from guide3d.modeling.reader_network import ReaderNetwork
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from guide3d.reading.image_reading import read
-from guide3d.reading.output.overlay import confidence_colour, draw_reading
-from guide3d.reading.output.space_page import space_page
+from guide3d.reading.output.overlay import confidence_colour, draw_reading, space_page
 from guide3d.reading.pair_reading import PairReading, read_pair
 from guide3d.reconstruction.synthetic_scene import scenes
 from tests.guide3d.reading.drawn_maps import DarkLineReader, maps_of, picture

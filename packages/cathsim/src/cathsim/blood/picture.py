@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cathsim.blood.field import BloodField, blood_field
 from cathsim.blood.flow import FLOWS, BloodFlow
 from cathsim.blood.womersley import womersley_number
-from cathsim.figure import new_figure
+from cathsim.viewing.figure import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

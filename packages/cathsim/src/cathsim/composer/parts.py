@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 
 from dm_control import mjcf
 
-from cathsim.arena import ADVANCE, FEEDER, ROTATE, model_spec
 from cathsim.contact.sdf import Vessel
+from cathsim.devices.arena import ADVANCE, FEEDER, ROTATE, model_spec
 from cathsim.guidewire import LINK_NAME, Guidewire
 from cathsim.presets import Accuracy
 
@@ -26,7 +26,7 @@ class Parts:
 
 
 def model_parts(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_motors: bool = False) -> Parts:
-    """Parts of the model that `cathsim.arena.model_spec` describes, so that both environments share one description.
+    """Parts of the model that `devices.arena.model_spec` describes, so that both environments share one description.
 
     The vessel must outlive every Physics made of the parts.
     """

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from dm_control import mjcf
 
-from cathsim.arena import ROTATE, max_insertion
 from cathsim.contact.sdf import Vessel
+from cathsim.devices.arena import ROTATE, max_insertion
 from cathsim.devices.hubs import Hubs, Move
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.rod import DEVICES, Rod, device_tables

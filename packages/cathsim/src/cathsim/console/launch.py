@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from cathsim.console.recorder import Recorder, find_recorder
-from cathsim.console.setup.catheters import NO_CATHETER
-from cathsim.console.web.access import Access, is_loopback
+from cathsim.console.setup.choices import NO_CATHETER
+from cathsim.console.web.requests import Access, is_loopback
 from cathsim.metrics import FORCE_LIMIT
 
 EXIT_FAILED, EXIT_USAGE = 1, 2
@@ -153,8 +153,7 @@ def _recorder(factory: Any, folder: Path) -> Recorder:
 def _serve(options: argparse.Namespace, taken: socket.socket, recorder: Recorder | None, folder: Path) -> None:
     import uvicorn
 
-    from cathsim.console.setup.force_limit import ForceLimit
-    from cathsim.console.setup.operator_setup import Setup
+    from cathsim.console.setup.operator_setup import ForceLimit, Setup
     from cathsim.console.web.server import Desk, create_app
     from cathsim.console.worker import RealTimeLoop
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from cathsim.console.controls import Move
 from cathsim.console.recorder import Recorder
-from cathsim.console.setup.force_limit import ForceLimit, ForceWatch
+from cathsim.console.setup.operator_setup import ForceLimit, ForceWatch
 from cathsim.console.xray.room import XRayStep
 from cathsim.devices.device_points import wire_and_catheter
 from cathsim.environment import NavigateEnv

@@ -21,8 +21,7 @@ from cathsim.console.questionnaire import CRITERIA, check_answers
 from cathsim.console.recorder import Recorder
 from cathsim.console.setup.choices import Choices, Chosen
 from cathsim.console.setup.operator_setup import Setup
-from cathsim.console.web.inbox import Inbox
-from cathsim.console.web.messages import frame_message, surface_of
+from cathsim.console.web.messages import Inbox, frame_message, surface_of
 from cathsim.console.web.requests import check_request
 from cathsim.console.xray.monitor import CArm
 from cathsim.console.xray.room import XRayRoom

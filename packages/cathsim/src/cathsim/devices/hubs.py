@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from cathsim.arena import PROTRUSION
+from cathsim.devices.arena import PROTRUSION
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.rod import CATHETER, DEVICES, WIRE, Rod
 

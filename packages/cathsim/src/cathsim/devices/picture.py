@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.devices.catheter import Catheter, unloaded_centreline
-from cathsim.figure import new_figure
 from cathsim.guidewire import Guidewire
+from cathsim.viewing.figure import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

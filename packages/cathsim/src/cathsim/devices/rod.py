@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.arena import ROTATE
 from cathsim.contact.native import library
+from cathsim.devices.arena import ROTATE
 from cathsim.devices.catheter import Catheter
 from cathsim.devices.pair import DevicePair
 from cathsim.guidewire import LINK_NAME, Guidewire

@@ -10,14 +10,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.active_chain import ActiveChain
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.entry import EntryLike
-from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, compiled_model, max_insertion
 from cathsim.blood.flow import BloodFlow
 from cathsim.contact.breathing import Breathing
 from cathsim.contact.compliance import soften_contacts
 from cathsim.contact.sdf import Vessel
+from cathsim.devices.active_chain import ActiveChain
+from cathsim.devices.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, compiled_model, max_insertion
 from cathsim.devices.device_points import points_behind
 from cathsim.devices.hubs import DEVICE_NAMES, Hubs
 from cathsim.devices.pair import DevicePair

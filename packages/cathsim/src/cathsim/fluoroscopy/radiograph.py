@@ -120,7 +120,7 @@ def expose_depth(camera: XRayCamera, scene: XRayScene, depth_of: DepthFunction) 
 
 def _distorted(camera: XRayCamera, depth_of: DepthFunction) -> NDArray[np.float32]:
     """Share of photons that pass, in the distorted image."""
-    from cathsim.opencv import cv2  # here, as only bi-planar views need it
+    from cathsim.viewing.opencv import cv2  # here, as only bi-planar views need it
 
     projector, distortion = camera.projector, camera.distortion
     if distortion.identity:
@@ -152,7 +152,7 @@ def _wide_blur(image: NDArray[np.float32], spread: float) -> NDArray[np.float32]
 
 def _blurred(image: NDArray[np.float32], spread: float) -> NDArray[np.float32]:
     """A Gaussian blur of `spread` px; the border's pixels go on outside."""
-    from cathsim.opencv import cv2  # here, as only bi-planar views need it
+    from cathsim.viewing.opencv import cv2  # here, as only bi-planar views need it
 
     side = 2 * int(_REACH * spread + 0.5) + 1
     return np.asarray(cv2.GaussianBlur(image, (side, side), spread, borderType=cv2.BORDER_REPLICATE), np.float32)
@@ -160,7 +160,7 @@ def _blurred(image: NDArray[np.float32], spread: float) -> NDArray[np.float32]:
 
 def _between(image: NDArray[np.float32], stride: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
     """What lies between every `stride`-th pixel, which the image has: (height, width) of `shape`, bilinear."""
-    from cathsim.opencv import cv2
+    from cathsim.viewing.opencv import cv2
 
     way, scale = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, np.array([[1 / stride, 0.0, 0.0], [0.0, 1 / stride, 0.0]])
     wide = cv2.warpAffine(image, scale, shape[::-1], flags=way, borderMode=cv2.BORDER_REPLICATE)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.entry import EntryLike
 from cathsim.anatomy.point_target import Point, TargetLike, as_target, points_beyond_root
-from cathsim.arena import PROTRUSION
+from cathsim.devices.arena import PROTRUSION
 from cathsim.environment import NavigateEnv
 from cathsim.goals.task import GoalTask, Infos
 from cathsim.navigation import NavigationTask, require_reach

@@ -162,7 +162,7 @@ _kept_plain_images = _kept_in_a_room(_plain_images)
 
 def _quotient(image: NDArray[np.uint8], plain: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """An image (size, size) over another: `_EVEN` where they are equal, or the second is too dark to divide by."""
-    from cathsim.opencv import cv2  # here, as only subtracted views need it
+    from cathsim.viewing.opencv import cv2  # here, as only subtracted views need it
 
     even = np.asarray(cv2.divide(image, plain, scale=_EVEN), np.uint8)
     even[plain < _DARK] = _EVEN

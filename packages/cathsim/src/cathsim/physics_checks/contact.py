@@ -8,8 +8,8 @@ import math
 import mujoco
 import numpy as np
 
-from cathsim.arena import FEEDER
 from cathsim.contact.sdf import Vessel
+from cathsim.devices.arena import FEEDER
 from cathsim.guidewire import LINK_NAME
 from cathsim.physics_checks.rig import (
     TheoryCheck,

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, empty_spec
 from cathsim.contact.sdf import Vessel
+from cathsim.devices.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, empty_spec
 from cathsim.guidewire import TIP_SITE, Guidewire, load_guidewire
 from cathsim.presets import Accuracy
 

@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.figure import new_figure
 from cathsim.lattice.node_blocks import STRIDES
 from cathsim.lattice.node_set import NodeSet, NodeSetStruct
 from cathsim.presets import WIRE_RADIUS
 from cathsim.validation import LengthOrNone, quantity
+from cathsim.viewing.figure import new_figure
 
 logger = logging.getLogger(__name__)
 

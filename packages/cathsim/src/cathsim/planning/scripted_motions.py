@@ -9,12 +9,12 @@ from typing import ClassVar
 import numpy as np
 
 from cathsim.anatomy import Phantom
+from cathsim.devices.wire_placement import place_wire
 from cathsim.guidewire import load_guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.planning.path import plan_path
 from cathsim.presets import ACCURACY
 from cathsim.simulation import Simulation
-from cathsim.wire_placement import place_wire
 
 WIRES = {"angled": "radifocus_angled", "straight": "nitrex_straight"}  # kind to preset
 # Links from the proximal end, m: for smooth loops shorter than the presets', and 0.42 m in all, long enough for loops.

@@ -19,8 +19,8 @@ _ENTRIES: dict[str, tuple[str, str | None, dict[str, Any]]] = {
     GOAL: ("cathsim.goals.environment:NavigateGoalEnv", "cathsim.goals.environment:ThreadedGoalVectorEnv", {}),
     MANY: ("cathsim.many_anatomies:NavigateManyEnv", "cathsim.vector:ThreadedManyVectorEnv", {}),
     ARCH_VARIETY: (
-        "cathsim.arch_variety.environment:ArchVarietyEnv",
-        "cathsim.arch_variety.environment:ThreadedArchVarietyVectorEnv",
+        "cathsim.arch_variety:ArchVarietyEnv",
+        "cathsim.arch_variety:ThreadedArchVarietyVectorEnv",
         {},
     ),
     COPIES: ("cathsim.rehearsal.environment:NavigateCopiesEnv", None, {}),

@@ -11,12 +11,12 @@ import numpy as np
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike
 from cathsim.devices.choice import chosen_wire
+from cathsim.devices.wire_placement import laid_starts
 from cathsim.environment import NavigateEnv
 from cathsim.guidewire import Guidewire
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.registration.description import chosen
 from cathsim.rehearsal.perturbation import Perturbation, copy_of
-from cathsim.wire_placement import laid_starts
 
 
 class NavigateCopiesEnv(NavigateManyEnv):
@@ -70,7 +70,7 @@ class NavigateCopiesEnv(NavigateManyEnv):
         super().__init__([int(seed) for seed in copies], targets, (guidewire,), resolution=resolution, **arguments)
 
     def laid_starts(self, case: int, seed: int = 0) -> np.ndarray:
-        """States of a case with the wire laid along the way to its target (`cathsim.wire_placement.laid_starts`).
+        """States of a case with the wire laid along the way to its target (`devices.wire_placement.laid_starts`).
 
         Args:
             seed: of the turns while it is drawn back, and of the leads.

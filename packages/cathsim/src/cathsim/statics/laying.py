@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.arena import FEEDER, PROTRUSION
+from cathsim.devices.arena import FEEDER, PROTRUSION
 from cathsim.devices.simulation import DualSimulation
 from cathsim.simulation import Simulation
 from cathsim.statics.feeder import Feeder
 from cathsim.statics.observed_curve import ObservedCurve
 
 Array = NDArray[np.float64]
+
+
+ANGLES = 12  # tried around the circle
+NEAR = 0.15  # rad from the last frame's rotation that are tried
+_REST_STEPS = 3  # control steps before a trial is judged
+_HALVINGS = 3  # of the angle between trials, around the best
 
 
 def joint_angles(nodes: Array, axes: Array) -> Array:
@@ -79,3 +86,31 @@ def _turned(about_x: float, about_y: float) -> Array:
     """Rotation about x, then about the new y. Shape (3, 3)."""
     cx, sx, cy, sy = np.cos(about_x), np.sin(about_x), np.cos(about_y), np.sin(about_y)
     return np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]]) @ np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+
+
+def found_rotation(simulation: Simulation, curve: ObservedCurve, insertion: float, last: float | None) -> float:
+    """Searches the rotation (rad) with which the device lies nearest to the curve after a short rest.
+
+    Args:
+        simulation: of the nominal device; it is moved.
+        insertion: of the feeder, m.
+        last: rotation of the last frame, near which it is searched; None: around the circle.
+    """
+    tried: dict[float, float] = {}
+
+    def distance(rotation: float) -> float:
+        if rotation not in tried:
+            lay_along(simulation, curve, Feeder(insertion, rotation))
+            for _ in range(_REST_STEPS):
+                simulation.advance(0.0, 0.0)
+            tried[rotation] = distance_to(simulation, curve) if simulation.valid else math.inf
+        return tried[rotation]
+
+    if last is not None:
+        return min((last + step * NEAR for step in (0, -1, 1)), key=distance)
+    step = 2 * math.pi / ANGLES
+    best = min((float(angle) for angle in np.arange(ANGLES) * step - math.pi), key=distance)
+    for _ in range(_HALVINGS):
+        step /= 2
+        best = min((best, best - step, best + step), key=distance)
+    return best

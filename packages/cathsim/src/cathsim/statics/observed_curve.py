@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.centreline import arc_length, resampled, smoothed
-from cathsim.arena import PROTRUSION
+from cathsim.devices.arena import PROTRUSION
 from cathsim.simulation import Simulation
 
 STEP = 1e-3  # m between the points of a curve

@@ -13,9 +13,9 @@ from cathsim.fluoroscopy import XRayScene
 from cathsim.observations.fluoroscopes import catheter_in, frame_of, shown_points, wire_radius_of
 from cathsim.observations.framing import framed
 from cathsim.observations.xray import contrast_run, fluoroscope_of
-from cathsim.opencv import cv2
 from cathsim.presets import WIRE_RADIUS
 from cathsim.simulation import Simulation
+from cathsim.viewing.opencv import cv2
 
 VIEWS = ("frontal", "lateral")
 WIRE, CATHETER = (255, 214, 10), (120, 200, 255)  # red, green, blue

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from guide3d.file_names import files_in
+from guide3d.files import files_in
 from guide3d.geometry.camera import UNITS_MM
 from guide3d.image_file import PICTURES, ImageError, read_grey_levels
 from guide3d.text_file import cells_of, numbers_in, read_text

@@ -9,7 +9,7 @@ from pathlib import Path
 from guide3d.calibration.cube_files import read_grey
 from guide3d.calibration.perforated_sheet import find_holes
 from guide3d.dataset.annotation_files import DETECTOR
-from guide3d.file_names import files_in
+from guide3d.files import files_in
 from guide3d.geometry.camera import Camera, read_camera, read_opencv_yaml
 from guide3d.geometry.distortion import Distortion
 from guide3d.image_file import PICTURES

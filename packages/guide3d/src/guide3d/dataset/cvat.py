@@ -6,8 +6,8 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from guide3d.atomic_file import whole_file
 from guide3d.dataset.annotation_files import Annotation, acquisition_of, camera_of, described, stays_below
+from guide3d.files import whole_file
 from guide3d.geometry.polyline import Array, checked
 from guide3d.guarded_reading import open_regular
 

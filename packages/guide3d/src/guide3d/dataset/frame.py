@@ -7,19 +7,61 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from guide3d.dataset.annotation_files import Annotation, Views
-from guide3d.dataset.masks import strip_mask
 from guide3d.dataset.true_curves import VIEWS, TrueCurve
 from guide3d.geometry.bspline import BSplineCurve, fit_bspline
-from guide3d.geometry.polyline import Array, arc_length, at_length, resample
+from guide3d.geometry.polyline import Array, arc_length, at_length, checked, resample
 from guide3d.image_file import ImageError, eight_bits, read_grey_levels
 
-Item = TypeVar("Item")
+_PIECE_PX = 32.0  # longer pieces are cut, so that the window around each stays small
 
+
+Item = TypeVar("Item")
 TRUTH_SPACING_MM = 0.5
 SPLINE_SMOOTHING_PX = 0.7  # root mean square distance that a fitted curve may leave to the clicks
+
+
+def strip_mask(points: ArrayLike, width: int, height: int, width_px: float = 6.0) -> NDArray[np.uint8]:
+    """The mask of a wire along a polyline (n, 2) px, with round ends: (height, width) uint8, 255 on the wire, else 0.
+
+    A pixel belongs to the mask where the strip covers half of it, which is where its centre lies within half the width
+    of the polyline: the threshold at 128 of an anti-aliased drawing.
+
+    Raises:
+        ValueError: points that are no polyline, or a width that is not above 0.
+    """
+    if not width_px > 0:
+        raise ValueError(f"width_px: expected above 0, got {width_px}")
+    line = checked(points, 2)
+    reach = max(width_px / 2, 0.5)  # a thinner strip would have gaps
+    near = np.zeros((height, width), bool)
+    starts, ends = _cut(line)
+    low = np.floor(np.minimum(starts, ends) - reach).astype(int)
+    high = np.ceil(np.maximum(starts, ends) + reach).astype(int)
+    low, high = np.maximum(low, 0), np.minimum(high, [width - 1, height - 1])
+    for start, end, (left, top), (right, bottom) in zip(starts, ends, low, high, strict=True):
+        if left > right or top > bottom:
+            continue
+        x = np.arange(left, right + 1) - start[0]
+        y = np.arange(top, bottom + 1)[:, None] - start[1]
+        step = end - start
+        along = np.clip((x * step[0] + y * step[1]) / max(float(step @ step), 1e-12), 0.0, 1.0)
+        distance2 = np.square(x - along * step[0]) + np.square(y - along * step[1])
+        near[top : bottom + 1, left : right + 1] |= distance2 <= reach * reach
+    return np.where(near, 255, 0).astype(np.uint8)
+
+
+def _cut(line: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Starts and ends of pieces of at most `_PIECE_PX`."""
+    steps = np.diff(line, axis=0)
+    pieces = np.maximum(np.ceil(np.linalg.norm(steps, axis=1) / _PIECE_PX).astype(int), 1)
+    segment = np.repeat(np.arange(len(steps)), pieces)
+    part = np.arange(len(segment)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    starts = line[segment] + (part / pieces[segment])[:, None] * steps[segment]
+    ends = line[segment] + ((part + 1) / pieces[segment])[:, None] * steps[segment]
+    return starts, ends
 
 
 def read_image(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np.uint8]:

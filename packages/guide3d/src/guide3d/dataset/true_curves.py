@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from guide3d.atomic_file import whole_file
+from guide3d.files import whole_file
 from guide3d.geometry.polyline import Array, checked
-from guide3d.json_file import read_json
+from guide3d.text_file import read_json
 
 VIEWS = ("a", "b")
 

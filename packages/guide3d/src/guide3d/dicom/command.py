@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from guide3d.atomic_file import whole_file
 from guide3d.commands import in_words
 from guide3d.dicom.c_arm import camera_of, view_warnings
 from guide3d.dicom.pair import paired
 from guide3d.dicom.run_folder import read_xray
 from guide3d.dicom.xray_run import XrayRun
+from guide3d.files import whole_file
 from guide3d.geometry.camera import Camera, write_opencv_yaml
 from guide3d.image_file import write_png
 

@@ -11,7 +11,7 @@ import numpy as np
 from guide3d.dicom.header import Header, OtherKindError, pydicom_reader
 from guide3d.dicom.stored_pixels import frame_count
 from guide3d.dicom.xray_run import XrayRun, moment_of, run_of
-from guide3d.file_names import files_in, numeric_order
+from guide3d.files import files_in, numeric_order
 from guide3d.geometry.polyline import Array
 from guide3d.guarded_reading import call_in_child
 

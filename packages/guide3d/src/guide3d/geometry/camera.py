@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import scipy.linalg
 
-from guide3d.atomic_file import whole_file
+from guide3d.files import whole_file
 from guide3d.setting_kinds import Numbers, Pixels, settings
 from guide3d.text_file import numbers_in, read_text
 

@@ -17,9 +17,9 @@ import numpy as np
 from annotated_types import Interval
 from scipy.interpolate import RectBivariateSpline
 
-from guide3d.atomic_file import whole_file
 from guide3d.calibration.hexagonal_lattice import lattice_points, local_lattice
 from guide3d.calibration.perforated_sheet import SheetHoles
+from guide3d.files import whole_file
 from guide3d.geometry.displacement_field import LocalWeightedMean, SplineField
 from guide3d.guarded_reading import open_regular
 from guide3d.opencv import cv2

@@ -1,5 +1,5 @@
 """Training and prediction of the networks."""
 
-from guide3d.extras import require
+from guide3d.commands import require
 
 require("torch", "learning")

@@ -12,7 +12,7 @@ from torch import nn
 from guide3d.modeling.pretrained import load_pretrained
 from guide3d.modeling.shape_network import ImageFeatures, ShapeNetwork
 from guide3d.modeling.spherical import SphericalForm
-from guide3d.modeling.swinunet import SwinUnet
+from guide3d.modeling.swin_transformer import SwinUnet
 from guide3d.modeling.transunet import TransUnet
 from guide3d.modeling.unet import UNet
 from guide3d.modeling.vision_transformer import VisionTransformer

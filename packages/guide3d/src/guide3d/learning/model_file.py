@@ -27,7 +27,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils._pytree import tree_map_only
 
-from guide3d.atomic_file import whole_file
+from guide3d.files import whole_file
 from guide3d.guarded_reading import open_regular
 from guide3d.learning.bounded_content import load_content, tensors
 

@@ -20,7 +20,7 @@ from guide3d.learning.recipes import FORMS, FGRNRecipe, SegmentationRecipe, Shap
 from guide3d.learning.segmentation_samples import SegmentationObjective
 from guide3d.learning.shape_samples import CAMERA, Clips, ShapeObjective, clips_of, walks_of
 from guide3d.learning.training import FitProgress, FitReport, Objective, fit
-from guide3d.modeling.fgrn import FGRN
+from guide3d.modeling.shape_network import FGRN
 from guide3d.modeling.spherical import SphericalForm
 
 if TYPE_CHECKING:

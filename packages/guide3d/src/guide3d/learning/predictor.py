@@ -18,8 +18,7 @@ from guide3d.learning.bounded_content import built_from
 from guide3d.learning.build import ShapeSize, build_segmenter, described, rebuilt
 from guide3d.learning.model_file import UNFIT, another_architecture, read_model, write_model
 from guide3d.learning.preprocessing import Preprocessing
-from guide3d.modeling.fgrn import FGRN
-from guide3d.modeling.shape_network import ShapeNetwork
+from guide3d.modeling.shape_network import FGRN, ShapeNetwork
 
 Images = NDArray[np.uint8]
 _BATCH = 16

@@ -11,9 +11,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from guide3d.atomic_file import whole_file
 from guide3d.commands import in_words
 from guide3d.dataset.dataset import Dataset, split
+from guide3d.files import whole_file
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.training import FitProgress, FitReport, finished
 from guide3d.setting_kinds import seed

@@ -21,15 +21,15 @@ from pathlib import Path
 
 import numpy as np
 
-from guide3d.atomic_file import whole_file
 from guide3d.commands import in_words
 from guide3d.dataset.dataset import Dataset
+from guide3d.files import whole_file
 from guide3d.image_file import write_image
-from guide3d.json_file import json_fields, read_json
 from guide3d.opencv import cv2
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.setting_kinds import seed
+from guide3d.text_file import json_fields, read_json
 
 RECORD = "fluoroscopy.json"  # in the folder of the images
 _TOLD_EVERY_S = 10.0

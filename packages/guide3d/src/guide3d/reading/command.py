@@ -45,10 +45,16 @@ from guide3d.reading.output.curve_files import (
     write_record,
     write_text,
 )
-from guide3d.reading.output.overlay import draw_reading
-from guide3d.reading.output.space_page import space_page
-from guide3d.reading.pair_reading import FRAMES, PairReading, check_different, combine
-from guide3d.reading.sequence import FrameReading, read_pairs, read_sequence
+from guide3d.reading.output.overlay import draw_reading, space_page
+from guide3d.reading.pair_reading import (
+    FRAMES,
+    FrameReading,
+    PairReading,
+    check_different,
+    combine,
+    read_pairs,
+    read_sequence,
+)
 from guide3d.reconstruction.matching import clearly_better
 
 _TOLD_EVERY_S = 5.0

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from guide3d.file_names import files_in
+from guide3d.files import files_in
 from guide3d.geometry.camera import Camera
 from guide3d.image_file import PICTURES, ImageError, is_tiff, read_picture, tiff_pages
 from guide3d.reading.decoded_frames import decoded_frames, film_frames

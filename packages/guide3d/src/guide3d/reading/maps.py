@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 try:
     import torch
 except ModuleNotFoundError:
-    from guide3d.extras import require
+    from guide3d.commands import require
 
     require("torch", "learning")  # says what to install
     raise

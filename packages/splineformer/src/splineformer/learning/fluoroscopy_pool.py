@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from guide3d.atomic_file import whole_file
+from guide3d.files import whole_file
 from guide3d.geometry.polyline import arc_length, resample
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy, RandomImage
 from splineformer.image_input import shares_of_pixels
 from splineformer.learning.augmentation import Points, inside
-from splineformer.modeling.image_head import WIRES
+from splineformer.modeling.curve_network import WIRES
 
 IDENTITY = "pool.json"
 _PART = 50  # images of a file
@@ -35,7 +35,7 @@ class FluoroscopyPool:
     Attributes:
         pictures: (n, size, size) uint8.
         curves: (n, 240, 2) shares of the side, tip first: of the wire, or of one of several; NaN where there is none.
-        wires: (n,) index of `splineformer.modeling.image_head.WIRES`.
+        wires: (n,) index of `splineformer.modeling.curve_network.WIRES`.
     """
 
     pictures: NDArray[np.uint8]

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 
 from guide3d.setting_kinds import Count, Weight, settings
 from splineformer.decoding import decode
-from splineformer.modeling.image_head import ImageKind
+from splineformer.modeling.curve_network import ImageKind
 from splineformer.modeling.ordered import OrderedPrediction
 from splineformer.modeling.published import TaughtTokens
 

@@ -24,8 +24,7 @@ from splineformer.learning.augmentation import (
 )
 from splineformer.learning.losses import OrderedWeights, PublishedWeights
 from splineformer.learning.targets import TARGETS, Targets
-from splineformer.modeling.curve_network import CurveNetwork
-from splineformer.modeling.image_head import WIRES
+from splineformer.modeling.curve_network import WIRES, CurveNetwork
 
 if TYPE_CHECKING:
     from guide3d.dataset.dataset import Dataset

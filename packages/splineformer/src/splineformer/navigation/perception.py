@@ -13,7 +13,7 @@ from torch.nn import functional as F
 
 from splineformer.decoding import decode
 from splineformer.image_input import picture_of
-from splineformer.modeling.image_head import WIRES
+from splineformer.modeling.curve_network import WIRES
 from splineformer.predictor import Predictor
 
 CURVE_POINTS = 96

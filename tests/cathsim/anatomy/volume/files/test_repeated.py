@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy.volume.files.reading import LabelVolume
-from cathsim.anatomy.volume.files.repeated import join_repeated
+from cathsim.anatomy.volume.importer import join_repeated
 
 
 def whole(vessels: np.ndarray, first: tuple[int, int, int], shape: tuple[int, int, int]) -> LabelVolume:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cathsim.anatomy.volume.labels.family import find_family
-from cathsim.anatomy.volume.labels.take_off import from_far_end
+from cathsim.anatomy.volume.labels.family import find_family, from_far_end
 
 NAMES = ("aorta", "bca", "lcca")
 SPACING = np.full(3, 1e-3)

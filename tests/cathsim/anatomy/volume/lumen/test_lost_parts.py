@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cathsim.anatomy.volume.lumen.lost_parts import ways_to_lost
+from cathsim.anatomy.volume.lumen.smoothing import ways_to_lost
 
 SPACING = np.full(3, 1e-3)
 

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cathsim.anatomy.mesh.budget import Budget
-from cathsim.anatomy.mesh.lattice import lattice_spacing
+from cathsim.anatomy.mesh.lattice import Budget, lattice_spacing
 from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.parts.union import unite
 from cathsim.anatomy.mesh.parts.vessel_parts import Part, read_parts, surface_files

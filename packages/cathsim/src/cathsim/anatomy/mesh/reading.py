@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.cavity import find_cavity
 from cathsim.anatomy.mesh.files.scenes import read_mesh, read_scene
 from cathsim.anatomy.mesh.files.stl import read_stl
 from cathsim.anatomy.mesh.files.surface import MOST_BYTES, MOST_TRIANGLES
 from cathsim.anatomy.mesh.files.vtk_legacy import read_legacy_vtk
 from cathsim.anatomy.mesh.files.vtp import read_vtp
+from cathsim.anatomy.mesh.lattice import Budget
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.mesh.samples import sample_surface
 from cathsim.guarded_reading import UnreadableFileError, check_regular, open_regular

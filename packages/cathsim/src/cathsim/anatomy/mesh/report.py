@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.figure import new_figure, plain_text
+from cathsim.viewing.figure import new_figure, plain_text
 
 logger = logging.getLogger(__name__)
 _MOST_POINTS = 60_000

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.mesh.budget import Budget
+from cathsim.anatomy.mesh.lattice import Budget
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.mesh.arches.arch_naming import LabelOf, labelled_names, labelled_sides, name_vessels
 from cathsim.anatomy.mesh.branches import RoughVessel, turned
-from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.cavity import Cavity, find_cavity
 from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, trim_cavity, voxels_away
-from cathsim.anatomy.mesh.lattice import lattice_spacing
+from cathsim.anatomy.mesh.lattice import Budget, lattice_spacing
 from cathsim.anatomy.mesh.lumen_vessels import count_rings, find_ends, find_vessels
 from cathsim.anatomy.mesh.naming import (
     ordered_names,
@@ -33,8 +32,7 @@ from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
 from cathsim.anatomy.mesh.tree import TreeSettings, grow_tree
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.vessel_tree import VesselTree
-from cathsim.anatomy.wall.chambers import fill_chambers
-from cathsim.anatomy.wall.thickness import thicken_between_lumens
+from cathsim.anatomy.wall.thickness import fill_chambers, thicken_between_lumens
 
 logger = logging.getLogger(__name__)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.pictures.phantom_picture import VIEWS, camera, picture_point, render_lumen
-from cathsim.figure import new_figure, plain_text
+from cathsim.viewing.figure import new_figure, plain_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

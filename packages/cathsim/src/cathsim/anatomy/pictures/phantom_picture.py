@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.phantom import Phantom
-from cathsim.figure import new_figure, plain_text
+from cathsim.viewing.figure import new_figure, plain_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

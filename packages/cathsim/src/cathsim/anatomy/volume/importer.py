@@ -9,7 +9,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cathsim.anatomy.mesh.naming import ordered_names, propose_entries, propose_targets, renamed
+from cathsim.anatomy.mesh.reading import Triangles
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
 from cathsim.anatomy.mesh.request import ONE_AT_A_TIME, check_resolution, content_digest, hashable_names, names_of
 from cathsim.anatomy.mesh.surface_import import LEAST_WIDTH, Names, SurfaceFacts, phantom_of_surface
@@ -22,11 +26,10 @@ from cathsim.anatomy.volume.dicom.files import dicom_files
 from cathsim.anatomy.volume.files.detached import with_detached_data
 from cathsim.anatomy.volume.files.nifti import TRANSFORMS
 from cathsim.anatomy.volume.files.reading import FORMATS, LabelVolume, file_stem, read_labels, volume_files
-from cathsim.anatomy.volume.files.repeated import join_repeated
 from cathsim.anatomy.volume.labels.checks import check_labels
 from cathsim.anatomy.volume.labels.choice import Labels
 from cathsim.anatomy.volume.lumen.labelled import LabelledLumen
-from cathsim.anatomy.volume.lumen.single import lumen_surface_of
+from cathsim.anatomy.volume.lumen.smoothing import smooth_vessel
 from cathsim.guarded_reading import UnreadableFileError, check_regular
 
 logger = logging.getLogger(__name__)
@@ -34,6 +37,10 @@ logger = logging.getLogger(__name__)
 VOLUME_VERSION = 14  # raise it whenever the same volume gives another phantom
 _VOLUME_KEPT = 0.03  # share of a vessel's volume by which the phantom's may differ without a note
 _LEAST_ML = 1.0  # of a vessel whose volume is compared
+
+
+_LEAST_CHANGES = 8  # between slices along an axis, that tell how often slices are repeated
+_LEAST_PART = 0.5  # of the voxels must hang together
 
 
 def import_volume(
@@ -193,3 +200,91 @@ def _of_one_piece(volume: LabelVolume, name: str, digest: str, names: Names, res
     )
     assert phantom.imported is not None
     return replace(phantom, imported=replace(phantom.imported, kind=f"labels ({volume.scheme})"))
+
+
+def join_repeated(volume: LabelVolume) -> LabelVolume:
+    """A volume in which voxels that are equal in groups along an axis are one voxel each.
+
+    Labels that a program has copied to finer voxels have steps as high as the voxels before. What smooths them takes
+    the height of a step from the size of the voxels, so that thin vessels would fall apart.
+
+    Args:
+        volume: labels.
+
+    Returns:
+        The same labels on the coarsest lattice that holds them without any change, with a note; the same volume where
+        nothing is repeated.
+    """
+    times = np.array([_repeats(volume, axis) for axis in range(3)])
+    if (times == 1).all():
+        return volume
+    affine = volume.affine.copy()
+    affine[:3, 3] += affine[:3, :3] @ ((times - 1) / 2)
+    affine[:3, :3] *= times
+    sides = " x ".join(f"{1e3 * side:.3g}" for side in np.linalg.norm(affine[:3, :3], axis=0))
+    return replace(
+        volume,
+        vessels=np.ascontiguousarray(volume.vessels[:: times[0], :: times[1], :: times[2]]),
+        affine=affine,
+        first=_divided(volume.first, times),
+        shape=_divided(volume.shape, times),
+        notes=(*volume.notes, f"voxels repeat each other, as copying to finer ones does: taken as {sides} mm"),
+    )
+
+
+def _repeats(volume: LabelVolume, axis: int) -> int:
+    """How many slices along an axis, counted from the volume's first on, are always equal."""
+    slices = np.moveaxis(volume.vessels, axis, 0)
+    changes = [i for i in range(1, len(slices)) if not np.array_equal(slices[i - 1], slices[i])]
+    if len(changes) < _LEAST_CHANGES:
+        return 1
+    first = volume.first[axis]
+    ends = [first, first + len(slices), volume.shape[axis]]
+    return int(np.gcd.reduce([*(first + i for i in changes), *ends]))
+
+
+def _divided(numbers: tuple[int, int, int], times: NDArray[np.int64]) -> tuple[int, int, int]:
+    x, y, z = (int(n) // int(k) for n, k in zip(numbers, times, strict=True))
+    return x, y, z
+
+
+def lumen_surface_of(volume: LabelVolume) -> tuple[Triangles, tuple[str, ...]]:
+    """Triangles, m, of the smooth wall around all vessels of a volume, in the file's world; and notes.
+
+    The surface is open where the volume's edge cuts a vessel.
+
+    Raises:
+        MeshRefusedError: the labels are noise.
+    """
+    from scipy.ndimage import label
+    from skimage.measure import marching_cubes
+
+    taken = volume.vessels > 0
+    parts, count = label(taken, np.ones((3, 3, 3)))
+    sizes = np.bincount(parts.reshape(-1))[1:]
+    largest = int(np.argmax(sizes)) + 1
+    if sizes.max() < _LEAST_PART * sizes.sum():
+        raise MeshRefusedError(
+            f"the label of {volume.file} is noise: its {int(sizes.sum()):,} voxels lie in {count:,} separate parts; "
+            "export "
+            "the segmentation again, or say which labels are vessels by labels=."
+        )
+    notes: tuple[str, ...] = ()
+    if count > 1:
+        notes = (f"{100 * (1 - sizes.max() / sizes.sum()):.2g} % of the labels lies in separate parts and is left out",)
+    mask = parts == largest
+    edges = tuple((f == 0, f + n == s) for f, n, s in zip(volume.first, mask.shape, volume.shape, strict=True))
+    field = smooth_vessel(mask, volume.spacing, continued=edges)
+    # cells beyond the volume's faces are left out, and with them the wall across a vessel that a face cuts
+    window, origin = [], field.origin.copy()
+    for axis, (low, high) in enumerate(edges):
+        at = field.origin[axis] + np.arange(field.values.shape[axis]) * field.spacing[axis]
+        first = int(np.searchsorted(at, -0.5 * volume.spacing[axis])) if low else 0
+        last = int(np.searchsorted(at, (mask.shape[axis] - 0.5) * volume.spacing[axis])) if high else len(at)
+        window.append(slice(first, last))
+        origin[axis] = at[first]
+    values = np.ascontiguousarray(field.values[tuple(window)])
+    vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=tuple(field.spacing), allow_degenerate=False)
+    axes = volume.affine[:3, :3] / volume.spacing
+    world = (vertices + origin) @ axes.T + volume.affine[:3, 3]
+    return Triangles(world, faces.astype(np.int64)), notes

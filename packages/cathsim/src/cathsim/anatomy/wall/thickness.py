@@ -1,9 +1,4 @@
-"""The wall between two vessels that lie side by side, as thick as tissue is.
-
-A segmentation leaves one or two voxels of it, a surface sometimes less. A wire's links are up to 15 mm long and meet
-the wall at a few points each, so that a link can cut through such a wall: the wire then hangs in it, as no wire does in
-a patient, and presses with all that the feeder has.
-"""
+"""The wall between two vessels that lie side by side, as thick as tissue is, and hollows in it that are no lumen."""
 
 from __future__ import annotations
 
@@ -11,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.lattice.node_set import NodeSet
+from cathsim.presets import WIRE_RADIUS
 
 THINNEST = 3e-3  # m between two lumens: the wall of an aorta, about 2 mm, and that of a branch, about 1 mm
 NARROWEST = 4e-3  # m of a vessel's width, below which it gives nothing to a wall
@@ -23,6 +20,10 @@ _LINK = 2.5e-3  # m between two places of one wall
 _NEIGHBOURS = 6  # balls that a node is compared with
 
 Array = NDArray[np.float64]
+
+
+LARGEST = 2e-7  # m^3, 0.2 ml: a larger one may be a vessel, and is for the check of the lumen to report
+SPECK = 8  # nodes: what is smaller is rounding at an edge, not a chamber
 
 
 def thicken_between_lumens(
@@ -139,3 +140,43 @@ def _nearest_part(parts: NDArray[np.int32], at: Array, point: Array) -> int:
     if not inside.any():
         return 0
     return int(parts[inside][np.argmin(((at[inside] - point) ** 2).sum(axis=-1))])
+
+
+def fill_chambers(
+    grid: SignedDistanceGrid, largest: float = LARGEST, clearance: float = WIRE_RADIUS
+) -> SignedDistanceGrid:
+    """The grid without small hollows that no wire can get into.
+
+    Nodes further than `clearance` from the wall that hang together are a chamber. All but the largest chamber are
+    filled as far as their volume is below a limit; those of less than `SPECK` nodes stay.
+
+    Args:
+        largest: m^3.
+        clearance: m, the wire's radius.
+
+    Returns:
+        Another grid on the same lattice, or the same where there is nothing to fill.
+    """
+    from scipy.spatial import cKDTree
+
+    free = NodeSet.where(grid.blocks, lambda values: values > clearance)
+    if not len(free):
+        return grid
+    parts = free.parts()
+    sizes = np.bincount(parts)
+    lumen = int(np.argmax(sizes))
+    hollow = (sizes >= SPECK) & (sizes * grid.spacing**3 < largest)
+    hollow[lumen] = False
+    if not hollow.any():
+        return grid
+    inside = hollow[parts]
+    radii = np.append(free.values[inside] + grid.spacing, 0.0)  # of none that is so near: infinitely far away
+    reach = float(radii.max())
+    indices, values = grid.blocks.where(lambda values: values > -reach)
+    away, nearest = cKDTree(grid.coordinates(free.indices[inside])).query(
+        grid.coordinates(indices), k=range(1, _NEIGHBOURS + 1), distance_upper_bound=2 * reach
+    )
+    filled = (away - radii[nearest]).min(axis=1).astype(np.float32)
+    number = free.numbers.nodes.reshape(-1)[free.numbers.positions(indices)]
+    changed = (filled < values) & ((number < 0) | (parts[number] != lumen))
+    return grid.with_values(indices[changed], filled[changed])

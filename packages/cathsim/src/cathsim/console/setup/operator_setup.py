@@ -8,12 +8,46 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 from cathsim.anatomy import Phantom
-from cathsim.console.setup.force_limit import ForceLimit
 from cathsim.environment import NavigateEnv
+from cathsim.metrics import FORCE_LIMIT
 from cathsim.navigation import NavigationTask
 from cathsim.validation import Count, Seed, Unit, settings
 
+Newtons = Annotated[float, Interval(gt=0, le=100), Unit("N")]
+
+
 LARGEST_RADIUS = 0.05  # m: a target that is reached from further away is none
+
+
+@settings
+class ForceLimit:
+    """From which contact force on the operator is warned, or the procedure ends."""
+
+    force: Newtons = FORCE_LIMIT  # largest resultant contact force of a step
+    ends: bool = False  # the procedure ends with the first step that reaches it
+
+
+class ForceWatch:
+    """Counts how often the contact force rises to a limit in a procedure.
+
+    Attributes:
+        warnings: so far; steps at or above the limit that follow each other are one.
+    """
+
+    def __init__(self, limit: ForceLimit) -> None:
+        self.limit, self.warnings, self._above = limit, 0, False
+
+    def see(self, force: float) -> bool:
+        """Whether a step's largest contact force (N) is a new warning."""
+        above = force >= self.limit.force
+        new, self._above = above and not self._above, above
+        self.warnings += new
+        return new
+
+    @property
+    def ends(self) -> bool:
+        """Whether the procedure ends with the step that was seen last."""
+        return self.limit.ends and self._above
 
 
 @settings

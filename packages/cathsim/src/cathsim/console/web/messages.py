@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,9 @@ from cathsim.anatomy.surface import lumen_surface
 
 _STRIDE = 2  # grid nodes a node of the 3-D view's surface
 FRAME_MAGIC, SURFACE_MAGIC = b"FRME", b"MESH"
+
+
+Work = Callable[[], None]
 
 
 def frame_message(
@@ -53,3 +58,34 @@ def surface_of(phantom: Phantom) -> bytes:
     """The lumen's surface for the 3-D view, as a message."""
     mesh = lumen_surface(phantom.grid.coarser(_STRIDE))
     return surface_message(np.asarray(mesh.vertices), np.asarray(mesh.vertex_normals), np.asarray(mesh.faces))
+
+
+class Inbox:
+    """Hands work to the loop's thread.
+
+    What is asked for twice before the loop comes to it is done once, as it was asked for last: a page that sends a
+    thousand wishes to restart gets one. The controls do not come this way: see `ControlPanel`.
+    """
+
+    def __init__(self) -> None:
+        self._filled = threading.Condition()
+        self._waiting: OrderedDict[str, Work | None] = OrderedDict()
+
+    def put(self, kind: str, work: Work | None = None) -> None:
+        """Asks the loop for work (None only wakes it up); a newer one replaces an older one of the same kind."""
+        with self._filled:
+            self._waiting.pop(kind, None)
+            self._waiting[kind] = work
+            self._filled.notify()
+
+    def get(self, timeout_s: float) -> tuple[str, Work | None] | None:
+        """The kind and the work that waits for longest, after at most `timeout_s`; None when there was nothing."""
+        with self._filled:
+            if not self._waiting:
+                self._filled.wait(max(timeout_s, 0.0))
+            return self._waiting.popitem(last=False) if self._waiting else None
+
+    def __len__(self) -> int:
+        """How many wait: never more than there are kinds."""
+        with self._filled:
+            return len(self._waiting)

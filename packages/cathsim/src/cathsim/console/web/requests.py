@@ -2,18 +2,66 @@
 
 from __future__ import annotations
 
+import ipaddress
+import secrets
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
+from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 LONGEST_REQUEST = 16_384  # characters
 _LONGEST_VALUE = 60  # characters of a wrong value that are shown
 _LARGEST_SEQUENCE = 2**53  # the whole numbers that JavaScript counts exactly
-
 _Name = Annotated[str, Field(min_length=1, max_length=100)]
 _Axis = Annotated[float, Field(ge=-1e6, le=1e6)]  # beyond -1 to 1 it counts as full speed
 _Move = Annotated[list[_Axis], Field(min_length=2, max_length=2)]  # translation and rotation
+KINDS = ("controls", "release", "choose", "restart", "replay", "answers", "view", "pedal", "roadmap", "inject")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host name or an address means this machine alone."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True)
+class Access:
+    """Decides on requests."""
+
+    token: str | None = None  # what the address must carry; None lets in pages of this machine only
+
+    def refusal(self, headers: Mapping[str, str], token: str) -> str:
+        """One sentence that says why a request is refused; "" lets it in.
+
+        Args:
+            headers: of the request, names in lower case.
+        """
+        host = headers.get("host", "")
+        # without this check any web page that the operator has open could steer the wire through a websocket
+        origin = headers.get("origin")
+        if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
+            return "pages of other sites may not use the console"
+        if self.token is not None:
+            if not secrets.compare_digest(token.encode(), self.token.encode()):
+                return "this console needs its token: open the address that it printed when it started"
+        elif not is_loopback(_name(host)):
+            # a foreign name that leads to this machine would make a foreign page one of its own
+            return "this console answers to localhost and 127.0.0.1 only"
+        return ""
+
+
+def _name(host: str) -> str:
+    """The host name in a Host header, without port and brackets; "" when it is malformed."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
 
 
 class _Request(BaseModel):
@@ -62,7 +110,6 @@ class _Plain(_Request):
     type: Literal["release", "restart", "replay", "inject"]
 
 
-KINDS = ("controls", "release", "choose", "restart", "replay", "answers", "view", "pedal", "roadmap", "inject")
 _REQUESTS: TypeAdapter[Any] = TypeAdapter(
     Annotated[_Controls | _Choose | _View | _Switch | _Answers | _Plain, Field(discriminator="type")]
 )

@@ -13,9 +13,9 @@ from cathsim.fluoroscopy.attenuation import CONTRAST, GAMMA, Keyed, expose, lume
 from cathsim.fluoroscopy.body import THORAX, body_depth
 from cathsim.navigation import NavigationTask
 from cathsim.observations.fluoroscopes import catheter_in, material_of, outside_sheath, wire_radius_of
-from cathsim.opencv import cv2
 from cathsim.simulation import Simulation
 from cathsim.validation import Unit, settings
+from cathsim.viewing.opencv import cv2
 
 IMAGE_SIZE = 480  # px
 QUALITY = 88  # of the JPEG: 12 kB an image, no artefact to be seen beside the wire

@@ -17,12 +17,18 @@ from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
 from cathsim.anatomy.volume.files.reading import in_child, open_volume
 from cathsim.anatomy.volume.files.source import Slab, VolumeSource
 from cathsim.fluoroscopy.body import THORAX, Ellipsoid, MeasuredBody
-from cathsim.fluoroscopy.patient.hounsfield import BONE_FACTOR, WATER
+from cathsim.fluoroscopy.materials import ATTENUATION
 from cathsim.fluoroscopy.patient.identity import check_patient
 from cathsim.fluoroscopy.scene import SCENES, XRayScene, scene
 
-logger = logging.getLogger(__name__)
+WATER = ATTENUATION["water"]  # 1/m at 60 keV, the beam's effective energy
+# Mass attenuation (m^2/kg) at 60 and 80 keV, and the bone's density (kg/m^3).
+_BONE, _WATER = (0.03148, 0.02229), (0.02059, 0.01837)
+_BONE_DENSITY, _WATER_DENSITY = 1920.0, 1000.0
+_CT_ENERGY = 70.0  # keV
 
+
+logger = logging.getLogger(__name__)
 BLOOD = 40  # Hounsfield units of blood without contrast
 _WALL = 1.5e-3  # m around the lumen in which the CT's contrast is taken away
 _STEP = 0.7  # of a voxel's smallest side, between samples of a ray
@@ -30,8 +36,28 @@ _BODY = -300  # Hounsfield units: more is body
 _CROPPED = 0.15  # of a side face that is body: the CT is cut through the body
 _AIR, _DENSEST = -1024, 3071  # of the scale
 _LARGEST = 6e8  # voxels
-
 Array = NDArray[np.float64]
+
+
+def _at_ct_energy(pair: tuple[float, float]) -> float:
+    """A coefficient between 60 and 80 keV, by a straight line of logarithms."""
+    share = np.log(_CT_ENERGY / 60.0) / np.log(80.0 / 60.0)
+    return float(pair[0] * (pair[1] / pair[0]) ** share)
+
+
+def _excess(bone: float, water: float) -> float:
+    return bone * _BONE_DENSITY / (water * _WATER_DENSITY) - 1.0
+
+
+# How much more bone's excess over water counts in the beam than in the CT: 1.21.
+BONE_FACTOR = _excess(_BONE[0], _WATER[0]) / _excess(_at_ct_energy(_BONE), _at_ct_energy(_WATER))
+
+
+def attenuation(hounsfield: ArrayLike) -> NDArray[np.float64]:
+    """Linear attenuation (1/m) at the beam's effective energy, of any shape, never negative."""
+    excess = np.asarray(hounsfield, dtype=np.float64) / 1000.0
+    share: NDArray[np.float64] = 1.0 + np.where(excess > 0, BONE_FACTOR * excess, excess)
+    return WATER * np.maximum(share, 0.0)
 
 
 class ImportedPhantom(Protocol):

@@ -11,8 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from enn.imitation.images.curves import at_arcs, smoothed
-from enn.imitation.images.wire_tracing import trace_wire, without_specks, without_wire
+from enn.imitation.images.wire_tracing import at_arcs, smoothed, trace_wire, without_specks, without_wire
 
 Array = NDArray[np.float64]
 

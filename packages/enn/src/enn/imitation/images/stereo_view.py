@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from enn.imitation.images.curves import at_arcs, smoothed
 from enn.imitation.images.stereo_geometry import matched
 from enn.imitation.images.visual_hull import SeenVoxels, VisualHull
+from enn.imitation.images.wire_tracing import at_arcs, smoothed
 
 Array = NDArray[np.float64]
 

@@ -25,8 +25,7 @@ from enn.reinforcement.proximal_policy import PpoLearner
 from enn.reinforcement.replay import ReplayBuffer, demonstration_replay
 from enn.reinforcement.sampling import without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
-from enn.reinforcement.starting_policy import start_from
-from enn.reinforcement.training.inputs import TrainingInputs
+from enn.reinforcement.training.inputs import TrainingInputs, start_from
 from enn.reinforcement.training.result import Progress, TrainingResult, replace_text
 from enn.reinforcement.training.settings import PpoSettings, SacSettings
 from enn.reinforcement.training.training_log import TrainingLog

@@ -6,7 +6,7 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, field
 from pathlib import Path
 from typing import Any, Literal
@@ -16,18 +16,73 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
+from torch.utils.data import DataLoader, Dataset
 
 from guide3d.learning.model_file import read_content, write_content
 from guide3d.learning.precision import bfloat16_on_processor, has_bfloat16
-from guide3d.learning.reader.tiles import ReaderTiles, tile_batches
-from guide3d.modeling.reader_network import ReaderNetwork
+from guide3d.modeling.reader_network import ReaderNetwork, reader_input
+from guide3d.opencv import cv2
+from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy, RandomImage
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.setting_kinds import Count, LearningRate, Pixels, Positive, Share, Units, Weight, settings
+
+_AHEAD = 6  # batches that each process draws in advance
+
 
 CHECKPOINT = "reader_fit.pt"
 _KEPT_EVERY_S = 60.0
 _TOLD_EVERY = 100  # steps
 _TIP_MASS_PX = 2 * math.pi * 3.0**2  # of one tip's Gaussian
+
+
+class ReaderTiles(Dataset):
+    """The network's input and target of random tiles by index."""
+
+    def __init__(
+        self,
+        settings: FluoroscopySettings,
+        seed: int,
+        tile_px: int,
+        courses: Sequence[NDArray[np.floating]] = (),
+        backgrounds: Sequence[NDArray[np.floating]] = (),
+    ) -> None:
+        """Args:
+        courses: and backgrounds: see `guide3d.random_fluoroscopy.random_fluoroscopy.RandomFluoroscopy`.
+        """
+        self.fluoroscopy = RandomFluoroscopy(settings, seed, courses, backgrounds)
+        self.tile_px = tile_px
+
+    def __getitem__(self, index: int) -> tuple[Tensor, Tensor]:
+        """Input (2, h, w) and target (3, h, w) of a tile, 16 bits each, which halves what passes between processes."""
+        drawn = self.fluoroscopy.tile(index, self.tile_px)
+        return torch.from_numpy(reader_input(drawn.image)).half(), torch.from_numpy(reader_target(drawn)).half()
+
+
+def reader_target(drawn: RandomImage) -> NDArray[np.float32]:
+    """What the network is to give for an image: (3, h, w), 0 to 1, of wire, catheter and tip."""
+    return np.stack((drawn.wire / np.float32(255), drawn.catheter / np.float32(255), drawn.tip))
+
+
+def tile_batches(
+    tiles: ReaderTiles, first_step: int, steps: int, batch_size: int, processes: int
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Batches of the steps `first_step` to `steps` - 1, float32, the same whatever the number of processes.
+
+    Args:
+        processes: that draw; 0: this one.
+    """
+    indices = range(first_step * batch_size, steps * batch_size)
+    loader = DataLoader(
+        tiles, batch_size, sampler=indices, num_workers=processes, worker_init_fn=_one_thread,
+        prefetch_factor=_AHEAD if processes else None,
+    )  # fmt: skip
+    for images, targets in loader:
+        yield images.float(), targets.float()
+
+
+def _one_thread(_: int) -> None:
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
 
 
 @settings

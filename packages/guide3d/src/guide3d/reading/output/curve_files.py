@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from guide3d.atomic_file import whole_file
+from guide3d.files import whole_file
 from guide3d.geometry.polyline import arc_length
 from guide3d.reading.image_reading import ImageReading
 from guide3d.reading.pair_reading import PairReading

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.anatomy.mesh.budget import Budget
 from cathsim.anatomy.mesh.cavity import Cavity, enclosed_by, find_cavity
 from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, voxels_away
+from cathsim.anatomy.mesh.lattice import Budget
 from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.parts.vessel_parts import Part
 from cathsim.anatomy.mesh.reading import Triangles, clean_triangles

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.dicom.files import CONVERTERS, Array, numbers, read_dicom
-from cathsim.anatomy.volume.dicom.layers import Layers
+from cathsim.anatomy.volume.dicom.segmentation import Layers
 from cathsim.anatomy.volume.dicom.slices import open_series, series_of
 from cathsim.anatomy.volume.files.source import VolumeSource
 

@@ -15,12 +15,14 @@ from numpy.typing import NDArray
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import is_other, vessel_name
 from cathsim.anatomy.volume.dicom.files import CONVERTERS, Array, attribute, axes_of, numbers, read_dicom
-from cathsim.anatomy.volume.dicom.layers import Layers
-from cathsim.anatomy.volume.files.source import LARGEST, VolumeSource
+from cathsim.anatomy.volume.files.source import LARGEST, Slab, VolumeSource
 from cathsim.anatomy.volume.files.stream import BROKEN, in_words
 
 _OFF_GRID = 0.1  # of the distance between slices by which a frame may lie beside its place
 _MOST_SLICES = 10_000
+
+
+_MOST_BYTES = 3_000_000_000  # of all layers
 
 
 def open_segmentation(path: Path) -> VolumeSource:
@@ -133,3 +135,39 @@ def _name(segment: Any) -> str:
             if vessel_name(meaning):
                 return meaning
     return label
+
+
+class Layers:
+    """Volumes of labels, filled segment by segment.
+
+    Args:
+        shape: voxels along the axes.
+        file: for messages.
+    """
+
+    def __init__(self, shape: tuple[int, int, int], file: str) -> None:
+        self.shape, self.file = shape, file
+        self.volumes: list[NDArray[np.uint16]] = []
+
+    def add(self, number: int, slices: dict[int, NDArray[np.bool_]]) -> int:
+        """Puts a segment of masks (nx, ny) by slice where it overlaps no other; returns its layer."""
+        free = [
+            layer
+            for layer, volume in enumerate(self.volumes)
+            if not any((volume[:, :, at] != 0)[mask].any() for at, mask in slices.items())
+        ]
+        layer = free[0] if free else len(self.volumes)
+        if not free:
+            if (layer + 1) * 2 * float(np.prod(self.shape)) > _MOST_BYTES:
+                raise MeshRefusedError(
+                    f"{self.file} has segments that overlap over too many voxels; export the vessels alone."
+                )
+            self.volumes.append(np.zeros(self.shape, dtype=np.uint16, order="F"))
+        for at, mask in slices.items():
+            self.volumes[layer][:, :, at][mask] = number
+        return layer
+
+    def slabs(self) -> Iterator[Slab]:
+        """Slice by slice, (layers, nx, ny, 1)."""
+        for at in range(self.shape[2]):
+            yield at, np.stack([volume[:, :, at : at + 1] for volume in self.volumes])

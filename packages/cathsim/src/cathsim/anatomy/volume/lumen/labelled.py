@@ -15,12 +15,10 @@ from cathsim.anatomy.volume.lumen.ends import Tip, flat_end
 from cathsim.anatomy.volume.lumen.following import narrow_places, rough_vessels
 from cathsim.anatomy.volume.lumen.graph import LumenGraph
 from cathsim.anatomy.volume.lumen.lattice import BlockLattice
-from cathsim.anatomy.volume.lumen.lost_parts import ways_to_lost
-from cathsim.anatomy.volume.lumen.smoothing import VesselField
+from cathsim.anatomy.volume.lumen.smoothing import VesselField, ways_to_lost
 from cathsim.anatomy.volume.lumen.union import FlatEnd, Union, unite
 from cathsim.anatomy.volume.lumen.wall import connected, signed_distance
-from cathsim.anatomy.wall.chambers import fill_chambers
-from cathsim.anatomy.wall.thickness import thicken_between_lumens
+from cathsim.anatomy.wall.thickness import fill_chambers, thicken_between_lumens
 
 _BATCH = 400_000  # nodes worked on at once
 _LEAST_RADIUS, _LEAST_SPACINGS = 1.5e-3, 1.5  # m, and spacings of the lattice, to which vessels are kept open

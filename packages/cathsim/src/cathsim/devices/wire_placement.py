@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cathsim.anatomy.centreline import arc_length
-from cathsim.arena import FEEDER, PROTRUSION
+from cathsim.devices.arena import FEEDER, PROTRUSION
 from cathsim.devices.simulation import DualSimulation
 from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP, NavigateEnv
 from cathsim.planning.path import UnreachableError, plan_path

@@ -3,22 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
+
+from annotated_types import Interval
 
 from cathsim.anatomy.generator.recipe import VARIETY
 from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
 from cathsim.anatomy.point_target import Point, as_target, points_beyond_root
-from cathsim.arch_variety.task import ArchVarietyTask
 from cathsim.guidewire import Guidewire
 from cathsim.many_anatomies import NavigateManyEnv
-from cathsim.navigation import NavigationTask
+from cathsim.navigation import NEAR, NavigationTask
 from cathsim.robot.pace import PACES, Pace
+from cathsim.validation import Count, Unit, settings
 from cathsim.vector import ThreadedVectorEnv
+
+AT_TARGET, STEP_COST = 1.0, 0.005
+PER_METRE = 1.0  # of progress along the lumen; published as 0.001 a millimetre
+TRAINING_STEPS, TEST_STEPS = 150, 450  # 20 s and 60 s
+
 
 # seeds of each type's arches; those of tests are never trained on
 TRAINING_SEEDS: tuple[int, ...] = tuple(range(100))
 TEST_SEEDS: tuple[int, ...] = tuple(range(10_000, 10_100))
 PLACEHOLDER = "lcca"  # a target that every arch has, before an episode draws its own
+
+
+@settings
+class ArchVarietyTask(NavigationTask):
+    """The tip within 5 mm of the target; the published reward.
+
+    The reward of a step is 1 at the target, plus 1 per metre of progress along the lumen, less 0.005, and less what
+    `force_penalty` and `path_penalty` take, which are 0 by default.
+    """
+
+    success_radius: Annotated[float, Interval(gt=0, le=NEAR), Unit("m")] = 0.005
+    max_steps: Count = TEST_STEPS
+
+    def step_reward(
+        self, distance: float, progress: float, force: float, moved: float = 0.0, *, success: bool
+    ) -> float:
+        """Reward of one step; arguments as of `NavigationTask.step_reward`."""
+        reward = (AT_TARGET if success else 0.0) + PER_METRE * progress - STEP_COST
+        return self.penalised(reward, force, moved)
 
 
 class ArchVarietyEnv(NavigateManyEnv):

@@ -14,17 +14,18 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from cathsim.arena import FEEDER, PROTRUSION, RESERVE, compiled_model
 from cathsim.contact.breathing import Breathing
 from cathsim.contact.compliance import N_PER_MM, soften_contacts
 from cathsim.contact.native import SimulationStruct, library
 from cathsim.contact.sdf import GEOM_NAME, Vessel
+from cathsim.devices.arena import FEEDER, PROTRUSION, RESERVE, compiled_model
 from cathsim.guidewire import LINK_NAME, TIP_SITE, Guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.presets import Accuracy
 
 if TYPE_CHECKING:
     from cathsim.blood.drag import Drag
+
 
 SPACING = 0.016  # least difference in length between chains, m
 HYSTERESIS = 0.010  # how far the wire is drawn back before links are dropped, m
