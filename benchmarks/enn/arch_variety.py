@@ -35,7 +35,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 import enn
-from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
+from cathsim.anatomy.generator.variety_arch import ARCH_TYPES
 from cathsim.arch_variety import TEST_SEEDS, TEST_STEPS, ArchVarietyEnv, ArchVarietyTask
 from cathsim.metrics.episodes import wilson_interval
 from cathsim.observations.xray import XrayEnvironment

@@ -16,8 +16,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from guide3d.calibration.__main__ import figures
 from guide3d.calibration.cube_calibration import calibrate_folder
-from guide3d.calibration.report import figures
 from tests.guide3d.calibration.drawn_cube import write_folder
 
 

@@ -38,7 +38,7 @@ from guide3d.dataset.dataset import VIEWS, Dataset, images_of, split
 from guide3d.dataset.frame import strip_mask
 from guide3d.reconstruction.synthetic_scene import scenes
 from splineformer.build import build, size_of
-from splineformer.comparison.curve_errors import curve_errors
+from splineformer.comparison.evaluation import curve_errors
 from splineformer.comparison.variant_figures import round_trips, speed
 from splineformer.export import export_onnx, graph_of, onnx_difference
 from splineformer.predictor import SOURCE_PX, Predictor

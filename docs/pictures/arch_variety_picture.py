@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from cathsim.anatomy import Phantom, load_phantom
-from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
+from cathsim.anatomy.generator.variety_arch import ARCH_TYPES
 from cathsim.anatomy.pictures.phantom_picture import render_lumen
 
 SEED = 201

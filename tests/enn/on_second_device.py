@@ -97,7 +97,7 @@ def test_reinforcement_learning(name: str, point_env: Any, tmp_path: Path) -> No
 def test_an_interrupted_training_goes_on_on_another_device(
     point_env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("enn.reinforcement.training.run.TICK", 0.0)
+    monkeypatch.setattr("enn.reinforcement.training.training.TICK", 0.0)
 
     class Stop(Exception):
         pass

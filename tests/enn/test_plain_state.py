@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from enn.model_file import decoded, encoded
-from enn.plain_state import plain, restored
+from enn.reinforcement.checkpoint import plain, restored
 
 
 def _same(one: Any, other: Any) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from guide3d import train
-from guide3d.calibration import report as calibration_report
+from guide3d.calibration import __main__ as calibration_command
 from guide3d.dataset.dataset import Dataset
 from guide3d.dataset.frame import ImageError, read_image
 from guide3d.image_file import write_png
@@ -70,7 +70,7 @@ def test_a_seed_out_of_range_is_refused(
 def test_calibration_refuses_with_one_sentence(
     folder: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert calibration_report.main([str(data / folder), "--output", str(tmp_path)]) == 1
+    assert calibration_command.main([str(data / folder), "--output", str(tmp_path)]) == 1
     assert capsys.readouterr().err.count("\n") == 1
 
 

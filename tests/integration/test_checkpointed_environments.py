@@ -9,7 +9,7 @@ import pytest
 
 from cathsim import NavigateEnv
 from enn.model_file import decoded, encoded
-from enn.plain_state import plain, restored
+from enn.reinforcement.checkpoint import plain, restored
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "default": {},

@@ -214,7 +214,7 @@ def test_the_hash_follows_parameters_and_resolution():
 
 
 def test_wide_random_phantoms_have_rare_shapes_as_often() -> None:
-    from cathsim.anatomy.generator.random_arch import WIDE, sample_parameters
+    from cathsim.anatomy.generator.scan_arch import WIDE, sample_parameters
 
     drawn = {
         wide: np.array([sample_parameters(np.random.default_rng(k), wide=wide).lcca_takeoff for k in range(24)])

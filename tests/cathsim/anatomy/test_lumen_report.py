@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy import SignedDistanceGrid
-from cathsim.anatomy.generator.random_arch import sample_parameters
+from cathsim.anatomy.generator.scan_arch import sample_parameters
 from cathsim.anatomy.library import NAMED, build_phantom
 from tests.cathsim.anatomy.lumen_report import check_lumen
 

@@ -16,7 +16,7 @@ from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, between,
 from cathsim.console.recorder import episode_path
 from cathsim.console.setup.operator_setup import ForceLimit
 from cathsim.console.xray.room import XRayStep
-from cathsim.devices.device_points import wire_and_catheter
+from cathsim.devices.pair import wire_and_catheter
 
 MakeEnv = Callable[..., NavigateEnv]
 ANSWERS = {**{criterion.key: 4 for criterion in CRITERIA}, "participant": "P7"}

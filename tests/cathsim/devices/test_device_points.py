@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cathsim.devices.device_points import points_behind, wire_and_catheter
+from cathsim.devices.pair import points_behind, wire_and_catheter
 
 LINKS = (0.02, 0.01, 0.01)  # from the proximal end, m
 POINTS = np.array([[0.0, 0.0, z] for z in (0.04, 0.03, 0.02, 0.0)])

@@ -23,8 +23,7 @@ from cathsim.robot.model import (
     RobotSettings,
     robot_spec,
 )
-from cathsim.robot.view import robot_pose
-from cathsim.viewing.camera_view import RenderingUnavailableError, View
+from cathsim.viewing.camera_view import RenderingUnavailableError, View, robot_pose
 
 MakeEnv = Callable[..., NavigateEnv]
 SHORT = RobotSettings(stroke=0.010, backlog=1.0, rotation_backlog=100.0)

@@ -87,7 +87,7 @@ OVERLAPPING = dataclasses.replace(SAC, overlap=True, threads=2)
 def test_interrupted_and_resumed_is_the_same_as_straight(
     settings: TrainingSettings, point_env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("enn.reinforcement.training.run.TICK", 0.0)
+    monkeypatch.setattr("enn.reinforcement.training.training.TICK", 0.0)
     monkeypatch.setattr("enn.reinforcement.training.inputs.WORTH_A_PROCESS", 0)
     straight = Training(settings, point_env, None, seed=3).run()
     for stop in (60, 200):

@@ -39,7 +39,7 @@ def test_actions_of_demonstrations_are_cloned_before_the_first_roll_out(point_en
 def test_a_training_with_demonstrations_is_resumed_as_if_it_had_not_been_interrupted(
     point_env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("enn.reinforcement.training.run.TICK", 0.0)
+    monkeypatch.setattr("enn.reinforcement.training.training.TICK", 0.0)
     settings, shown = dataclasses.replace(SMALL, decisions=500, reset_bank_share=0.0), demonstrated(point_env)
     straight = Training(settings, point_env, None, 1, shown).run().policy
 
@@ -57,7 +57,7 @@ def test_a_training_with_demonstrations_is_resumed_as_if_it_had_not_been_interru
 def test_the_deviation_of_actions_falls_evenly_to_the_end_of_the_budget(
     point_env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("enn.reinforcement.training.run.TICK", 0.0)
+    monkeypatch.setattr("enn.reinforcement.training.training.TICK", 0.0)
     settings = dataclasses.replace(
         SMALL, decisions=700, learning_starts=100, log_std_final=-2.5, reset_bank_share=0.0, cloning_weight=0.0
     )

@@ -13,7 +13,7 @@ import torch
 from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointError
 from enn.reinforcement.training import DESK_PPO, Progress, Training
-from enn.reinforcement.training.run import TrainingRun
+from enn.reinforcement.training.training import TrainingRun
 from tests.enn.conftest import PointEnv
 from tests.enn.reinforcement.small_training import SMALL
 
@@ -70,7 +70,7 @@ def test_learning_goes_on_from_the_critics_and_the_entropys_weight(trained: Path
 def test_an_interrupted_one_goes_on_exactly(
     trained: Path, point_env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("enn.reinforcement.training.run.TICK", 0.0)
+    monkeypatch.setattr("enn.reinforcement.training.training.TICK", 0.0)
     initial = Policy.load(trained)
     whole = Training(SHORT, point_env, tmp_path / "whole", seed=5, initial=initial).run()
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from guide3d.calibration.__main__ import figures, main
 from guide3d.calibration.cube_calibration import calibrate_folder
 from guide3d.calibration.cube_files import find_files, read_beads, read_references
-from guide3d.calibration.report import figures, main
 from guide3d.geometry.camera import read_camera, read_opencv_yaml
 from guide3d.geometry.distortion import Distortion
 from tests.guide3d.calibration.drawn_cube import CAMERAS, DETECTORS, POINTS_MM, among_holes, write_folder

@@ -16,7 +16,7 @@ pytest.importorskip("pydicom", reason="the extra guide3d[dicom] is not installed
 from guide3d import reconstruct
 from guide3d.calibration.folder import cameras_in
 from guide3d.dicom import images_and_cameras
-from guide3d.dicom.command import main
+from guide3d.dicom.__main__ import main
 from tests.guide3d.dicom.written_xray import (
     ENHANCED_XA,
     PATIENT,

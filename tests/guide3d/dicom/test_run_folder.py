@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("pydicom", reason="the extra guide3d[dicom] is not installed")
 
-from guide3d.dicom.command import main
+from guide3d.dicom.__main__ import main
 from guide3d.dicom.run_folder import read_xray
 from guide3d.dicom.xray_run import XrayRun
 from tests.guide3d.dicom.written_xray import frames_of, write, xray_dataset

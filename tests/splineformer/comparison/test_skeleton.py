@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from guide3d.dataset.frame import strip_mask
-from splineformer.comparison.curve_errors import curve_errors
+from splineformer.comparison.evaluation import curve_errors
 from splineformer.comparison.skeleton import trace_mask
 from tests.splineformer.curves import wavy_wire
 

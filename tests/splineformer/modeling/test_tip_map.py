@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from splineformer.modeling.tip_map import TipMap, led_to
+from splineformer.modeling.refinement import TipMap, led_to
 
 
 def test_tip_lies_in_the_best_cell_near_where_it_is_expected() -> None:

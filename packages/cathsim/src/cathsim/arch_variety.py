@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 from cathsim.anatomy.generator.recipe import VARIETY
-from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
+from cathsim.anatomy.generator.variety_arch import ARCH_TYPES
 from cathsim.anatomy.point_target import Point, as_target, points_beyond_root
 from cathsim.guidewire import Guidewire
 from cathsim.many_anatomies import NavigateManyEnv

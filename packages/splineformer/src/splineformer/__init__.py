@@ -12,7 +12,7 @@ from guide3d.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from splineformer.attention import attention_map as attention_map
-    from splineformer.comparison.curve_errors import curve_errors as curve_errors
+    from splineformer.comparison.evaluation import curve_errors as curve_errors
     from splineformer.export import export_onnx as export_onnx
     from splineformer.learning.recipes import recipe_of as recipe_of
     from splineformer.learning.training import train as train

@@ -6,7 +6,7 @@ import pytest
 from cathsim.anatomy import Aneurysm, ArchParameters, Branch, VesselTree
 from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.arch_parameters import draw_parameters
-from cathsim.anatomy.generator.random_arch import MINIMUM_SEPARATION, sample_parameters, separation
+from cathsim.anatomy.generator.scan_arch import MINIMUM_SEPARATION, sample_parameters, separation
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 
 from cathsim.anatomy import ArchParameters
 from cathsim.anatomy.generator.recipe import RANDOM, draw_recipe, recipe_content, recipe_of
-from cathsim.anatomy.generator.variety.variety_arch import VarietyArch, drawn_type
+from cathsim.anatomy.generator.variety_arch import VarietyArch, drawn_type
 
 
 @pytest.mark.parametrize("name", RANDOM)

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from cathsim.anatomy.generator.random_arch import separation
 from cathsim.anatomy.generator.recipe import build_grid, draw_recipe, recipe_content, recipe_of
-from cathsim.anatomy.generator.scan_arch import LEAST_WALL, STEEP, TRUNK, ScanArch, build_scan_arch
+from cathsim.anatomy.generator.scan_arch import LEAST_WALL, STEEP, TRUNK, ScanArch, build_scan_arch, separation
 from cathsim.anatomy.phantom import locate_targets, target_share
 from cathsim.anatomy.vessel_tree import set_back
 

@@ -1,7 +1,7 @@
 import torch
 from torch import nn
 
-from enn.imitation.images.segmenter_fitting import fitted
+from enn.imitation.images.wire_segmentation import fitted
 
 
 def test_every_image_is_seen_once_an_epoch_and_the_loss_falls() -> None:

@@ -20,7 +20,7 @@ from enn.reinforcement.training import (
     Progress,
     Training,
 )
-from enn.reinforcement.training.run import TrainingRun
+from enn.reinforcement.training.training import TrainingRun
 from tests.enn.reinforcement.small_training import SMALL, demonstrated
 
 
@@ -122,7 +122,7 @@ def test_the_real_simulator_trains_a_little(tmp_path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("enn.reinforcement.training.run.TICK", 0.0)
+        patch.setattr("enn.reinforcement.training.training.TICK", 0.0)
         with pytest.raises(KeyboardInterrupt):
             Training(settings, make, tmp_path, seed=0).run(stop)
     resumed = Training(settings, make, tmp_path, seed=0).run()
@@ -153,7 +153,7 @@ def test_with_a_frozen_encoder_it_trains_resumes_and_loads(point_env: Any, tmp_p
             raise Interruption
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("enn.reinforcement.training.run.TICK", 0.0)
+        patch.setattr("enn.reinforcement.training.training.TICK", 0.0)
         with pytest.raises(Interruption):
             Training(settings, make, tmp_path, seed=0, encoder=encoder).run(stop)
     resumed = Training(settings, make, tmp_path, seed=0, encoder=encoder).run()

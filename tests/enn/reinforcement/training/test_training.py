@@ -26,7 +26,7 @@ from enn.reinforcement.training import (
     TrainingSettings,
 )
 from enn.reinforcement.training.result import COLUMNS
-from enn.reinforcement.training.run import TrainingRun
+from enn.reinforcement.training.training import TrainingRun
 from enn.reinforcement.training.training_log import TrainingLog
 from tests.enn.reinforcement.small_training import SMALL
 

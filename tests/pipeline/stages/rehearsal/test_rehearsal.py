@@ -58,7 +58,7 @@ def test_it_trains_in_copies_and_logs_its_tests(tmp_path: Path, changed: dict[st
 def test_it_starts_from_a_policy_and_goes_on_after_an_interruption(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("enn.reinforcement.training.run.TICK", 0.0)  # progress after every decision
+    monkeypatch.setattr("enn.reinforcement.training.training.TICK", 0.0)  # progress after every decision
     first = job_of(tmp_path / "first")
     train(first, Report())
     start = first.own_folder / "policy.pt"

@@ -14,7 +14,7 @@ from cathsim.console.controls import Move
 from cathsim.console.recorder import Recorder
 from cathsim.console.setup.operator_setup import ForceLimit, ForceWatch
 from cathsim.console.xray.room import XRayStep
-from cathsim.devices.device_points import wire_and_catheter
+from cathsim.devices.pair import wire_and_catheter
 from cathsim.environment import NavigateEnv
 from cathsim.metrics import EpisodeMetrics
 from cathsim.simulation import CONTROL_STEP

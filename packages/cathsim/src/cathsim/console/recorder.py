@@ -123,7 +123,7 @@ class NpzRecorder:
 
     With a catheter, action is (T, 4): translation and rotation of the wire, then of the catheter; wire_points are of
     the rod that both are, and there are also catheter_insertion, catheter_rotation and lead (T + 1,), and feeder_forces
-    (T + 1, 2) N. `cathsim.devices.device_points.wire_and_catheter` gives each device's points of the rod, its links (m,
+    (T + 1, 2) N. `cathsim.devices.pair.wire_and_catheter` gives each device's points of the rod, its links (m,
     in the description's devices) and the lead.
     """
 

@@ -18,9 +18,8 @@ from cathsim.contact.compliance import soften_contacts
 from cathsim.contact.sdf import Vessel
 from cathsim.devices.active_chain import ActiveChain
 from cathsim.devices.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, compiled_model, max_insertion
-from cathsim.devices.device_points import points_behind
 from cathsim.devices.hubs import DEVICE_NAMES, Hubs
-from cathsim.devices.pair import DevicePair
+from cathsim.devices.pair import DevicePair, points_behind
 from cathsim.devices.rod import CATHETER, DEVICES, WIRE, Rod, device_tables, twin
 from cathsim.guidewire import Guidewire
 from cathsim.lifetime_cache import kept_with_owner

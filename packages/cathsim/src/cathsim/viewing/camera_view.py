@@ -14,8 +14,10 @@ from cathsim.anatomy import Phantom
 from cathsim.devices.simulation import DualSimulation
 from cathsim.fluoroscopy.curve import smooth_curve
 from cathsim.robot.follower import FollowerRobot
-from cathsim.robot.view import add_robot
 from cathsim.simulation import Simulation
+
+GAP = 0.012  # between the sheath's hub and the robot's front, m
+
 
 WALL = (0.82, 0.36, 0.34, 0.28)
 WIRE = (0.10, 0.10, 0.12, 1.0)
@@ -25,6 +27,58 @@ TARGET = (0.10, 0.62, 0.28, 0.75)
 SHOWN_RADIUS = 0.9e-3  # a wire alone is drawn twice as thick as it is, m; two devices have their own radii
 SHOWN_SHEATH = 0.030  # this much of a device in the sheath is drawn, m
 PIECE = 1.5e-3  # of two devices' smooth curves, m
+
+
+def robot_pose(entry: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where the robot stands in the world, for a sheath that ends at (3,) m and opens in a unit direction (3,).
+
+    Returns:
+        Origin of the robot's frame, m, shape (3,), and rotation from that frame to the world, shape (3, 3); the rail
+        lies as far to the patient's back as the wire's direction allows.
+    """
+    forward = np.asarray(direction, float)
+    back = np.array([0.0, 1.0, 0.0]) - forward[1] * forward
+    if np.linalg.norm(back) < 1e-3:  # the wire comes from the front: any side will do
+        back = np.array([0.0, 0.0, 1.0]) - forward[2] * forward
+    back /= np.linalg.norm(back)
+    rotation = np.column_stack((np.cross(back, forward), back, forward))
+    return np.asarray(entry, float) - GAP * forward, rotation
+
+
+def add_robot(
+    scene: mujoco.MjvScene, robot: FollowerRobot, entry: np.ndarray, direction: np.ndarray, colour: tuple[float, ...]
+) -> None:
+    """Adds the robot and the wire that runs through it to a scene that MuJoCo has updated.
+
+    Args:
+        entry: end of the sheath in the vessel, m. Shape (3,).
+        direction: unit vector into the vessel. Shape (3,).
+        colour: of the wire, red, green, blue and opacity.
+
+    Raises:
+        RuntimeError: the scene has no room left.
+    """
+    model, data = robot.model, robot.data
+    origin, rotation = robot_pose(entry, direction)
+    mujoco.mj_kinematics(model, data)
+    if scene.ngeom + model.ngeom + 1 > scene.maxgeom:
+        raise RuntimeError(f"the picture holds at most {scene.maxgeom} shapes")
+    for index in range(model.ngeom):
+        mujoco.mjv_initGeom(
+            scene.geoms[scene.ngeom],
+            int(model.geom_type[index]),
+            model.geom_size[index],
+            origin + rotation @ data.geom_xpos[index],
+            (rotation @ data.geom_xmat[index].reshape(3, 3)).ravel(),
+            model.geom_rgba[index],
+        )
+        scene.ngeom += 1
+    wire = scene.geoms[scene.ngeom]
+    capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+    mujoco.mjv_initGeom(wire, capsule, np.ones(3), np.zeros(3), np.eye(3).ravel(), np.array(colour, np.float32))
+    rear = origin - (robot.settings.length + 0.010) * rotation[:, 2]
+    mujoco.mjv_connector(wire, capsule.value, 0.9e-3, rear, np.asarray(entry, float))
+    scene.ngeom += 1
 
 
 class RenderingUnavailableError(RuntimeError):

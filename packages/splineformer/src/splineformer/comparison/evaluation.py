@@ -7,20 +7,23 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import cdist
 
 from guide3d.dataset.dataset import VIEWS, Dataset
 from guide3d.dataset.frame import Frame, strip_mask
 from guide3d.geometry.camera import Camera
-from guide3d.geometry.polyline import Array, arc_length, at_length
+from guide3d.geometry.polyline import Array, arc_length, at_length, checked, resample
 from guide3d.learning.evaluation import dice
 from splineformer.attention import attention_map
-from splineformer.comparison.curve_errors import curve_errors
 from splineformer.comparison.skeleton import trace_mask
 
 if TYPE_CHECKING:
     from guide3d.learning.predictor import SegmentationPredictor
     from splineformer.predictor import Predictor
+
+
+SAMPLES = 100
 
 
 KINDS = ("none", "noise", "low_contrast", "occlusion")
@@ -30,13 +33,31 @@ DETECTOR_SD = 2.0  # grey levels of noise that do not shrink with the contrast
 BARS = 3
 BAR_PX = (30.0, 70.0)  # side of a bar over a 1,024 px image
 _COVERED = (0.15, 0.85)  # shares of the wire's length where bars may lie: tip and end stay in sight
-
 Image = NDArray[np.uint8]
-
-
 MASK_PX = 6.0  # width of a drawn curve, as annotated
 SHOWN = (0.5, 0.95)  # quantiles of a reader's mean error whose images are examples
 _LENGTHS = ("tip", "mean", "max")
+
+
+def curve_errors(predicted_px: ArrayLike, true_px: ArrayLike) -> dict[str, float]:
+    """Compares two curves: tip_px, mean_px, max_px and chamfer_px.
+
+    Args:
+        predicted_px, true_px: (n, 2) and (m, 2) points, tip first.
+
+    Raises:
+        ValueError: a curve of fewer than two different points.
+    """
+    a = resample(checked(predicted_px, 2, "predicted curve"), count=SAMPLES)
+    b = resample(checked(true_px, 2, "true curve"), count=SAMPLES)
+    along = np.linalg.norm(a - b, axis=1)
+    apart = cdist(a, b)
+    return {
+        "tip_px": float(along[0]),
+        "mean_px": float(along.mean()),
+        "max_px": float(along.max()),
+        "chamfer_px": float((apart.min(axis=1).mean() + apart.min(axis=0).mean()) / 2),
+    }
 
 
 def disturbed(kind: str, image: Image, wire_px: Array, generator: np.random.Generator) -> Image:

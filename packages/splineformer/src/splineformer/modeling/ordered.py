@@ -23,8 +23,7 @@ from guide3d.setting_kinds import Layers, LayersOrNone, PixelDistance, Pixels, P
 from splineformer.decoding import collocation, uniform_knots
 from splineformer.modeling.convolutions import CHANNELS, FLOOR, Stem, line_pyramid
 from splineformer.modeling.curve_network import CurveBatch, CurveNetwork, ImageHead, ImageKind
-from splineformer.modeling.refinement import Refinement, Revision, at_equal_shares
-from splineformer.modeling.tip_map import TipMap, TipSeen, led_to
+from splineformer.modeling.refinement import Refinement, Revision, TipMap, TipSeen, at_equal_shares, led_to
 from splineformer.modeling.transformer import DecoderLayer, EncoderLayer, decoder_layers, grid_positions
 from splineformer.tokens import FEWEST_TOKENS, tokens_on_knots
 

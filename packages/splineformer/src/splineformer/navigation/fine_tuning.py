@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.training import FitProgress, fit
-from splineformer.comparison.curve_errors import curve_errors
+from splineformer.comparison.evaluation import curve_errors
 from splineformer.learning.recipes import recipe_of
 from splineformer.learning.samples import SplineObjective
 from splineformer.navigation.perception import PerceptionNetwork

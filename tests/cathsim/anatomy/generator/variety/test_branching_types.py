@@ -2,8 +2,7 @@
 
 import pytest
 
-from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES, BRANCHING, TRUNKS
-from cathsim.anatomy.generator.variety.courses import COURSES
+from cathsim.anatomy.generator.variety_arch import ARCH_TYPES, BRANCHING, COURSES, TRUNKS
 
 
 def test_the_types():

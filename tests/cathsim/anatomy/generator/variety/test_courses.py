@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cathsim.anatomy.generator.variety.courses import COURSES, Knot, course_curve, draw_course
+from cathsim.anatomy.generator.variety_arch import COURSES, Knot, course_curve, draw_course
 
 
 @pytest.mark.parametrize("name", [name for name, course in COURSES.items() if course[0].heading is not None])

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from cathsim.anatomy.generator.random_arch import separation
-from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
-from cathsim.anatomy.generator.variety.variety_arch import LEAST_WALL, VarietyArch, build_variety_arch, drawn_type
+from cathsim.anatomy.generator.scan_arch import separation
+from cathsim.anatomy.generator.variety_arch import ARCH_TYPES, LEAST_WALL, VarietyArch, build_variety_arch, drawn_type
 from cathsim.anatomy.lumen import build_lumen
 
 SEEDS = range(6)

@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 from cathsim.anatomy import Branch, VesselTree
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.generator.aortic_arch import build_arch
-from cathsim.anatomy.generator.random_arch import sample_parameters
-from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
-from cathsim.anatomy.generator.variety.variety_arch import VarietyArch, build_variety_arch
+from cathsim.anatomy.generator.scan_arch import sample_parameters
+from cathsim.anatomy.generator.variety_arch import ARCH_TYPES, VarietyArch, build_variety_arch
 from cathsim.anatomy.mesh.arches.arch_naming import labelled_names, labelled_sides, name_vessels
 from cathsim.anatomy.mesh.branches import RoughVessel, turned
 from cathsim.anatomy.mesh.naming import world_rotation

@@ -11,10 +11,16 @@ import numpy as np
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.generator.arch_parameters import Aneurysm, ArchParameters
-from cathsim.anatomy.generator.random_arch import sample_parameters
-from cathsim.anatomy.generator.scan_arch import COMMON, STEEP, TRUNK, ScanArch, build_scan_arch, drawn_relief
-from cathsim.anatomy.generator.variety.branching_types import ARCH_TYPES
-from cathsim.anatomy.generator.variety.variety_arch import VarietyArch, build_variety_arch, drawn_type
+from cathsim.anatomy.generator.scan_arch import (
+    COMMON,
+    STEEP,
+    TRUNK,
+    ScanArch,
+    build_scan_arch,
+    drawn_relief,
+    sample_parameters,
+)
+from cathsim.anatomy.generator.variety_arch import ARCH_TYPES, VarietyArch, build_variety_arch, drawn_type
 from cathsim.anatomy.vessel_tree import VesselTree
 
 GENERATOR_VERSION = 6  # raise it whenever the same measures give another geometry

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from enn.devices import device_of
-from enn.imitation.images.segmenter_fitting import fitted
+from enn.imitation.images.wire_segmentation import fitted
 
 WORKING_SIZE = 96  # px: images are brought to this side
 _SHIFT = 6  # px, of the augmentation

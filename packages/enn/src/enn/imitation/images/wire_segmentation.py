@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium
 import numpy as np
@@ -18,10 +18,15 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from enn.devices import device_of
-from enn.imitation.images.segmenter_fitting import fitted
+from enn.devices import bfloat16_on_processor, device_of
+from enn.fitting import CHANNELS_FIRST, CHANNELS_LAST
 from enn.imitation.perturbed_controller import PerturbedController
 from enn.policy import Policy
+
+_BATCH, _LEARNING_RATE = 8, 5e-3  # images an update; of Adam at its largest: it rises first and falls to nothing
+
+Network = TypeVar("Network", bound=nn.Module)
+
 
 DARKENING = 10.0  # grey levels that count as one
 BRIGHT = 130.0  # grey levels from which on a difference counts as it is; darker ones are enhanced
@@ -34,6 +39,49 @@ _LEAST, _GAP = 0.2, 2  # a thin tip is doubtful, and a wire that is cut in two i
 _RARE = -3.0  # logit of a pixel before training: few show the wire
 BETWEEN = 8  # steps between two images of an episode
 _ON_WIRE = 0.8  # share of the crops with a part of the wire in their middle third
+
+
+def fitted(
+    make: Callable[[], Network],
+    count: int,
+    loss_of: Callable[[Network, NDArray[np.intp], np.random.Generator], Tensor],
+    *,
+    epochs: int,
+    seed: int,
+    progress: Callable[[int, float], None] | None,
+    device: torch.device | str,
+) -> Network:
+    """Makes and trains a network.
+
+    Args:
+        make: gives the network, with fresh weights.
+        loss_of: gives the loss of a batch, from the network, the images' indices and the generator of augmentation.
+        seed: of weights, order and augmentation.
+        progress: called with each epoch's number and loss.
+        device: where the network is trained and stays.
+    """
+    generator = np.random.default_rng(seed)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = make().to(device, **CHANNELS_LAST)
+    optimiser = torch.optim.Adam(network.parameters(), _LEARNING_RATE, fused=True)
+    batches = -(-count // _BATCH)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _LEARNING_RATE, total_steps=epochs * batches)
+    network.train()
+    for epoch in range(epochs):
+        total = 0.0
+        for rows in np.array_split(generator.permutation(count), batches):
+            with bfloat16_on_processor():
+                loss = loss_of(network, rows, generator)
+            optimiser.zero_grad()
+            loss.backward()
+            optimiser.step()
+            schedule.step()
+            total += float(loss.detach()) * len(rows) / count
+        if progress is not None:
+            progress(epoch, total)
+    network.to(**CHANNELS_FIRST)
+    return network.eval()
 
 
 def most_enhanced(image: NDArray[np.uint8], plain: NDArray[np.uint8]) -> float:

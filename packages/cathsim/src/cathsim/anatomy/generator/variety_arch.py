@@ -1,21 +1,18 @@
-"""Courses of the vessels of the arch variety: published waypoints, and curves drawn through them.
-
-Source: the waypoints, means and standard deviations are those of the aortic arch generator of L. Karstensen et al.,
-"Recurrent neural networks for generalization towards the vessel geometry in autonomous endovascular guidewire
-navigation in the aortic arch", IJCARS 2023, doi 10.1007/s11548-023-02938-7 (github.com/lkarstensen, repositories
-2023_IJCARS_aortic_arch_generator and stEVE, MIT licence); lengths there are millimetres, axes x to the patient's left,
-y to the back and z up, with the origin in the descending aorta.
-"""
+"""Arches of the arch variety: drawn from their type and a seed, those that are no vessels drawn again."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.generator.branching import STEP
+from cathsim.anatomy.generator.scan_arch import separation
+from cathsim.anatomy.vessel_tree import Branch, VesselTree
+from cathsim.validation import Seed, settings
 
 Array = NDArray[np.float64]
 Triple = tuple[float, float, float]
@@ -25,6 +22,18 @@ MM = 1e-3
 _SAMPLE = 2e-4  # m of chord between the samples of a curve
 _LEAST_DIAMETER = 4.0  # mm
 _NONE = (0.0, 0.0, 0.0)
+
+
+_CAROTID, _ARM = (1.5, 0.2), (2.0, 0.4)  # swings
+_THIN: Spread = (10, 0.33)
+_UP = (0.0, 0.0, 1.0)
+CAROTID_TRUNK, SUBCLAVIAN_TRUNK = "carotid_trunk", "subclavian_trunk"
+TRUNKS = ("bca", CAROTID_TRUNK, SUBCLAVIAN_TRUNK)
+_END: Spread = (1.0, 0.0)
+CALIBRE = 0.85  # factor on the generator's diameters in the published task
+LEAST_WALL = 1e-3  # m of wall between the lumens of vessels that do not meet
+TIGHTEST = 0.9  # curvature times radius of the aorta
+_ATTEMPTS = 100
 
 
 class Waypoint(NamedTuple):
@@ -61,9 +70,6 @@ _AORTA = (
 )
 _TRUNK_START = _start((0, 0.1, 1), (0.1, 0.1, 0), (2.0, 0.1), (17, 1))
 _WIDE_TRUNK_START = _start((0, 0.6, 1), (0.2, 0.2, 0.3), (1.0, 0.1), (22, 1))
-_CAROTID, _ARM = (1.5, 0.2), (2.0, 0.4)  # swings
-_THIN: Spread = (10, 0.33)
-_UP = (0.0, 0.0, 1.0)
 _LEFT_ARM = _start((0.1, 0.1, 2), (0.1, 0.1, 0.3), _ARM, _THIN)
 
 
@@ -172,3 +178,161 @@ def course_curve(knots: tuple[Knot, ...]) -> tuple[Array, Array]:
     even = np.linspace(0, along[-1], max(round(along[-1] / STEP), 4) + 1)
     sampled = np.stack([np.interp(even, along, curve[:, axis]) for axis in range(4)], axis=1)
     return sampled[:, :3], np.maximum(sampled[:, 3], MM * _LEAST_DIAMETER) / 2
+
+
+class Origin(NamedTuple):
+    """A vessel and where it leaves its parent."""
+
+    vessel: str
+    course: str  # a key of `COURSES`
+    # of the aorta: mm along its centreline from the origin before, or from the root; of a trunk: share of its length
+    place: Spread
+    parent: str = "aorta"
+
+
+_RIGHT_PAIR = (
+    Origin("rsa", "right_subclavian_of_trunk", _END, "bca"),
+    Origin("rcca", "right_carotid_of_trunk", _END, "bca"),
+)
+_CAROTID_PAIR = (
+    Origin("rcca", "right_carotid_of_carotid_trunk", _END, CAROTID_TRUNK),
+    Origin("lcca", "left_carotid_of_trunk", _END, CAROTID_TRUNK),
+)
+
+# of each type the variants, equally likely; of each variant the vessels in order from the aortic root
+BRANCHING: dict[str, tuple[tuple[Origin, ...], ...]] = {
+    "I": (
+        (
+            Origin("bca", "trunk", (36, 5)),
+            *_RIGHT_PAIR,
+            Origin("lcca", "left_carotid", (16, 4)),
+            Origin("lsa", "left_subclavian", (28, 3)),
+        ),
+    ),
+    "II": (
+        (
+            Origin("bca", "trunk", (36, 3)),
+            *_RIGHT_PAIR,
+            Origin("lcca", "left_carotid_of_trunk", (2 / 3, 0.1), "bca"),
+            Origin("lsa", "left_subclavian", (41, 2.5)),
+        ),
+    ),
+    "IV": (
+        (
+            Origin("rsa", "right_subclavian_first", (42, 5)),
+            Origin(CAROTID_TRUNK, "wide_trunk", (20, 4)),
+            Origin("rcca", "right_carotid_of_trunk", _END, CAROTID_TRUNK),
+            Origin("lcca", "left_carotid_of_trunk", _END, CAROTID_TRUNK),
+            Origin("lsa", "left_subclavian_low", (38, 3)),
+        ),
+    ),
+    "V": (
+        (
+            Origin(CAROTID_TRUNK, "trunk", (36, 3)),
+            *_CAROTID_PAIR,
+            Origin("lsa", "left_subclavian", (41, 2.5)),
+            Origin("rsa", "right_subclavian_last", (20, 1)),
+        ),
+        (
+            Origin("rcca", "right_carotid", (50, 2.5)),
+            Origin("lcca", "left_carotid", (22, 3)),
+            Origin("lsa", "left_subclavian", (26, 2.5)),
+            Origin("rsa", "right_subclavian_last", (20, 1)),
+        ),
+    ),
+    "VI": (
+        (
+            Origin(CAROTID_TRUNK, "trunk", (36, 3)),
+            *_CAROTID_PAIR,
+            Origin(SUBCLAVIAN_TRUNK, "wide_trunk", (50, 1.5)),
+            Origin("rsa", "right_subclavian_of_subclavian_trunk", _END, SUBCLAVIAN_TRUNK),
+            Origin("lsa", "left_subclavian_of_trunk", _END, SUBCLAVIAN_TRUNK),
+        ),
+    ),
+    "VII": (
+        (
+            Origin("rsa", "right_subclavian_first", (38, 3.5)),
+            Origin("rcca", "right_carotid", (20, 3)),
+            Origin("lcca", "left_carotid", (20, 3)),
+            Origin("lsa", "left_subclavian", (27, 3)),
+        ),
+    ),
+}
+ARCH_TYPES: tuple[str, ...] = tuple(BRANCHING)
+
+
+@settings
+class VarietyArch:
+    """An arch of the arch variety: its branching type, the seed of its draws, and the factor on its diameters."""
+
+    arch_type: str = "I"
+    seed: Seed = 0
+    calibre: Annotated[float, Interval(ge=0.7, le=1.3)] = CALIBRE
+
+    def __post_init__(self) -> None:
+        if self.arch_type not in ARCH_TYPES:
+            raise ValueError(f"arch_type must be one of {', '.join(ARCH_TYPES)}, got {self.arch_type!r}")
+
+
+def drawn_type(seed: int) -> str:
+    """The branching type of a seed, each as likely as the others."""
+    return ARCH_TYPES[int(np.random.default_rng([seed, len(ARCH_TYPES)]).integers(len(ARCH_TYPES)))]
+
+
+def build_variety_arch(arch: VarietyArch) -> VesselTree:
+    """Builds the vessel tree of an arch, centred on the origin.
+
+    Returns:
+        Branches aorta (from the descending end over the arch to the root), rsa, rcca, lcca, lsa, and as the type has
+        them bca, carotid_trunk (of both carotids) and subclavian_trunk (of both subclavians).
+    """
+    rng = np.random.default_rng([arch.seed, ARCH_TYPES.index(arch.arch_type)])
+    for _ in range(_ATTEMPTS):
+        tree = _draw(arch, rng)
+        if tree is not None and separation(tree) >= LEAST_WALL:
+            low = np.min([np.min(b.points - b.radius[:, None], axis=0) for b in tree], axis=0)
+            high = np.max([np.max(b.points + b.radius[:, None], axis=0) for b in tree], axis=0)
+            return tree.translated(-(low + high) / 2)
+    raise RuntimeError(f"no arch of type {arch.arch_type} in {_ATTEMPTS} draws; its waypoints do not fit together")
+
+
+def _draw(arch: VarietyArch, rng: np.random.Generator) -> VesselTree | None:
+    """One draw; None where the aorta bends too tightly or a vessel does not leave its parent."""
+    aorta = Branch("aorta", *course_curve(draw_course("aorta", np.zeros(3), rng, calibre=arch.calibre)))
+    if _tightest(aorta) > TIGHTEST:
+        return None
+    branches, knots = {"aorta": aorta}, dict[str, Knot]()
+    variants = BRANCHING[arch.arch_type]
+    from_root = 0.0
+    for origin in variants[int(rng.integers(len(variants)))]:
+        parent = branches[origin.parent]
+        place = float(rng.normal(*origin.place))
+        if origin.parent == "aorta":
+            from_root += MM * place
+            place = parent.length - from_root
+        else:
+            place = parent.length * min(abs(place), 1.0)
+        branches[origin.vessel], knots[origin.vessel] = _grow(origin, parent, place, knots, rng, arch.calibre)
+    tree = VesselTree(tuple(branches.values()))
+    try:
+        for name in tree.names:
+            tree.ostium(name)
+    except ValueError:
+        return None
+    return tree
+
+
+def _grow(
+    origin: Origin, parent: Branch, arc: float, knots: dict[str, Knot], rng: np.random.Generator, calibre: float
+) -> tuple[Branch, Knot]:
+    """The vessel of an origin at an arc length (m) along its parent, and its last knot."""
+    course = draw_course(origin.course, parent.point_at(arc), rng, parent=knots.get(origin.parent), calibre=calibre)
+    points, radius = course_curve(course)
+    end = origin.vessel not in TRUNKS
+    return Branch(origin.vessel, points, radius, parent.name, arc, open_end=end), course[-1]
+
+
+def _tightest(branch: Branch) -> float:
+    """Largest curvature times radius, away from the ends."""
+    turn = np.linalg.norm(np.gradient(branch.tangents, branch.arc, axis=0), axis=1)
+    return float(np.max((turn * branch.radius)[5:-5]))

@@ -1,1 +1,0 @@
-"""Aortic arches of six branching types, from published waypoints of their vessels."""
