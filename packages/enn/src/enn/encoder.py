@@ -75,8 +75,8 @@ def fit_encoder(
     """
     missing = [key for key in keys if key not in samples.observations]
     if missing or not keys:
-        wanted = f"'{', '.join(missing)}'" if missing else "at least one key"
-        raise ValueError(f"the encoder wants {wanted}, but the samples have {', '.join(samples.observations)}")
+        needed = f"'{', '.join(missing)}'" if missing else "at least one key"
+        raise ValueError(f"the encoder wants {needed}, but the samples have {', '.join(samples.observations)}")
     for key in keys:
         if not np.isfinite(samples.observations[key]).all():
             raise ValueError(f"the observation '{key}' of the samples has numbers that are not finite")

@@ -223,9 +223,9 @@ class Policy:
             module.to(device)
             known = module.state_dict().keys()
             critics = content["weights"].keys() == known
-            wanted = known if critics else {key for key in known if _acts(network, key)}
-            if wanted != content["weights"].keys():
-                odd = sorted(wanted ^ content["weights"].keys())
+            expected = known if critics else {key for key in known if _acts(network, key)}
+            if expected != content["weights"].keys():
+                odd = sorted(expected ^ content["weights"].keys())
                 raise RuntimeError(f"weights {', '.join(odd[:3])} are missing or unexpected")
             module.load_state_dict(content["weights"], strict=False)
             return cls(

@@ -83,21 +83,21 @@ class RetryingController:
         Args:
             info: of the environment, with the feeders' insertions, and its force where that ends an attempt.
         """
-        there = {name: float(info[name]) for name in INSERTIONS if name in info}
+        insertions = {name: float(info[name]) for name in INSERTIONS if name in info}
         if not self._began:
-            self._began = there
+            self._began = insertions
         pressed = float(info.get(FORCE, 0.0)) > self._most_force
         steering = self._controller is not None and self._turns is None
         if steering and (pressed or (self._left == 0 and self.attempts != self._most)):
-            self._turns = self._generator.uniform(-1.0, 1.0, len(there))
+            self._turns = self._generator.uniform(-1.0, 1.0, len(insertions))
         if self._turns is not None:
-            inside = [there[name] > self._began[name] + WITHIN for name in there]
+            inside = [insertions[name] > self._began[name] + WITHIN for name in insertions]
             if any(inside):
                 turns = zip(inside, self._turns, strict=True)
                 back = [(-1.0, turn) if pulled else (0.0, 0.0) for pulled, turn in turns]
                 return np.array(back, np.float32).ravel()
             if self.attempts == self._most:
-                return np.zeros(2 * len(there), np.float32)
+                return np.zeros(2 * len(insertions), np.float32)
         if self._controller is None or self._turns is not None:
             self._number += 1
             own_seed = self._seed + _ANOTHER * self._number

@@ -69,8 +69,8 @@ class Trajectory:
         """
         missing = [key for key in keys if key not in self.observations]
         if missing:
-            there = ", ".join(self.observations) or "none"
-            raise ValueError(f"{self.label} has no observation {', '.join(missing)}; it has {there}")
+            names = ", ".join(self.observations) or "none"
+            raise ValueError(f"{self.label} has no observation {', '.join(missing)}; it has {names}")
 
     @property
     def label(self) -> str:

@@ -21,9 +21,9 @@ def files_in(folder: Path, *patterns: str) -> list[Path]:
     """
     if not folder.is_dir():
         return []
-    wanted = [pattern.lower() for pattern in patterns]
+    lower = [pattern.lower() for pattern in patterns]
     files = (file for file in folder.iterdir() if not file.name.startswith("."))
-    return numeric_order(file for file in files if any(fnmatchcase(file.name.lower(), one) for one in wanted))
+    return numeric_order(file for file in files if any(fnmatchcase(file.name.lower(), one) for one in lower))
 
 
 def numeric_order(files: Iterable[Path]) -> list[Path]:

@@ -72,5 +72,5 @@ class TwoDevices:
         An absent device's row is zero.
         """
         rows = np.array((self.hubs.insertions(chain), self.hubs.angles)).T
-        there = [self.pair.wire is not None, self.pair.catheter is not None]
-        return np.where(np.array(there)[:, None], rows, 0.0)
+        present = [self.pair.wire is not None, self.pair.catheter is not None]
+        return np.where(np.array(present)[:, None], rows, 0.0)

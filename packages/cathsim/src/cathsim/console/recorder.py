@@ -98,8 +98,8 @@ TOTALS = tuple(OperationTotals().metrics(0.0))  # their names
 def episode_path(folder: Path, phantom: str, target: str, suffix: str) -> Path:
     """The next free file of a task, `<folder>/<phantom>/<target>/<NNN><suffix>`, unfinished ones counted."""
     place = folder / phantom / target
-    there = place.iterdir() if place.is_dir() else ()
-    numbers = [int(match.group()) for path in there if (match := re.match(r"\d+", path.name))]
+    files = place.iterdir() if place.is_dir() else ()
+    numbers = [int(match.group()) for path in files if (match := re.match(r"\d+", path.name))]
     return place / f"{max(numbers, default=-1) + 1:03d}{suffix}"
 
 

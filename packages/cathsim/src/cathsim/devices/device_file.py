@@ -241,9 +241,9 @@ def _base(path: Path, kind: str, name: Any) -> DeviceFile:
     """The preset that a device is based on; an empty one without."""
     if name is None:
         return DeviceFile(path.stem, kind, {}, {}, None, "", {})
-    there = sorted(one.stem for one in (PRESETS / FOLDERS[kind]).glob("*.yaml"))
-    if name not in there or preset_path(kind, name).resolve() == path.resolve():
-        raise ValueError(f"{path}: based_on must be a preset of a {kind}, {', '.join(there)}, got {_shown(name)}")
+    known = sorted(one.stem for one in (PRESETS / FOLDERS[kind]).glob("*.yaml"))
+    if name not in known or preset_path(kind, name).resolve() == path.resolve():
+        raise ValueError(f"{path}: based_on must be a preset of a {kind}, {', '.join(known)}, got {_shown(name)}")
     return read_preset(kind, name)
 
 

@@ -137,8 +137,8 @@ class Keyed:
 
 
 @lru_cache(maxsize=64)
-def _cached_background(wanted: Keyed) -> NDArray[np.float32]:
-    return _background(*wanted.arguments)
+def _cached_background(request: Keyed) -> NDArray[np.float32]:
+    return _background(*request.arguments)
 
 
 def _background(

@@ -66,8 +66,8 @@ def _path_length(grid: DistanceGrid, projector: Projector, level: float) -> NDAr
 
 
 @lru_cache(maxsize=4)  # which keeps the grids, so that their ids stay theirs
-def _integrated(wanted: Keyed) -> NDArray[np.float32]:
-    grid, projector, level = wanted.arguments
+def _integrated(request: Keyed) -> NDArray[np.float32]:
+    grid, projector, level = request.arguments
     length = lumen_path_length(grid, projector, level=level)
     length.flags.writeable = False
     return length
@@ -85,8 +85,8 @@ def radiograph(grid: DistanceGrid, camera: XRayCamera, scene: XRayScene, *, key:
 
 
 @lru_cache(maxsize=16)
-def _cached(wanted: Keyed) -> Radiograph:
-    return radiograph(*wanted.arguments)
+def _cached(request: Keyed) -> Radiograph:
+    return radiograph(*request.arguments)
 
 
 def expose_depth(camera: XRayCamera, scene: XRayScene, depth_of: DepthFunction) -> Radiograph:

@@ -171,10 +171,10 @@ class Roadmap:
         points, axes = simulation.inserted_points(), self.frame()
         tip = points[0]
         start = self.in_scan(tip)
-        there = axes if self.scan is None else self.scan.directions(axes)
+        seen_axes = axes if self.scan is None else self.scan.directions(axes)
         remaining = self._follow_from(start)
-        walls = self.walls(start, there)
-        ahead = (self._path[self._shown] - start) @ there / PATH_ARCS[:, None]
+        walls = self.walls(start, seen_axes)
+        ahead = (self._path[self._shown] - start) @ seen_axes / PATH_ARCS[:, None]
         arc = np.concatenate(([0.0], np.cumsum(np.sqrt(np.square(np.diff(points, axis=0)).sum(axis=1)))))
         behind = np.stack([np.interp(WIRE_ARCS, arc, points[:, k]) for k in range(3)], axis=1)
         behind = (behind - tip) @ axes / WIRE_ARCS[:, None]

@@ -69,8 +69,8 @@ class Tracking:
         """The tip and the points behind it, SPACING apart along the projected wire. Shape (POINTS, 2), m."""
         line = in_view(self.simulation.inserted_points())
         along = arc_length(line)
-        wanted = SPACING * np.arange(POINTS)
-        return np.stack([np.interp(wanted, along, line[:, axis]) for axis in range(2)], axis=-1)
+        lengths = SPACING * np.arange(POINTS)
+        return np.stack([np.interp(lengths, along, line[:, axis]) for axis in range(2)], axis=-1)
 
     def read(self) -> np.ndarray:
         """Points of this moment, then of the one before, the target, the last moves (16,), with two devices (18,).

@@ -140,16 +140,16 @@ def _contact_intervals(
         np.add.at(forces[row], nearest[matched], member.normal_forces[matched])
         moment = np.zeros(count)
         np.add.at(moment, nearest[matched], (member.normal_forces * member.from_tip)[matched])
-        there = forces[row] > 0
-        places[row, there] = moment[there] / forces[row, there]
+        present = forces[row] > 0
+        places[row, present] = moment[present] / forces[row, present]
     force_90, place_90 = np.empty((count, 2)), np.empty((count, 2))
     for contact in range(count):
         estimate = _estimate(forces[:, contact], weights, interval_weights)
         own = shown.normal_forces[contact]
         force_90[contact] = min(estimate.low, own), max(estimate.high, own)
-        there = np.isfinite(places[:, contact])
+        present = np.isfinite(places[:, contact])
         place_90[contact] = shown.from_tip[contact]
-        if there.any():
-            ends = weighted_quantiles(places[there, contact], interval_weights[there], QUANTILES)
+        if present.any():
+            ends = weighted_quantiles(places[present, contact], interval_weights[present], QUANTILES)
             place_90[contact] = min(ends[0], shown.from_tip[contact]), max(ends[1], shown.from_tip[contact])
     return force_90, place_90, (forces > 0).mean(axis=0)

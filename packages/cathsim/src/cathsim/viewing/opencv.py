@@ -14,9 +14,9 @@ __all__ = ["cv2"]
 
 
 def _follow_environment() -> None:
-    wanted = os.environ.get("OMP_NUM_THREADS", "")
-    if wanted.isdecimal() and int(wanted) and "OPENCV_FOR_THREADS_NUM" not in os.environ:
-        cv2.setNumThreads(int(wanted))
+    threads = os.environ.get("OMP_NUM_THREADS", "")
+    if threads.isdecimal() and int(threads) and "OPENCV_FOR_THREADS_NUM" not in os.environ:
+        cv2.setNumThreads(int(threads))
 
 
 _follow_environment()

@@ -160,8 +160,8 @@ def fit_force(
     with seeded(seed, device):
         network = ForceNetwork(network_settings)
         network.fit_scales(samples)
-        wanted = torch.as_tensor(samples.forces) / network.force_scale
-        target = torch.zeros(len(wanted), 0)
+        forces = torch.as_tensor(samples.forces) / network.force_scale
+        target = torch.zeros(len(forces), 0)
         if matched and samples.features is not None:
             target = torch.as_tensor(standardised(samples.features))
         network.to(device)
@@ -171,7 +171,7 @@ def fit_force(
             with bfloat16_on_processor():
                 features, force = network(images[index].to(device), vectors[index].to(device))
             features, force = features.float(), force.float()
-            value = nn.functional.mse_loss(force, wanted[index].to(device))
+            value = nn.functional.mse_loss(force, forces[index].to(device))
             if matched and training:  # the best epoch is the one with the best force
                 value = value + settings.feature_weight * nn.functional.mse_loss(features, target[index].to(device))
             return value

@@ -113,7 +113,7 @@ def clone(
     keys = settings.network.keys
     seen, actions, _ = join(trajectories, keys)
     images = torch.as_tensor(np.concatenate([seen[key] for key in keys], axis=1))
-    wanted = torch.as_tensor(actions)
+    expert_actions = torch.as_tensor(actions)
     episodes = episode_numbers(trajectories)
     target = None if expert_features is None else normalised_features(trajectories, expert_features)
 
@@ -130,13 +130,17 @@ def clone(
         if initial is not None:
             take_over(network, initial)
         network.to(device)
-        loss = _loss(network, settings, images, wanted, target)
+        loss = _loss(network, settings, images, expert_actions, target)
         report = fit(network, loss, episodes, settings.fit, seed=seed, folder=folder, progress=progress)
     return ClonedPolicy(network), report
 
 
 def _loss(
-    network: CloningNetwork, settings: BehaviourCloningSettings, images: Tensor, wanted: Tensor, target: Tensor | None
+    network: CloningNetwork,
+    settings: BehaviourCloningSettings,
+    images: Tensor,
+    expert_actions: Tensor,
+    target: Tensor | None,
 ) -> Callable[[NDArray[np.int64], bool, np.random.Generator], Tensor]:
     def loss(samples: NDArray[np.int64], training: bool, generator: np.random.Generator) -> Tensor:
         index, device = torch.as_tensor(samples), network.images.background.device
@@ -146,7 +150,7 @@ def _loss(
         with bfloat16_on_processor():
             features = network.features(batch)
         features = features.float()
-        value = negative_log_likelihood(network.head(features), network.log_std, wanted[index].to(device))
+        value = negative_log_likelihood(network.head(features), network.log_std, expert_actions[index].to(device))
         if target is not None and settings.feature_matching:
             value = value + settings.feature_matching * nn.functional.mse_loss(
                 network.matching(features), target[index].to(device)

@@ -137,16 +137,16 @@ class Disturbed:
 
     def __call__(self, observation: Mapping[str, NDArray[Any]], info: Mapping[str, Any]) -> NDArray[np.float32]:
         """The action that is carried out. Shape (actions,)."""
-        wanted, size = np.asarray(self.actor(observation, info), np.float32), self.disturbance
+        action, size = np.asarray(self.actor(observation, info), np.float32), self.disturbance
         if self._left == 0 and self.generator.random() < size.spell_chance:
             self._left = int(self.generator.integers(1, size.spell_steps + 1))
-            self._spell = self.generator.uniform(-1.0, 1.0, wanted.shape).astype(np.float32)
-            pushed = slice(0, 3, 2) if wanted.size == TWO_DEVICES else slice(1)  # translations of wire and catheter
+            self._spell = self.generator.uniform(-1.0, 1.0, action.shape).astype(np.float32)
+            pushed = slice(0, 3, 2) if action.size == TWO_DEVICES else slice(1)  # translations of wire and catheter
             self._spell[pushed] = np.clip(self._spell[pushed] + size.push, -1.0, 1.0)
         if self._left > 0:
             self._left -= 1
             return self._spell
-        noisy: NDArray[np.float32] = np.clip(wanted + self.generator.normal(0.0, size.noise, wanted.shape), -1.0, 1.0)
+        noisy: NDArray[np.float32] = np.clip(action + self.generator.normal(0.0, size.noise, action.shape), -1.0, 1.0)
         return noisy.astype(np.float32)
 
 

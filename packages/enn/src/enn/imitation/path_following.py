@@ -231,14 +231,16 @@ def fit_path_follower(
             along = path.progress(tips[step], along)
             rows.append(describe(tips[: step + 1], path, along, settings))
     seen = torch.as_tensor(np.stack(rows))
-    wanted = torch.as_tensor(np.concatenate([trajectory.actions for trajectory in trajectories]).astype(np.float32))
+    expert_actions = torch.as_tensor(
+        np.concatenate([trajectory.actions for trajectory in trajectories]).astype(np.float32)
+    )
     episodes = episode_numbers(trajectories)
     with seeded(seed, device):
-        network = build(settings, wanted.shape[1]).to(device)
+        network = build(settings, expert_actions.shape[1]).to(device)
 
         def loss(samples: NDArray[np.int64], training: bool, generator: np.random.Generator) -> Tensor:
             index = torch.as_tensor(samples)
-            return nn.functional.mse_loss(network(seen[index].to(device)), wanted[index].to(device))
+            return nn.functional.mse_loss(network(seen[index].to(device)), expert_actions[index].to(device))
 
         report = fit(network, loss, episodes, settings.fit, seed=seed, folder=folder, progress=progress)
     return PathFollower(network, settings), report

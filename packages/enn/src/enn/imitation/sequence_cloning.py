@@ -134,18 +134,18 @@ def clone_sequences(
 
 
 def _require_sizes(policy: RecurrentPolicy, episodes: Sequence[AdvisedEpisode]) -> None:
-    wanted = policy.settings
+    own = policy.settings
     for episode in episodes:
         sizes = [array.shape[1] for array in (episode.features, episode.actions, episode.hints)]
-        if sizes[:2] != [wanted.features, wanted.actions] or (wanted.hints and sizes[2] != wanted.hints):
+        if sizes[:2] != [own.features, own.actions] or (own.hints and sizes[2] != own.hints):
             raise ValueError(
-                f"the policy takes {wanted.features} features, {wanted.actions} actions and {wanted.hints} hints, got "
+                f"the policy takes {own.features} features, {own.actions} actions and {own.hints} hints, got "
                 f"{sizes[0]}, {sizes[1]} and {sizes[2]}"
             )
 
 
 def _loss(policy: RecurrentPolicy, episodes: Sequence[AdvisedEpisode], settings: SequenceCloningSettings) -> Tensor:
-    features, wanted, hints, counted = (
+    features, expert_actions, hints, counted = (
         nn.utils.rnn.pad_sequence([torch.as_tensor(part) for part in parts], batch_first=True).to(policy.device)
         for parts in (
             [episode.features for episode in episodes],
@@ -158,7 +158,7 @@ def _loss(policy: RecurrentPolicy, episodes: Sequence[AdvisedEpisode], settings:
         noise = torch.randn(features.shape).to(policy.device)  # drawn on the CPU: the same on every device
         features = features + settings.noise * noise / policy.network.scale.clamp_min(1e-6)
     actions, predicted, _ = policy.network(features)
-    error = functional.smooth_l1_loss(actions, wanted, reduction="none", beta=_BEND).sum(-1)
+    error = functional.smooth_l1_loss(actions, expert_actions, reduction="none", beta=_BEND).sum(-1)
     if policy.settings.hints:
         error = error + settings.hint_weight * (predicted - hints.clamp(-3, 3)).square().mean(-1)
     return (error * counted).sum() / counted.sum()

@@ -130,8 +130,8 @@ def require_keys(space: gymnasium.Space[Any], keys: Sequence[str]) -> gymnasium.
         raise ValueError(f"expected a Dict observation with {', '.join(keys)}, got {space}")
     missing = [key for key in keys if key not in space.spaces]
     if missing or not keys:
-        wanted = f"'{', '.join(missing)}'" if missing else "at least one key"
-        raise ValueError(f"the network wants {wanted}, but the observation has {', '.join(space.spaces)}")
+        needed = f"'{', '.join(missing)}'" if missing else "at least one key"
+        raise ValueError(f"the network wants {needed}, but the observation has {', '.join(space.spaces)}")
     return space
 
 

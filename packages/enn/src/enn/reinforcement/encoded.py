@@ -79,9 +79,9 @@ class EncodedEnvs(VecEnvWrapper):
         ended = [index for index in np.flatnonzero(dones) if "terminal_observation" in infos[index]]
         if not ended:
             return self.encode(observations), rewards, dones, infos
-        count, wanted = len(rewards), (*self.encoder.keys, *self.passthrough)
+        count, keys = len(rewards), (*self.encoder.keys, *self.passthrough)
         lasts = [infos[index]["terminal_observation"] for index in ended]
-        joined = {key: np.concatenate((observations[key], np.stack([last[key] for last in lasts]))) for key in wanted}
+        joined = {key: np.concatenate((observations[key], np.stack([last[key] for last in lasts]))) for key in keys}
         encoded = self.encode(joined)
         for place, index in enumerate(ended):
             last = {key: values[count + place] for key, values in encoded.items()}

@@ -13,14 +13,14 @@ _INFO = Path("/proc/meminfo")
 
 def available_bytes() -> int:
     """Bytes available without swapping: the machine's, or what a container's limit leaves, whichever is less."""
-    there = _machine()
+    free = _machine()
     try:
         limit = _LIMIT.read_text(encoding="utf-8").strip()
         if limit != "max":
-            there = min(there, max(int(limit) - int(_USED.read_text(encoding="utf-8")), 0))
+            free = min(free, max(int(limit) - int(_USED.read_text(encoding="utf-8")), 0))
     except (OSError, ValueError):
         pass  # no control groups here
-    return there
+    return free
 
 
 def trim_heap() -> None:

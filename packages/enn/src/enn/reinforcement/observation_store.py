@@ -205,12 +205,12 @@ class FrameStore:
         """
         channels, data = self.space_shape[0], packed.tobytes()
         count = int(np.frombuffer(data, np.int64, 1)[0]) if len(data) >= 8 else -1
-        wanted, head = (last - first) * self.envs * channels, 8 * (1 + count)
-        lengths = np.frombuffer(data[8:head], np.int64) if 0 <= count <= wanted else np.zeros(0, np.int64)
-        if count < 0 or len(lengths) != count or len(data) != head + 8 * wanted + int(lengths.sum()):
+        size, head = (last - first) * self.envs * channels, 8 * (1 + count)
+        lengths = np.frombuffer(data[8:head], np.int64) if 0 <= count <= size else np.zeros(0, np.int64)
+        if count < 0 or len(lengths) != count or len(data) != head + 8 * size + int(lengths.sum()):
             raise ValueError(f"the saved frames of '{self.name}' are of another size than this buffer's")
-        numbers = np.frombuffer(data[head : head + 8 * wanted], np.int64).tolist()
-        ends = (head + 8 * wanted + np.cumsum(lengths)).tolist()
+        numbers = np.frombuffer(data[head : head + 8 * size], np.int64).tolist()
+        ends = (head + 8 * size + np.cumsum(lengths)).tolist()
         frames = [data[end - length : end] for end, length in zip(ends, lengths.tolist(), strict=True)]
         for row in range((last - first) * self.envs):
             own = numbers[row * channels : (row + 1) * channels]

@@ -105,10 +105,10 @@ class PpoLearner:
         for _ in range(batches):
             rows = self._generator.integers(0, shown.size(), self.settings.batch_size)
             drawn = shown.gather(rows, np.zeros_like(rows))
-            wanted = low + (drawn.actions + 1.0) * half  # replays keep actions between -1 and 1
+            expert_actions = low + (drawn.actions + 1.0) * half  # replays keep actions between -1 and 1
             features = self.policy.extract_features(drawn.observations, self.policy.features_extractor)
             mean = self.policy.action_net(self.policy.mlp_extractor(features)[0])
-            loss = weight * (mean - wanted).square().mean()
+            loss = weight * (mean - expert_actions).square().mean()
             self.policy.optimizer.zero_grad()
             loss.backward()
             torch.nn.utils.clip_grad_norm_(self.policy.parameters(), self.model.max_grad_norm)

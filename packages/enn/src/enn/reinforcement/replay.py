@@ -53,11 +53,11 @@ class ReplayBuffer(BaseReplayBuffer):
     ) -> None:
         if not 0.0 <= demonstration_share < 1.0:
             raise ValueError(f"demonstration_share must be at least 0 and below 1, got {demonstration_share}")
-        needed, there = nbytes_needed(observation_space, buffer_size, action_space, half=half), available_bytes()
-        if needed > there:
+        needed, free = nbytes_needed(observation_space, buffer_size, action_space, half=half), available_bytes()
+        if needed > free:
             raise MemoryError(
                 f"a replay buffer of {buffer_size:,} transitions needs {needed / 1e9:.1f} GB, of which "
-                f"{there / 1e9:.1f} GB are available: set a smaller buffer_size"
+                f"{free / 1e9:.1f} GB are available: set a smaller buffer_size"
             )
         # not the parent's initialiser: that one allocates every observation twice
         super(BaseReplayBuffer, self).__init__(buffer_size, observation_space, action_space, device, n_envs=n_envs)
@@ -134,12 +134,12 @@ class ReplayBuffer(BaseReplayBuffer):
         """Refuses images that compress so little that the rest of them will not fit."""
         images = [store for store in self._stores.values() if isinstance(store, FrameStore)]
         now = sum(store.nbytes for store in images)
-        more, there = now * (self._slots - self.added) / self.added, available_bytes()
-        if more > there:
+        more, free = now * (self._slots - self.added) / self.added, available_bytes()
+        if more > free:
             each, count = now / (self.added * self.n_envs), self.buffer_size * self.n_envs
             raise MemoryError(
                 f"images take {each:,.0f} bytes a transition in the replay buffer, so that {count:,} of them need "
-                f"{more / 1e9:.1f} GB more, of which {there / 1e9:.1f} GB are available: set a smaller buffer_size, or "
+                f"{more / 1e9:.1f} GB more, of which {free / 1e9:.1f} GB are available: set a smaller buffer_size, or "
                 "take images without noise"
             )
 
@@ -157,11 +157,11 @@ class ReplayBuffer(BaseReplayBuffer):
 
     def sample(self, batch_size: int, env: VecNormalize | None = None) -> Any:
         """Draws transitions, each equally likely; the demonstrations' share of them, the last ones, from there."""
-        there = min(self.added, self.buffer_size)
-        if there == 0:
+        filled = min(self.added, self.buffer_size)
+        if filled == 0:
             raise ValueError("the replay buffer is empty: nothing can be drawn from it")
         borrowed = self.shown_in(batch_size)
-        rows = self._generator.integers(0, there, batch_size - borrowed)
+        rows = self._generator.integers(0, filled, batch_size - borrowed)
         envs = self._generator.integers(0, self.n_envs, batch_size - borrowed)
         parts = self._arrays(rows, envs)
         if self.demonstrations is not None and borrowed:

@@ -62,8 +62,8 @@ def rigs_in(folder: Path) -> list[Rig]:
     """
     files = _camera_files(folder)
     if not files:
-        wanted = " and ".join(f"*{detector}*.txt" for detector in DETECTOR.values())
-        raise FileNotFoundError(f"{folder} holds no cameras: expected {wanted}, or .yaml")
+        patterns = " and ".join(f"*{detector}*.txt" for detector in DETECTOR.values())
+        raise FileNotFoundError(f"{folder} holds no cameras: expected {patterns}, or .yaml")
     return [_rig(*one) for one in files]
 
 
@@ -151,9 +151,9 @@ def _set_of(place: Path, sets: list[dict[str, Path]], tag: str) -> tuple[str, di
         part = tag.format(detector=DETECTOR[view], view=view)
         if not files:
             other = next(file for them in found.values() for file in them)
-            wanted = f"*{part}*" if part.isdigit() else part
+            name = f"*{part}*" if part.isdigit() else part
             raise FileNotFoundError(
-                f"{place} holds {other.name} only: the file of camera {view.upper()}, {wanted}.txt or .yaml, is missing"
+                f"{place} holds {other.name} only: the file of camera {view.upper()}, {name}.txt or .yaml, is missing"
             )
         if len(files) > 1:
             names = ", ".join(file.name for file in files)

@@ -249,8 +249,8 @@ class _Bundle:
     ) -> None:
         """Levenberg-Marquardt over all free parameters."""
         free = self._free(swirled)
-        for detector, wanted in swirled.items():
-            if not wanted:
+        for detector, with_swirl in swirled.items():
+            if not with_swirl:
                 self.swirl[detector] = 0.0
         cost, gradient, normal, _ = self._assembled(used, robust_px)
         damping = 1e-4
@@ -285,8 +285,8 @@ class _Bundle:
         """By how many variances the sum of squares falls when this detector may swirl."""
         before = self._state()
         costs = []
-        for wanted in (False, True):
-            choice = {**swirled, detector: wanted}
+        for with_swirl in (False, True):
+            choice = {**swirled, detector: with_swirl}
             self.solve(used, choice)
             costs.append(self._assembled(used, None)[0])
             variance = self._variance(used, self._free(choice))

@@ -158,11 +158,11 @@ def _check_decoder(header: Header, syntax: object) -> None:
 def _check_length(header: Header) -> None:
     """Counts the frames of plain pixels where the file does not say how many; more than it says are damage."""
     size = int(header.number("Rows") * header.number("Columns") * header.number("BitsAllocated")) // 8
-    there = len(header.dataset.PixelData) // size
+    frames = len(header.dataset.PixelData) // size
     if np.isnan(header.number("NumberOfFrames")):
-        header.dataset.NumberOfFrames = max(there, 1)
-    elif there > frame_count(header):
-        raise ValueError(f"{header.path}: expected {frame_count(header)} frames, found pixels of {there}")
+        header.dataset.NumberOfFrames = max(frames, 1)
+    elif frames > frame_count(header):
+        raise ValueError(f"{header.path}: expected {frame_count(header)} frames, found pixels of {frames}")
 
 
 def _check_jpeg(header: Header) -> None:

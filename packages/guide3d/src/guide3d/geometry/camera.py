@@ -221,15 +221,17 @@ def read_opencv_yaml(path: str | Path, unit: str | None = None) -> Camera:
                 continue
             rows, columns = int(found[1]), int(found[2])
             cells = found[3].split(",")
-            wanted = shape or (rows, columns)
+            expected = shape or (rows, columns)
             try:
                 values = np.array([float(cell) for cell in cells])
             except ValueError:
                 values = np.empty(0)
-            if values.size != rows * columns or values.size != wanted[0] * wanted[1]:
+            if values.size != rows * columns or values.size != expected[0] * expected[1]:
                 found_text = f"{rows} x {columns} declared, {found[3].strip()[:60]!r} written"
-                raise ValueError(f"{path}: expected {wanted[0]} x {wanted[1]} numbers in {name}, found {found_text}")
-            return values.reshape(wanted)
+                raise ValueError(
+                    f"{path}: expected {expected[0]} x {expected[1]} numbers in {name}, found {found_text}"
+                )
+            return values.reshape(expected)
         return None
 
     K, R, t = matrix("K", (3, 3)), matrix("R", (3, 3)), matrix("t", (3, 1))

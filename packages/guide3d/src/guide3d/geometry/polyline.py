@@ -105,14 +105,14 @@ def thinned(points: ArrayLike, closest: float) -> Array:
 
 def distances_to(polyline: ArrayLike, points: ArrayLike) -> Array:
     """Returns the distances (m,) of points (m, d) from a polyline (n, d)."""
-    line, wanted = np.asarray(polyline, dtype=float), np.asarray(points, dtype=float)
+    line, places = np.asarray(polyline, dtype=float), np.asarray(points, dtype=float)
     # the nearest vertex belongs to the nearest segment only where vertices are dense
     along = arc_length(line)
     line = at_length(line, np.union1d(along, np.linspace(0.0, along[-1], _FINE)))
-    near = np.atleast_1d(cKDTree(line).query(wanted)[1])
-    best = np.full(len(wanted), np.inf)
+    near = np.atleast_1d(cKDTree(line).query(places)[1])
+    best = np.full(len(places), np.inf)
     for first in (np.clip(near - 1, 0, len(line) - 2), np.clip(near, 0, len(line) - 2)):
         start, step = line[first], line[first + 1] - line[first]
-        share = np.clip(((wanted - start) * step).sum(1) / np.maximum((step * step).sum(1), 1e-300), 0.0, 1.0)
-        best = np.minimum(best, np.linalg.norm(wanted - start - share[:, None] * step, axis=1))
+        share = np.clip(((places - start) * step).sum(1) / np.maximum((step * step).sum(1), 1e-300), 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(places - start - share[:, None] * step, axis=1))
     return best

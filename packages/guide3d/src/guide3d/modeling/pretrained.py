@@ -78,10 +78,10 @@ def load_pretrained(network: VisionTransformer, file: Path | str) -> None:
     extra = [name for name in weights if name not in own]
     if wrong or extra:
         name = (wrong or extra)[0]
-        wanted = tuple(own[name].shape) if name in own else "nothing"
+        shape = tuple(own[name].shape) if name in own else "nothing"
         got = tuple(weights[name].shape) if name in weights else "nothing"
         raise ValueError(
-            f"{file} is a vision transformer of another size: {name} should be {wanted}, the file has {got}"
+            f"{file} is a vision transformer of another size: {name} should be {shape}, the file has {got}"
         )
     network.load_state_dict(weights)
 

@@ -33,8 +33,8 @@ def _convolution(before: int, after: int, size: int, stride: int = 1) -> Standar
     return StandardisedConvolution(before, after, size, stride=stride, padding=size // 2, bias=False)
 
 
-def _groups(channels: int, wanted: int = 32) -> nn.GroupNorm:
-    return nn.GroupNorm(min(wanted, channels), channels, eps=_EPSILON)
+def _groups(channels: int, most: int = 32) -> nn.GroupNorm:
+    return nn.GroupNorm(min(most, channels), channels, eps=_EPSILON)
 
 
 class Bottleneck(nn.Module):

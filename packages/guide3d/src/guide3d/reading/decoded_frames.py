@@ -71,8 +71,8 @@ def film_frames(path: Path, most: int | None = None) -> Generator[Frame, None, t
         raise ImageError(f"film {path} cannot be read: it claims frames of {width:g} x {height:g} px")
     count = 0
     while most is None or count < most:
-        there, frame = film.read()
-        if not there:
+        decoded, frame = film.read()
+        if not decoded:
             break
         count += 1
         yield np.asarray(frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY))

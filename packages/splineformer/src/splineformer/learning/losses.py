@@ -86,11 +86,11 @@ def published_loss(taught: TaughtTokens, batch: Mapping[str, Tensor], weights: P
     tokens, lengths = batch["tokens"], batch["lengths"]
     one = (batch["wires"] == _ONE_WIRE).to(tokens.dtype)
     place = torch.arange(1, tokens.shape[1], device=tokens.device)[None]
-    there = (place < lengths[:, None]) * one[:, None]
-    count = there.sum().clamp_min(1.0)
+    valid = (place < lengths[:, None]) * one[:, None]
+    count = valid.sum().clamp_min(1.0)
     predicted, true = taught.following.tokens, tokens[:, 1:]
-    knots = (F.huber_loss(predicted[..., 0], true[..., 0], reduction="none") * there).sum() / count
-    points = ((predicted[..., 1:] - true[..., 1:]).square().mean(-1) * there).sum() / count
+    knots = (F.huber_loss(predicted[..., 0], true[..., 0], reduction="none") * valid).sum() / count
+    points = ((predicted[..., 1:] - true[..., 1:]).square().mean(-1) * valid).sum() / count
     last = (place == lengths[:, None] - 1).to(tokens.dtype)
     end = F.binary_cross_entropy_with_logits(taught.following.end, last, reduction="none")
     tip = ((taught.first - tokens[:, 0]).square().mean(-1) * one).sum() / one.sum().clamp_min(1.0)
@@ -100,7 +100,7 @@ def published_loss(taught: TaughtTokens, batch: Mapping[str, Tensor], weights: P
     return (
         weights.knots * knots
         + weights.points * points
-        + weights.end * (end * there).sum() / count
+        + weights.end * (end * valid).sum() / count
         + weights.curve * curve
         + weights.tip * tip
         + weights.kind * kind_loss(taught.kind, batch["wires"], batch["inverted"])
@@ -194,8 +194,8 @@ def ordered_loss(
     share = one / one.sum().clamp_min(1.0)
     true = batch["length"]
     steps = torch.arange(predicted.course.shape[1], device=true.device)
-    there = (steps < true[:, None] + 1.0) * one[:, None]
-    total = weights.course * (distance(predicted.course, batch["course"]) * there).sum() / there.sum().clamp_min(1.0)
+    valid = (steps < true[:, None] + 1.0) * one[:, None]
+    total = weights.course * (distance(predicted.course, batch["course"]) * valid).sum() / valid.sum().clamp_min(1.0)
     total = (
         total + weights.length * (F.smooth_l1_loss(predicted.length, true, reduction="none", beta=0.1) * share).sum()
     )

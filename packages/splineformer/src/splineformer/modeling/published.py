@@ -82,8 +82,8 @@ class SplineDecoder(nn.Module):
         """
         x = self.embed(token) + self.positions[cache.length]
         for number, (layer, own) in enumerate(zip(decoder_layers(self.layers), cache.layers, strict=True)):
-            wanted = attention and number == len(self.layers) - 1
-            x = layer.step(x, own, cache.attended if wanted else None)
+            attended = attention and number == len(self.layers) - 1
+            x = layer.step(x, own, cache.attended if attended else None)
         cache.length += 1
         return self.heads(x)
 

@@ -138,11 +138,11 @@ def at_equal_shares(points: Tensor, shares: Tensor) -> Tensor:
     """
     step = (points[:, 1:] - points[:, :-1]).norm(dim=-1)
     along = torch.cat([torch.zeros_like(step[:, :1]), step.cumsum(1)], 1)
-    wanted = shares[None] * along[:, -1:]
+    lengths = shares[None] * along[:, -1:]
     # counting instead of a search: exports know it
-    after = (along[:, None] < wanted[..., None]).sum(-1).clamp(1, along.shape[1] - 1)
+    after = (along[:, None] < lengths[..., None]).sum(-1).clamp(1, along.shape[1] - 1)
     low, high = along.gather(1, after - 1), along.gather(1, after)
-    part = ((wanted - low) / (high - low).clamp_min(1e-9)).clamp(0.0, 1.0)[..., None]
+    part = ((lengths - low) / (high - low).clamp_min(1e-9)).clamp(0.0, 1.0)[..., None]
 
     def at(index: Tensor) -> Tensor:
         return points.gather(1, index[..., None].expand(-1, -1, 2))

@@ -153,5 +153,5 @@ def _change(before: _Pose, now: _Pose, axes: Array) -> Array:
     return np.array([*moved, cosine, sine, longer])
 
 
-def _at(points: Array, arc: Array, wanted: Array) -> Array:
-    return np.stack([np.interp(wanted, arc, points[:, k]) for k in (0, 1)], axis=1)
+def _at(points: Array, arc: Array, arcs: Array) -> Array:
+    return np.stack([np.interp(arcs, arc, points[:, k]) for k in (0, 1)], axis=1)

@@ -63,11 +63,11 @@ def hull_of(lumens: Sequence[ArrayLike], cameras: Sequence[Camera]) -> Hull:
     count = round(2 * _REACH_MM / (CELL_MM * _COARSE)) + 1
     first = middle - _REACH_MM
     rough = _carved(maps, cameras, first, (count,) * 3, CELL_MM * _COARSE, spread=True)
-    there = np.argwhere(rough > 0.5)
-    if not len(there):
+    voxels = np.argwhere(rough > 0.5)
+    if not len(voxels):
         raise ValueError("the contrast runs have no lumen in common: look whether the cameras belong to the images")
-    low = _COARSE * (there.min(0) - 1) - _MARGIN
-    shape = _COARSE * (there.max(0) + 1) + _MARGIN - low + 1
+    low = _COARSE * (voxels.min(0) - 1) - _MARGIN
+    shape = _COARSE * (voxels.max(0) + 1) + _MARGIN - low + 1
     origin = first + CELL_MM * low
     return Hull((cameras[0], cameras[1]), _carved(maps, cameras, origin, tuple(shape.tolist()), CELL_MM), origin)
 
@@ -148,9 +148,9 @@ class SpaceMap:
         """The way, whose steps from cell to cell know few directions, pulled tight where that stays in the lumen."""
         pull = _pulling(len(points))
         for _ in range(_PULLS):
-            wanted = pull @ points
-            free = self.sample(wanted) > _WITHIN
-            points = np.where(free[:, None], wanted, points)
+            pulled = pull @ points
+            free = self.sample(pulled) > _WITHIN
+            points = np.where(free[:, None], pulled, points)
         return points
 
     def sample(self, places: ArrayLike) -> Array:

@@ -264,12 +264,12 @@ def _join_common_origins(aorta: RoughVessel) -> None:
         for wide in by_width[:number]:
             if wide not in aorta.children:
                 continue
-            here, there = leaving(narrow, aorta), leaving(wide, aorta)
-            gap = float(np.linalg.norm(narrow.points[here] - wide.points[there]))
-            if gap < _ONE_LUMEN * max(narrow.depth[here], wide.depth[there]):
+            first, second = leaving(narrow, aorta), leaving(wide, aorta)
+            gap = float(np.linalg.norm(narrow.points[first] - wide.points[second]))
+            if gap < _ONE_LUMEN * max(narrow.depth[first], wide.depth[second]):
                 if _take_off_by_itself(narrow, wide, aorta):
                     break
-                narrow.start = float(arc_length(wide.points)[there])
+                narrow.start = float(arc_length(wide.points)[second])
                 aorta.children.remove(narrow)
                 wide.children.append(narrow)
                 wide.children.sort(key=lambda child: child.start)

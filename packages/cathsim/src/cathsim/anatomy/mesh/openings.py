@@ -72,8 +72,8 @@ def _missing_triangles(mesh: Triangles, border: Indices) -> Indices:
     place = np.minimum(np.searchsorted(keys, a * size + third), len(keys) - 1)
     ring = keys[place] == a * size + third
     found = np.stack([a, b, third], axis=1)[ring]
-    there = np.sort(mesh.faces, axis=1)
-    known = set(map(tuple, there[np.isin(there[:, 0], found[:, 0])].tolist()))
+    corners = np.sort(mesh.faces, axis=1)
+    known = set(map(tuple, corners[np.isin(corners[:, 0], found[:, 0])].tolist()))
     used: set[tuple[int, int]] = set()
     chosen = []
     for a, b, c in found.tolist():
@@ -111,12 +111,12 @@ def _rings(border: Indices) -> Indices:
             taken.add(edge)
             walk.append(edge)
             a, b = ends[edge]
-            there = b if vertices[-1] == a else a
-            if there not in place:
-                place[there] = len(vertices)
-                vertices.append(there)
+            far = b if vertices[-1] == a else a
+            if far not in place:
+                place[far] = len(vertices)
+                vertices.append(far)
                 continue
-            first = place[there]
+            first = place[far]
             ring[walk[first:]] = count
             count += 1
             for passed in vertices[first + 1 :]:

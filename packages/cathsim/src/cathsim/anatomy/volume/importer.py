@@ -79,10 +79,10 @@ def import_volume(
     path = Path(path).expanduser()
     directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
     chosen = hashable_names(names)
-    wanted = None if not labels else tuple(labels.items())
+    chosen_labels = None if not labels else tuple(labels.items())
     with ONE_AT_A_TIME:
-        digest = volume_digest(path, wanted, chosen, resolution, transform)
-        return _load(path, digest, wanted, chosen, resolution, directory, transform)
+        digest = volume_digest(path, chosen_labels, chosen, resolution, transform)
+        return _load(path, digest, chosen_labels, chosen, resolution, directory, transform)
 
 
 def volume_digest(

@@ -98,9 +98,9 @@ def _first(grid: SignedDistanceGrid, start: Array, way: Array, steps: Array, *, 
     found = np.full(len(start), np.inf)
     been = np.zeros(len(start), dtype=bool)
     for step in steps:
-        there = (grid.sample(start + step * way) > 0) == lumen
-        found[been & there & np.isinf(found)] = step
-        been |= ~there
+        met = (grid.sample(start + step * way) > 0) == lumen
+        found[been & met & np.isinf(found)] = step
+        been |= ~met
     return found
 
 

@@ -94,7 +94,7 @@ class Choices:
             raise ValueError(f"unknown phantom {request['phantom']!r}; there are {', '.join(self.phantoms)}")
         name = request.get("catheter", catheter.name if catheter else None)
         limit = setup.force_limit
-        wanted = replace(
+        chosen = replace(
             setup,
             wire=self._wire(request.get("wire", setup.wire), setup.wire),
             max_steps=request.get("max_steps", setup.max_steps),
@@ -104,7 +104,7 @@ class Choices:
             ),
         )
         offer = None if name is None else find_offer(self._offers, name)
-        return Chosen(wanted, request["phantom"], request["target"], offer)
+        return Chosen(chosen, request["phantom"], request["target"], offer)
 
     def _wire(self, name: str, present: str) -> str:
         wire = self._own_wire if name == OWN_WIRE and self._own_wire else name

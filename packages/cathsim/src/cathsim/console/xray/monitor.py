@@ -104,9 +104,9 @@ class FluoroscopyMonitor:
 
 
 @lru_cache(maxsize=16)
-def _anatomy(wanted: Keyed) -> tuple[np.ndarray, np.ndarray]:
+def _anatomy(request: Keyed) -> tuple[np.ndarray, np.ndarray]:
     """Grey levels of the body without contrast medium, and the exponent by which the full medium darkens them."""
-    grid, projector, middle = wanted.arguments
+    grid, projector, middle = request.arguments
     darker = (GAMMA * CONTRAST * lumen_path_length(grid, projector)).astype(np.float32)
     return expose(body_depth(projector, THORAX, middle)), darker
 

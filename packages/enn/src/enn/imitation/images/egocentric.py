@@ -165,10 +165,10 @@ class EgocentricView:
         remaining = float(self._length[at[0], at[1]])
         nodes = [here]
         for _ in range(round(1.3 * WAY_ARCS[-1] * MAP_SIZE) + 3):
-            there = self._following[nodes[-1]]
-            if there == nodes[-1]:
+            following = self._following[nodes[-1]]
+            if following == nodes[-1]:
                 break
-            nodes.append(there)
+            nodes.append(following)
         flat = np.array(nodes)
         points = (np.stack((flat // MAP_SIZE, flat % MAP_SIZE), axis=1) + 0.5) / MAP_SIZE
         points[0] = place
@@ -264,15 +264,15 @@ def catheter_end(points: Array, arc: Array, axes: Array, catheter: NDArray[np.bo
     rows, columns = np.clip((points * size).astype(int), 0, size - 1).T
     covered = np.concatenate((np.any(beside, axis=0)[rows, columns], np.zeros(_COVERED)))
     shares = np.convolve(covered, np.ones(_COVERED) / _COVERED, "valid")[: len(points)]
-    there = np.flatnonzero((shares >= _COVERED_SHARE) & (covered[: len(points)] > 0))
-    end = int(there[0]) if len(there) else len(points) - 1
+    covered_points = np.flatnonzero((shares >= _COVERED_SHARE) & (covered[: len(points)] > 0))
+    end = int(covered_points[0]) if len(covered_points) else len(points) - 1
     far = float(arc[end])
     back = at_arcs(points, arc, np.array([far + HEADING_ARC]))[0]
     direction = points[end] - back
     direction = direction / max(float(np.hypot(*direction)), 1e-9)
     place = (points[end] - points[0]) @ axes / LENGTH_SCALE
     lengths = (far / (5 * LENGTH_SCALE), np.tanh(far / LENGTH_SCALE))
-    return np.concatenate(((float(len(there) > 0),), lengths, place, direction @ axes))
+    return np.concatenate(((float(len(covered_points) > 0),), lengths, place, direction @ axes))
 
 
 def sample(values: Array, places: Array) -> Array:

@@ -97,9 +97,9 @@ class VisualHull:
         cost = 1.0 + CENTRING / np.maximum(depth[tuple(inside.T)], 0.5) ** 2
         rows, columns, prices = [], [], []
         for step in _STEPS:
-            there = inside + step
-            ok = np.flatnonzero(((there >= 0) & (there < side)).all(axis=1))
-            other = self._numbers[tuple(there[ok].T)]
+            neighbours = inside + step
+            ok = np.flatnonzero(((neighbours >= 0) & (neighbours < side)).all(axis=1))
+            other = self._numbers[tuple(neighbours[ok].T)]
             ok, other = ok[other >= 0], other[other >= 0]
             rows.append(ok)
             columns.append(other)

@@ -46,11 +46,11 @@ def trace_wire(mask: NDArray[np.bool_], entry: tuple[int, int] | None = None) ->
             last = here
             for steps, ring in ((straight, rings[2]), (oblique, rings[3])):
                 for step in steps:
-                    there = here + step
-                    if there in left:
-                        left.discard(there)
-                        came_from[there] = here
-                        ring.append(there)
+                    neighbour = here + step
+                    if neighbour in left:
+                        left.discard(neighbour)
+                        came_from[neighbour] = here
+                        ring.append(neighbour)
         rings = [*rings[1:], []]
     way = [last]
     while way[-1] != first:
@@ -88,9 +88,9 @@ def without_wire(image: NDArray[np.uint8], mask: NDArray[np.bool_]) -> Array:
     return filled
 
 
-def at_arcs(points: Array, arc: Array, wanted: Array) -> Array:
-    """Places (k, d) at the arcs `wanted` (k,) of a curve (n, d) whose points lie at the arcs `arc` (n,)."""
-    return np.stack([np.interp(wanted, arc, points[:, k]) for k in range(points.shape[1])], axis=1)
+def at_arcs(points: Array, arc: Array, arcs: Array) -> Array:
+    """Places (k, d) at the arcs `arcs` (k,) of a curve (n, d) whose points lie at the arcs `arc` (n,)."""
+    return np.stack([np.interp(arcs, arc, points[:, k]) for k in range(points.shape[1])], axis=1)
 
 
 def smoothed(points: Array, window: int) -> Array:

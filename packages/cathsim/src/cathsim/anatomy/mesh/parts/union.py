@@ -175,8 +175,8 @@ def _values_on(solid: _Solid, other: _Solid) -> NDArray[np.float32]:
     last = np.minimum(solid.low + solid.grid.shape, other.low + other.grid.shape)
     if (last > first).all():
         here = tuple(slice(a, b) for a, b in zip(first - other.low, last - other.low, strict=True))
-        there = tuple(slice(a, b) for a, b in zip(first - solid.low, last - solid.low, strict=True))
-        values[here] = solid.grid.dense((there[0], there[1], there[2]))
+        window = tuple(slice(a, b) for a, b in zip(first - solid.low, last - solid.low, strict=True))
+        values[here] = solid.grid.dense((window[0], window[1], window[2]))
     return values
 
 
@@ -186,11 +186,11 @@ def _touch(
     """Whether two parts overlap or touch; a gap is filled, in place, where they end at each other."""
     if {solid.name, other.name} in _STRANGERS:
         return False
-    here, there = solid.grid.dense(), _values_on(other, solid)
+    own, theirs = solid.grid.dense(), _values_on(other, solid)
     least = 0.25 * np.pi * (solid.radius / spacing) ** 2 * 2
-    if np.count_nonzero((here > 0) & (there > 0)) >= max(least, 8):
+    if np.count_nonzero((own > 0) & (theirs > 0)) >= max(least, 8):
         return True
-    between = np.minimum(here, there)
+    between = np.minimum(own, theirs)
     contact = np.argwhere(between > -gap)
     if len(contact) < max(0.25 * np.pi * (solid.radius / spacing) ** 2, 6):
         return False

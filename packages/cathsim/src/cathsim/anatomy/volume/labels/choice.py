@@ -134,10 +134,10 @@ def _without_aorta(values: set[int]) -> str:
 def _own_choice(present: Mapping[Key, int], names: Mapping[Key, str], own: Labels, file: str) -> LabelChoice:
     assert own is not None
     chosen: dict[Key, str] = {}
-    for wanted, vessel in own.items():
-        keys = [key for key in present if _is(wanted, key, names)]
+    for label, vessel in own.items():
+        keys = [key for key in present if _is(label, key, names)]
         if not keys:
-            raise MeshRefusedError(f"{file} has no label {wanted!r}; it has {_listed(present, names)}.")
+            raise MeshRefusedError(f"{file} has no label {label!r}; it has {_listed(present, names)}.")
         if vessel is not None:
             chosen |= dict.fromkeys(keys, vessel_name(str(vessel)) or str(vessel))
     others = {key: vessel_name(names.get(key, "")) for key in present if not any(_is(w, key, names) for w in own)}
@@ -145,8 +145,8 @@ def _own_choice(present: Mapping[Key, int], names: Mapping[Key, str], own: Label
     return _checked({**known, **chosen}, "given", present, file, names)
 
 
-def _is(wanted: int | str, key: Key, names: Mapping[Key, str]) -> bool:
-    text = str(wanted).strip()
+def _is(label: int | str, key: Key, names: Mapping[Key, str]) -> bool:
+    text = str(label).strip()
     return text == str(key[1]) or text.lower() == names.get(key, "").strip().lower() != ""
 
 

@@ -176,8 +176,8 @@ def _contacts(box: Box, spacing: Array) -> Touching:
     found: dict[tuple[int, int], list[tuple[Array, Array]]] = {}
     for offset in offsets:
         here = tuple(slice(max(-o, 0), n - max(o, 0)) for o, n in zip(offset, box.shape, strict=True))
-        there = tuple(slice(max(o, 0), n - max(-o, 0)) for o, n in zip(offset, box.shape, strict=True))
-        a, b = box[here], box[there]
+        shifted = tuple(slice(max(o, 0), n - max(-o, 0)) for o, n in zip(offset, box.shape, strict=True))
+        a, b = box[here], box[shifted]
         places = np.argwhere((a != b) & (a > 0) & (b > 0))
         if len(places) == 0:
             continue
@@ -287,15 +287,15 @@ def _close_to_parent(box: Box, number: int, names: Sequence[str], placed: Sequen
     """Closes the gap between a vessel and the nearest that may be its parent; returns a note, or nothing."""
     usual = PARENTS.get(names[number - 1], tuple(names[p - 1] for p in placed))
     ours = np.argwhere(box == number) * spacing
-    for wanted in usual:
-        other = next((n for n, name in enumerate(names, 1) if name == wanted), None)
+    for candidate in usual:
+        other = next((n for n, name in enumerate(names, 1) if name == candidate), None)
         theirs = np.argwhere(box == other) * spacing
         if not len(theirs):
             continue
         led = led_on(box, number, ours, theirs, spacing)
         gap = led[0] if led else bridge(box, number, ours, theirs, spacing)
         if gap is not None:
-            return f"a gap of {1e3 * gap:.1f} mm between {names[number - 1]} and {wanted} is closed"
+            return f"a gap of {1e3 * gap:.1f} mm between {names[number - 1]} and {candidate} is closed"
     return ""
 
 

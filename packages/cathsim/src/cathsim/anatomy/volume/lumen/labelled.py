@@ -109,8 +109,8 @@ class LabelledLumen:
         voxels = np.rint(self.to_box(self.lattice.points(self.lattice.nodes[near])) / self.volume.spacing).astype(int)
         inside = ((voxels >= 0) & (voxels < self.box.shape)).all(axis=1)
         labels = which[near]
-        there = self.box[tuple(voxels[inside].T)]
-        labels[inside] = np.where(there > 0, there, labels[inside])
+        parts = self.box[tuple(voxels[inside].T)]
+        labels[inside] = np.where(parts > 0, parts, labels[inside])
         held = np.bincount(labels, weights=filled[near], minlength=256) * spacing**3
         return {
             name: (self.voxels[number] * self.volume.voxel_volume, float(held[number]))

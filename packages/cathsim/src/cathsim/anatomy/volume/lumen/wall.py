@@ -51,11 +51,11 @@ def signed_distance(lattice: BlockLattice, level: Field, rows: Nodes | None = No
 
     points, normals = _wall_points(lattice, level)
     tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-    wanted = np.arange(len(level)) if rows is None else rows
-    found = np.full(len(wanted), OUTSIDE, dtype=np.float32)
-    for some in np.array_split(np.arange(len(wanted)), len(wanted) // _BATCH + 1):
-        at = lattice.points(lattice.nodes[wanted[some]])
-        outside = level[wanted[some]] <= 0
+    nodes = np.arange(len(level)) if rows is None else rows
+    found = np.full(len(nodes), OUTSIDE, dtype=np.float32)
+    for some in np.array_split(np.arange(len(nodes)), len(nodes) // _BATCH + 1):
+        at = lattice.points(lattice.nodes[nodes[some]])
+        outside = level[nodes[some]] <= 0
         away = np.full(len(some), -OUTSIDE)
         nearest = np.zeros(len(some), dtype=np.int64)
         for side, reach in ((outside, -OUTSIDE), (~outside, np.inf)):
