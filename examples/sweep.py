@@ -14,7 +14,7 @@ from dataclasses import replace
 from multiprocessing import get_context
 
 from cathsim import NavigateEnv
-from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
+from cathsim.planning.plan_trials import TWO_DEVICES, ExpertSettings
 from cathsim.planning.sampling import SamplingExpert
 
 

@@ -33,7 +33,7 @@ from cathsim.devices.simulation import DualSimulation
 from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP
 from cathsim.metrics.load_cell import MINI40, step_forces
 from cathsim.physics_checks.unguided import steps_per_second
-from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
+from cathsim.planning.plan_trials import TWO_DEVICES, ExpertSettings
 from cathsim.planning.sampling import SamplingExpert
 from cathsim.presets import ACCURACY
 from cathsim.simulation import CONTROL_STEP

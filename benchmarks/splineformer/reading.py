@@ -39,7 +39,7 @@ from guide3d.dataset.frame import strip_mask
 from guide3d.reconstruction.synthetic_scene import scenes
 from splineformer.build import build, size_of
 from splineformer.comparison.evaluation import curve_errors
-from splineformer.comparison.variant_figures import round_trips, speed
+from splineformer.comparison.fluoroscopy_figures import round_trips, speed
 from splineformer.export import export_onnx, graph_of, onnx_difference
 from splineformer.predictor import SOURCE_PX, Predictor
 from splineformer.tokens import tokens_of_polyline

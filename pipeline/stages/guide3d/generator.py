@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from guide3d.dataset.acquisition_plan import PlannedAcquisition
+from guide3d.dataset.acquisition_split import PlannedAcquisition
 from guide3d.dataset.annotation_files import DETECTOR, Annotation, Views, image_name, write_curves, write_raw
 from guide3d.dataset.cvat import write_cvat
 from guide3d.dataset.dataset import CURVES, PROPERTIES, RAW, TRUTH

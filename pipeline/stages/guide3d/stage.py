@@ -7,7 +7,7 @@ from itertools import groupby
 
 import numpy as np
 
-from guide3d.dataset.acquisition_plan import PlannedAcquisition, plan_acquisitions
+from guide3d.dataset.acquisition_split import PlannedAcquisition, plan_acquisitions
 from guide3d.reconstruction.evaluation import Record
 from pipeline.anatomies.known import require_known_phantoms
 from pipeline.jobs.pool import Job, run_jobs

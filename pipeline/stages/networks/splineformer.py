@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 PRELOAD = (
     "splineformer.learning.training_command",
-    "splineformer.comparison.variant_figures",
+    "splineformer.comparison.fluoroscopy_figures",
     "guide3d.learning.predictor",
     OPTIMISER,
 )
@@ -46,7 +46,7 @@ def learn_variant(job: TrainingJob, report: Report) -> dict[str, Any]:
         "splineformer.learning.training_command", job, ["--variant", job.network], ("images", "calibration"), report
     )
     from guide3d.dataset.dataset import images_of, split
-    from splineformer.comparison.variant_figures import kind_accuracy, round_trips, speed
+    from splineformer.comparison.fluoroscopy_figures import kind_accuracy, round_trips, speed
     from splineformer.predictor import Predictor
 
     data = open_dataset(job.guide3d)

@@ -14,7 +14,7 @@ import pytest
 
 from cathsim import ENVIRONMENT, NavigateEnv, NavigationTask, Phantom
 from cathsim.many_anatomies import NavigateManyEnv
-from cathsim.planning.expert_settings import ExpertSettings
+from cathsim.planning.plan_trials import ExpertSettings
 from cathsim.planning.sampling import SamplingExpert
 from cathsim.vector import ThreadedVectorEnv
 

@@ -8,7 +8,7 @@ import pytest
 from cathsim import load_guidewire
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.planning.demonstration import demonstrate
-from cathsim.planning.expert_settings import ExpertSettings
+from cathsim.planning.plan_trials import ExpertSettings
 
 KEYS = ("roadmap", "history")
 

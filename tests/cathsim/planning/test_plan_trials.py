@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
-from cathsim.planning.expert_settings import ExpertSettings
 from cathsim.planning.manoeuvres import Manoeuvre
-from cathsim.planning.plan_trials import PlanTrials
+from cathsim.planning.plan_trials import ExpertSettings, PlanTrials
 from cathsim.presets import ACCURACY
 from cathsim.simulation import Simulation
 

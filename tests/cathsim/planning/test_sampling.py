@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
-from cathsim.planning.expert_settings import ExpertSettings
-from cathsim.planning.plan_trials import PlanTrials
+from cathsim.planning.plan_trials import ExpertSettings, PlanTrials
 from cathsim.planning.sampling import SamplingExpert
 
 MakeEnv = Callable[..., NavigateEnv]

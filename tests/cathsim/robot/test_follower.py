@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
-from cathsim.robot.cycle import CLOSED, FeedCycle, Measured, Phase
-from cathsim.robot.follower import FollowerRobot, Leader
+from cathsim.robot.follower import CLOSED, FeedCycle, FollowerRobot, Leader, Measured, Phase
 from cathsim.robot.model import (
     CARRIAGE,
     CLAMPS,

@@ -1,6 +1,6 @@
 """Acquisition plan: the thesis's composition, and acquisitions named once."""
 
-from guide3d.dataset.acquisition_plan import COMPOSITION, composition, plan_acquisitions
+from guide3d.dataset.acquisition_split import COMPOSITION, composition, plan_acquisitions
 
 
 def test_composition_is_the_thesiss() -> None:

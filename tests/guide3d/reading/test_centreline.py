@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from guide3d.geometry.polyline import distances_to
-from guide3d.reading.centreline import CentrelineSettings, centre_line
+from guide3d.reading.path_drawing import CentrelineSettings, centre_line
 from tests.guide3d.reading.drawn_maps import bent, maps_of
 
 COURSE = bent([(80, 0.02), (150, -0.004), (150, 0.0)], (150, 120), 0.0)

@@ -10,7 +10,7 @@ import torch
 
 from guide3d.dataset.dataset import Dataset
 from splineformer.build import VARIANTS, build, size_of
-from splineformer.comparison.variant_figures import kind_accuracy, round_trips, speed
+from splineformer.comparison.fluoroscopy_figures import kind_accuracy, round_trips, speed
 from splineformer.predictor import Predictor
 from tests.guide3d.learning.drawn_data import draw
 from tests.splineformer.curves import image_of, wavy_wire

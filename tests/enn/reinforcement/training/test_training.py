@@ -25,9 +25,8 @@ from enn.reinforcement.training import (
     Training,
     TrainingSettings,
 )
-from enn.reinforcement.training.result import COLUMNS
+from enn.reinforcement.training.result import COLUMNS, TrainingLog
 from enn.reinforcement.training.training import TrainingRun
-from enn.reinforcement.training.training_log import TrainingLog
 from tests.enn.reinforcement.small_training import SMALL
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from guide3d.dataset.acquisition_plan import COMPOSITION, plan_acquisitions
+from guide3d.dataset.acquisition_split import COMPOSITION, plan_acquisitions
 from guide3d.dataset.annotation_files import read_curves
 from guide3d.dataset.cvat import read_cvat
 from guide3d.dataset.dataset import Dataset

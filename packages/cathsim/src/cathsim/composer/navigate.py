@@ -14,8 +14,7 @@ from dm_env import specs
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.entry import EntryLike, entry_name
 from cathsim.anatomy.point_target import TargetLike
-from cathsim.composer.entities import Feeder, GuidewireEntity, VesselArena
-from cathsim.composer.parts import model_parts
+from cathsim.composer.entities import Feeder, GuidewireEntity, VesselArena, model_parts
 from cathsim.composer.two_devices import TwoDevices
 from cathsim.devices.catheter import Catheter
 from cathsim.devices.choice import chosen_catheter, chosen_wire, device_pair

@@ -19,7 +19,7 @@ from dataclasses import asdict, replace
 from typing import IO, Any
 
 from cathsim.metrics import EpisodeMetrics
-from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
+from cathsim.planning.plan_trials import TWO_DEVICES, ExpertSettings
 
 # fewer plans than elsewhere: the operator waits for the score
 ONE_DEVICE_SEARCH = ExpertSettings(samples=12, elites=4, rounds=2)

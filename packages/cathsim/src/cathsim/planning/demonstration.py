@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cathsim.many_anatomies import NavigateManyEnv
-from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
+from cathsim.planning.plan_trials import TWO_DEVICES, ExpertSettings
 from cathsim.planning.sampling import SamplingExpert
 
 ROLLOUTS = 1200  # of the expert with a wire alone, after which a demonstration counts as failed

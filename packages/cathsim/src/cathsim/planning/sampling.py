@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from cathsim.devices.simulation import DualSimulation
 from cathsim.environment import NavigateEnv
 from cathsim.navigation import NavigationTask
-from cathsim.planning.expert_settings import TWO_DEVICES, ExpertSettings
 from cathsim.planning.manoeuvres import retreat, search_manoeuvres
-from cathsim.planning.plan_trials import PlanTrials
+from cathsim.planning.plan_trials import TWO_DEVICES, ExpertSettings, PlanTrials
 from cathsim.presets import ACCURACY, Accuracy
 
 EMERGED, BEYOND = 0.010, 0.035  # m of wire in front of the catheter

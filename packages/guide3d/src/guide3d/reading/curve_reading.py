@@ -14,9 +14,15 @@ from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array, arc_length, distances_to
 from guide3d.opencv import cv2
-from guide3d.reading.centreline import CentrelineSettings, centre_line
 from guide3d.reading.links import Link, LinkSettings, link_costs
-from guide3d.reading.path_drawing import ProximalEndSettings, path_line, to_border, to_tip
+from guide3d.reading.path_drawing import (
+    CentrelineSettings,
+    ProximalEndSettings,
+    centre_line,
+    path_line,
+    to_border,
+    to_tip,
+)
 from guide3d.reading.path_search import Path, SearchSettings, search
 from guide3d.reading.ridges import Map, Pieces, RidgeSettings, find_pieces
 from guide3d.setting_kinds import PixelDistance, Share, Weight, settings

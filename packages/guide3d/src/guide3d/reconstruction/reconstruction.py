@@ -14,8 +14,14 @@ from guide3d.geometry.epipolar import EpipolarGeometry
 from guide3d.geometry.polyline import Array, arc_length, checked, distances_to, resample
 from guide3d.geometry.triangulation import calibration_covariance, point_covariance, triangulate
 from guide3d.reconstruction.curve_fitting import CurveFitSettings, fit_curve, smoothed
-from guide3d.reconstruction.greedy_matching import match_greedily
-from guide3d.reconstruction.matching import Match, MatchingSettings, clearly_better, image_curve, match_curves
+from guide3d.reconstruction.matching import (
+    Match,
+    MatchingSettings,
+    clearly_better,
+    image_curve,
+    match_curves,
+    match_greedily,
+)
 from guide3d.setting_kinds import Millimetres, PixelDistance, PixelDistanceOrNone, settings
 
 _log = logging.getLogger(__name__)

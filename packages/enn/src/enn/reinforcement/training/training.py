@@ -26,9 +26,8 @@ from enn.reinforcement.replay import ReplayBuffer, demonstration_replay
 from enn.reinforcement.sampling import without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training.inputs import TrainingInputs, start_from
-from enn.reinforcement.training.result import Progress, TrainingResult, read_curve, replace_text
+from enn.reinforcement.training.result import Progress, TrainingLog, TrainingResult, read_curve, replace_text
 from enn.reinforcement.training.settings import PpoSettings, SacSettings
-from enn.reinforcement.training.training_log import TrainingLog
 
 logger = logging.getLogger(__name__)
 

@@ -22,8 +22,7 @@ from cathsim.anatomy.volume.dicom.files import is_dicom_file, is_dicom_folder
 from cathsim.anatomy.volume.dicom.reading import open_dicom
 from cathsim.anatomy.volume.files import metaimage, nifti, nrrd_file
 from cathsim.anatomy.volume.files.source import VolumeSource, farthest_apart
-from cathsim.anatomy.volume.labels.choice import Key, LabelChoice, Labels, choose_labels
-from cathsim.anatomy.volume.labels.scheme_check import CELL, misfit
+from cathsim.anatomy.volume.labels.choice import CELL, Key, LabelChoice, Labels, choose_labels, misfit
 from cathsim.guarded_reading import UnreadableFileError, call_in_child, check_regular
 
 SUFFIXES = (*nifti.SUFFIXES, *nrrd_file.SUFFIXES, *metaimage.SUFFIXES)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import AORTA
 from cathsim.anatomy.volume.files.reading import LabelVolume
-from cathsim.anatomy.volume.labels.scheme_check import sides_exchanged
+from cathsim.anatomy.volume.labels.choice import sides_exchanged
 
 # Share of a label's faces that are bare, by that of voxels thrown at random into its box: noise has 1, a vessel two
 # voxels wide 0.5
