@@ -29,7 +29,7 @@ __getattr__, __dir__, __all__ = lazy_names(
     __name__,
     {
         "attention": "attention_map",
-        "comparison.curve_errors": "curve_errors",
+        "comparison.evaluation": "curve_errors",
         "export": "export_onnx",
         "learning.recipes": "recipe_of",
         "learning.training": "train",
