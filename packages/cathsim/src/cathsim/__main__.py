@@ -8,15 +8,15 @@ from pathlib import Path
 
 def commands() -> dict[str, str]:
     """The modules that are programs: name to the first line of the docstring; parts of a program are left out."""
-    found: dict[str, str] = {}
+    programs: dict[str, str] = {}
     root = Path(__file__).parent
     for file in sorted(root.rglob("*.py"), key=lambda file: (len(file.parts), file)):
         module = ".".join(("cathsim", *file.relative_to(root).with_suffix("").parts)).removesuffix(".__main__")
         text = file.read_text(encoding="utf-8")
-        inside = any(module.startswith(f"{program}.") for program in found)
+        inside = any(module.startswith(f"{program}.") for program in programs)
         if module != "cathsim" and not inside and '\nif __name__ == "__main__":' in text:
-            found[module] = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
-    return found
+            programs[module] = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
+    return programs
 
 
 if __name__ == "__main__":

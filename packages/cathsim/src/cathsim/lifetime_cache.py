@@ -26,14 +26,14 @@ def kept_with_owner(
     Returns:
         The function; calls with the same arguments share one result.
     """
-    kept: WeakKeyDictionary[Owner, dict[object, Result]] = WeakKeyDictionary()
+    by_owner: WeakKeyDictionary[Owner, dict[object, Result]] = WeakKeyDictionary()
     lock = threading.RLock()
 
     @functools.wraps(make)
     def look_up(owner: Owner, *args: Further.args, **kwargs: Further.kwargs) -> Result:
         key = (args, tuple(sorted(kwargs.items())))
         with lock:
-            results = kept.setdefault(owner, {})
+            results = by_owner.setdefault(owner, {})
             if key not in results:
                 results[key] = make(owner, *args, **kwargs)
             return results[key]

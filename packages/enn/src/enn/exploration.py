@@ -169,11 +169,11 @@ class Frontier:
             self._cells.append([])
             self._visits.append(0)
         self._visits[index] += 1
-        kept = self._cells[index]
-        if len(kept) < self.capacity:
-            kept.append(state)
+        states = self._cells[index]
+        if len(states) < self.capacity:
+            states.append(state)
         elif (place := int(self.generator.integers(self._visits[index]))) < self.capacity:
-            kept[place] = state
+            states[place] = state
 
     def draw(self) -> np.ndarray | None:
         """A kept state; None while there is none."""
@@ -267,9 +267,9 @@ def _with_targets(observations: dict[str, np.ndarray], episode: np.ndarray, seen
     direction = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
     feeder = observations["feeder"].astype(np.float64)
     feeder *= FEEDER_SCALES[feeder.shape[1]]
-    kept = {name: array for name, array in observations.items() if name not in TRUTH or name in seen}
+    seen_arrays = {name: array for name, array in observations.items() if name not in TRUTH or name in seen}
     return Samples(
-        kept,
+        seen_arrays,
         points.astype(np.float32),
         direction.astype(np.float32),
         feeder.astype(np.float32),

@@ -15,17 +15,17 @@ def commands(package: str) -> dict[str, str]:
 
     Modules within a package that is a program itself are its parts and left out. Nothing is imported.
     """
-    found: dict[str, str] = {}
+    programs: dict[str, str] = {}
     spec = importlib.util.find_spec(package)
     assert spec, package
     root = Path(str(spec.origin)).parent
     for file in sorted(root.rglob("*.py"), key=lambda file: (len(file.parts), file)):
         module = ".".join((package, *file.relative_to(root).with_suffix("").parts)).removesuffix(".__main__")
         text = file.read_text(encoding="utf-8")
-        inside = any(module.startswith(f"{program}.") for program in found)
+        inside = any(module.startswith(f"{program}.") for program in programs)
         if module != package and not inside and '\nif __name__ == "__main__":' in text:
-            found[module] = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
-    return found
+            programs[module] = (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
+    return programs
 
 
 def listing(package: str, words: Sequence[str]) -> tuple[str, int]:

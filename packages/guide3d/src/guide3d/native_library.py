@@ -79,13 +79,13 @@ def library() -> ctypes.CDLL:
     Raises:
         ImportError: it was not built, or is older than its sources.
     """
-    found = [*sorted(HOME.glob("_native*.so")), *sorted(HOME.glob("_native*.pyd"))]
-    if not found:
+    libraries = [*sorted(HOME.glob("_native*.so")), *sorted(HOME.glob("_native*.pyd"))]
+    if not libraries:
         raise ImportError(
             "guide3d's native code is not built: install a C compiler (Debian: apt install gcc libc6-dev), "
             "then run 'pip install ./packages/guide3d'"
         )
-    native = ctypes.CDLL(str(found[0]))
+    native = ctypes.CDLL(str(libraries[0]))
     native.guide3d_sources.restype = ctypes.c_char_p
     if sources_digest(HOME / "native") not in (None, native.guide3d_sources().decode()):
         raise ImportError("guide3d's native code is older than its sources: run 'make setup', or install guide3d again")

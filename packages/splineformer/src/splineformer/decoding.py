@@ -54,14 +54,14 @@ def decode(tokens: Tensor, lengths: Tensor, count: int) -> Tensor:
     """
     place = torch.arange(tokens.shape[1], device=tokens.device)[None]
     last = (lengths - 1)[:, None].to(tokens.device)
-    kept = tokens.gather(1, torch.minimum(place, last)[..., None].expand(-1, -1, 3))
-    knots = torch.cummax(kept[..., 0].clamp_min(0.0), dim=1).values
+    held = tokens.gather(1, torch.minimum(place, last)[..., None].expand(-1, -1, 3))
+    knots = torch.cummax(held[..., 0].clamp_min(0.0), dim=1).values
     end = knots[:, -1:].clamp_min(1e-6)
     # the curve ends at its last control point only if the last four knots agree
     knots = torch.where(place > last - (DEGREE + 1), end, knots.minimum(end))
     full = torch.cat([torch.zeros_like(knots[:, : DEGREE + 1]), knots], dim=1)
     steps = torch.linspace(0.0, 1.0 - _BEFORE_END, count, dtype=tokens.dtype, device=tokens.device)
-    return basis(full, steps[None] * end) @ kept[..., 1:]
+    return basis(full, steps[None] * end) @ held[..., 1:]
 
 
 def uniform_knots(count: int, denser_at_tip: float = 1.0, dtype: torch.dtype = torch.float32) -> Tensor:

@@ -85,7 +85,7 @@ def export_onnx(network: CurveNetwork, path: Path | str, batch: int = 1) -> list
     return [file]
 
 
-def onnx_difference(network: CurveNetwork, path: Path | str, batch: int = 1, seed: int = 1) -> dict[str, float]:
+def onnx_difference(network: CurveNetwork, path: Path | str, batch: int = 1) -> dict[str, float]:
     """Compares an ONNX file with the network it was made of, on random inputs.
 
     Returns:
@@ -99,7 +99,7 @@ def onnx_difference(network: CurveNetwork, path: Path | str, batch: int = 1, see
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = torch.get_num_threads()
-    module, levels = graph_of(network, batch, seed)
+    module, levels = graph_of(network, batch, seed=1)
     file = str(Path(path).with_suffix(".onnx"))
     session = onnxruntime.InferenceSession(file, options, providers=["CPUExecutionProvider"])
     theirs = session.run(list(module.outputs), {"levels": levels.numpy()})

@@ -109,10 +109,10 @@ def best_of_views(network: CurveNetwork, levels: Tensor) -> CurveBatch:
             best = reading
         better = np.zeros(count, bool)
         for row, picture in enumerate(pictures):
-            found = sampled(tokens_px(tokens[row, : int(reading.lengths[row])], size), _POINTS)
-            score = agreement(found, picture)
+            curve = sampled(tokens_px(tokens[row, : int(reading.lengths[row])], size), _POINTS)
+            score = agreement(curve, picture)
             if score > scores[row]:
-                scores[row], points[row], better[row] = score, found, True
+                scores[row], points[row], better[row] = score, curve, True
         best = _replaced(best, reading, torch.from_numpy(better).to(levels.device))
     assert best is not None
     return best._replace(kind=ImageKind(*(torch.stack(one).mean(0) for one in zip(*kinds, strict=True))))

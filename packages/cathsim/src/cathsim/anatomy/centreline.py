@@ -68,7 +68,7 @@ class LumenPaths:
         away = MCP_Geometric(level).find_costs([far])[0] * self.spacing
         _, ways = self._costs_and_ways(tuple(far))
         open_ = self.inside & np.isfinite(away)
-        found = [np.array(far)]
+        ends = [np.array(far)]
         covered = np.zeros_like(self.inside)  # what was looked at
         self._cover(covered, np.array([far]))
         led_to = covered.copy()  # what ways to ends account for
@@ -85,18 +85,18 @@ class LumenPaths:
             self._cover(covered, way)
             covered[tuple(candidate)] = True
             if stands_out >= _LEAST_LENGTH:
-                found.append(candidate)
+                ends.append(candidate)
                 self._cover(led_to, way)
-            if len(found) == _MOST_ENDS:
+            if len(ends) == _MOST_ENDS:
                 break
-        self._add_stumps(found, led_to, away, ways)
+        self._add_stumps(ends, led_to, away, ways)
         for candidate in np.empty((0, 3), int) if openings is None else openings:
-            if open_[tuple(candidate)] and not led_to[tuple(candidate)] and len(found) < _MOST_ENDS:
+            if open_[tuple(candidate)] and not led_to[tuple(candidate)] and len(ends) < _MOST_ENDS:
                 way, stands_out = beyond(candidate, led_to)
                 if stands_out >= _LEAST_TO_OPENING:
-                    found.append(candidate)
+                    ends.append(candidate)
                     self._cover(led_to, way)
-        return np.array(found)
+        return np.array(ends)
 
     def _add_stumps(self, found: list[Voxels], led_to: Mask, away: Array, ways: MCP_Geometric) -> None:  # type: ignore[name-defined]  # noqa: F821
         """Adds the ends of narrow vessels that are cut off so near to a wide one that they lie in what it covers."""

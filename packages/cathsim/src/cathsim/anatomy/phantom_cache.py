@@ -128,7 +128,7 @@ class PhantomCache:
         grid = phantom.grid
         blocks = grid.blocks
         near = blocks.own != blocks.constant
-        kept = near.any(axis=(1, 2, 3))
+        marched = near.any(axis=(1, 2, 3))
         meta = {
             "hash": phantom.hash,
             "shape": list(grid.shape),
@@ -158,8 +158,8 @@ class PhantomCache:
             meta["imported"] = phantom.imported.to_json()
         arrays: dict[str, NDArray] = {
             "meta": np.array(json.dumps(meta)),
-            "blocks": np.flatnonzero(blocks.stored)[kept].astype(np.int32),
-            "near": np.packbits(near[kept]),
+            "blocks": np.flatnonzero(blocks.stored)[marched].astype(np.int32),
+            "near": np.packbits(near[marched]),
             "distance": blocks.own[near],
             "points": np.concatenate([b.points for b in phantom.tree]),
             "radius": np.concatenate([b.radius for b in phantom.tree]),

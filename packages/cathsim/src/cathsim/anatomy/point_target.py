@@ -91,11 +91,11 @@ def _written(point: Sequence[float] | NDArray[np.float64]) -> str:
 
 def nearest_branch(point: Point, tree: VesselTree) -> tuple[str, float, float]:
     """The branch of which a point is fewest radii away; arc length along it, m; distance from its centreline, m."""
-    found = []
+    candidates = []
     for branch in tree:
         _, arc, distance = (values[0] for values in nearest_on_branch(branch, np.array([point])))
-        found.append((float(distance / branch.radius_at(arc)), branch.name, float(arc), float(distance)))
-    return min(found)[1:]
+        candidates.append((float(distance / branch.radius_at(arc)), branch.name, float(arc), float(distance)))
+    return min(candidates)[1:]
 
 
 def points_beyond_root(tree: VesselTree, grid: SignedDistanceGrid) -> NDArray[np.float64]:

@@ -64,9 +64,9 @@ def _surface_in_slabs(grid: SignedDistanceGrid, level: float) -> tuple[Array, ND
     vertices, faces = np.concatenate(pieces), np.concatenate(triangles)
     shared = np.flatnonzero((vertices[:, 0] - low[0]) % _SLAB == 0)
     _, first_of, same_as = np.unique(vertices[shared], axis=0, return_index=True, return_inverse=True)
-    kept = np.arange(count)
-    kept[shared] = shared[first_of][same_as.reshape(-1)]
-    used, renumbered = np.unique(kept, return_inverse=True)
+    numbers = np.arange(count)
+    numbers[shared] = shared[first_of][same_as.reshape(-1)]
+    used, renumbered = np.unique(numbers, return_inverse=True)
     return vertices[used] * grid.spacing, renumbered.reshape(-1)[faces]
 
 

@@ -227,10 +227,10 @@ def set_back(tree: VesselTree, name: str) -> float:
     heights = aorta.points[:, 2] + aorta.radius * np.sqrt(np.maximum(1 - aorta.tangents[:, 2] ** 2, 0))
     highest = int(np.argmax(heights))
     top = np.array([*aorta.points[highest, :2], heights[highest]])
-    found = []
+    distances = []
     for vessel in chain:
         branch, begins = tree[vessel], tree.ostium_arc(vessel)
         ostium = branch.point_at(begins)
         direction = branch.point_at(min(begins + DIRECTION_LENGTH, branch.length)) - ostium
-        found.append(float((top - ostium) @ direction / np.linalg.norm(direction)))
-    return max(found)
+        distances.append(float((top - ostium) @ direction / np.linalg.norm(direction)))
+    return max(distances)

@@ -66,9 +66,9 @@ def model_parts(vessel: Vessel, wire: Guidewire, numerics: Accuracy, *, tip_moto
 
 
 def _section(parent: ElementTree.Element, name: str) -> ElementTree.Element:
-    found = parent.find(name)
-    assert found is not None, name
-    return found
+    section = parent.find(name)
+    assert section is not None, name
+    return section
 
 
 def _document(

@@ -199,8 +199,8 @@ class Procedure:
         if self.path is None:
             return None
         episode = self.path
-        kept: Path | None = self._record(lambda keeper: keeper.answer(episode, answers))
-        return kept
+        path: Path | None = self._record(lambda keeper: keeper.answer(episode, answers))
+        return path
 
 
 def _operation(xray: XRayStep, *, warned: bool) -> dict[str, Any]:

@@ -214,8 +214,8 @@ def _devices_of(simulation: Simulation) -> dict[str, Any]:
 
 
 def _preset(wire: Guidewire) -> str | None:
-    found = preset_of(wire)
-    return found[0] if found else None
+    preset = preset_of(wire)
+    return preset[0] if preset else None
 
 
 def find_recorder() -> Any:

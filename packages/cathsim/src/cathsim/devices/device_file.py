@@ -201,9 +201,9 @@ def _mapping(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path} is no device's file: it has more than {LARGEST} bytes")
     if not isinstance(content, dict):
         raise ValueError(f"{path} must hold keys and values, as 'kind: catheter'")
-    found = content.get("kind")
-    if not isinstance(found, str) or found not in KEYS:
-        raise ValueError(f"{path} must say 'kind: guidewire' or 'kind: catheter', got {_shown(found)}")
+    named_kind = content.get("kind")
+    if not isinstance(named_kind, str) or named_kind not in KEYS:
+        raise ValueError(f"{path} must say 'kind: guidewire' or 'kind: catheter', got {_shown(named_kind)}")
     return content
 
 

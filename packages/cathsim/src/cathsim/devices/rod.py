@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 Device = Guidewire | Catheter
 
 WIRE, CATHETER, DEVICES = 0, 1, 2
+_AT_REST = 1e-10  # rad: change of the twist in an iteration at which it rests
 SPACING = 0.5e-3  # between nodes of a device's tables, m
 _SMOOTHING = 1.0e-3  # of the unloaded curvature, to both sides, m
 _CELL_NUMBERS = 10  # of struct Cell
@@ -193,15 +194,11 @@ class Rod:
         """Brings the model to a share (0 to 1) of the control step's movement, for the bends of `data`."""
         library().rod_update(ctypes.byref(self.struct), ctypes.c_void_p(data._address), ctypes.c_double(share))
 
-    def untwist(self, data: mujoco.MjData, *, most: int = 10_000, tolerance: float = 1e-10) -> int:
-        """Lets the devices' twist come to rest at fixed bends; returns the number of iterations.
-
-        Args:
-            tolerance: change of the twist in an iteration at which it rests, rad.
-        """
+    def untwist(self, data: mujoco.MjData, *, most: int = 10_000) -> int:
+        """Lets the devices' twist come to rest at fixed bends; returns the number of iterations."""
         return int(
             library().rod_untwist(
-                ctypes.byref(self.struct), ctypes.c_void_p(data._address), most, ctypes.c_double(tolerance)
+                ctypes.byref(self.struct), ctypes.c_void_p(data._address), most, ctypes.c_double(_AT_REST)
             )
         )
 

@@ -11,9 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
-from cathsim.anatomy.entry import EntryLike
-from cathsim.blood.flow import BloodFlow
-from cathsim.contact.breathing import Breathing
 from cathsim.contact.compliance import soften_contacts
 from cathsim.contact.sdf import Vessel
 from cathsim.devices.active_chain import ActiveChain
@@ -74,8 +71,9 @@ class DualSimulation(Simulation):
 
     Args:
         pair: the devices, of which one may be absent.
-        entry, measure_penetration, wall_stiffness, pace, breathing: as of `Simulation`.
-        blood: that flows past a rod of the outer device's diameter; None: there is none.
+        pace: as of `Simulation`.
+        settings: entry, measure_penetration, wall_stiffness and breathing, as of `Simulation`; blood, which flows past
+            a rod of the outer device's diameter.
 
     Raises:
         ValueError: the phantom has no such entry, or the devices are too short.
@@ -87,14 +85,10 @@ class DualSimulation(Simulation):
         pair: DevicePair,
         numerics: Accuracy,
         *,
-        entry: EntryLike = "descending",
         contact: str = "sdf",
         tip_motors: bool = False,
-        blood: BloodFlow | None = None,
-        measure_penetration: bool = False,
-        wall_stiffness: float | None = None,
         pace: Pace = PACES["usual"],
-        breathing: Breathing | None = None,
+        **settings: Any,
     ) -> None:
         if contact != "sdf" or tip_motors:
             raise ValueError(
@@ -108,17 +102,7 @@ class DualSimulation(Simulation):
         chain = pair.chain(both, pair.radius)
         self.twist = np.zeros((DEVICES, chain.joints))
         self._hubs = Hubs(pair, max_insertion(chain))
-        super().__init__(
-            phantom,
-            chain,
-            numerics,
-            entry=entry,
-            blood=blood,
-            measure_penetration=measure_penetration,
-            wall_stiffness=wall_stiffness,
-            pace=pace,
-            breathing=breathing,
-        )
+        super().__init__(phantom, chain, numerics, pace=pace, **settings)
 
     def _positional(self) -> tuple[Any, Any, Any]:
         return self.phantom, self.pair, self.numerics

@@ -42,7 +42,6 @@ class DeviceRenderer:
         wire_radius: m; of any value where there is no wire.
         catheter: the catheter's material, as `catheter_material` makes it.
         centre: (3,) m, where widths are taken; the middle of the phantom.
-        gamma: the display's exponent, as used for the background.
     """
 
     def __init__(
@@ -53,19 +52,17 @@ class DeviceRenderer:
         wire_radius: float = WIRE_RADIUS,
         catheter: WireMaterial,
         centre: ArrayLike = (0.0, 0.0, 0.0),
-        gamma: float = GAMMA,
     ) -> None:
         self._options: dict[str, Any] = {
             "wire_radius": wire_radius,
             "catheter": catheter,
             "centre": centre,
-            "gamma": gamma,
         }
-        self._bare = FluoroscopyRenderer(projector, background, wire_radius=wire_radius, centre=centre, gamma=gamma)
+        self._bare = FluoroscopyRenderer(projector, background, wire_radius=wire_radius, centre=centre)
         self.projector, self.shape = projector, self._bare.shape
         self._grey = np.ascontiguousarray(background, dtype=np.float32)
         radius = max(catheter.radius * projector.pixels_per_metre(centre), MINIMUM_WIDTH_PX / 2)
-        self._tables = [_tube_transmission(radius, section, gamma * EMPHASIS) for section in catheter.sections]
+        self._tables = [_tube_transmission(radius, section, GAMMA * EMPHASIS) for section in catheter.sections]
         self._views = [view_struct(projector, self._grey, table, radius) for table in self._tables]
         self._round = ROUND_END * catheter.radius
         self._marker_length = flat_marker(catheter).sections[0].length

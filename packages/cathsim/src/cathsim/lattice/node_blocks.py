@@ -192,7 +192,7 @@ class NodeBlocks:
             dense = self.dense()
             chosen = condition(dense)
             return np.argwhere(chosen).astype(np.int32), dense[chosen]
-        found, values = [np.zeros((0, 3), dtype=np.int32)], [np.zeros(0, dtype=self.nodes.dtype)]
+        indices, values = [np.zeros((0, 3), dtype=np.int32)], [np.zeros(0, dtype=self.nodes.dtype)]
         for layer in np.flatnonzero(self.table.any(axis=(1, 2))):
             stored = np.argwhere(self.table[layer])
             low, high = EDGE * stored.min(axis=0), EDGE * (stored.max(axis=0) + 1)
@@ -200,9 +200,9 @@ class NodeBlocks:
             box = (slice(first, first + EDGE), slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1])))
             dense = self.dense(box)
             chosen = condition(dense)
-            found.append(np.argwhere(chosen).astype(np.int32) + np.array([first, *low], dtype=np.int32))
+            indices.append(np.argwhere(chosen).astype(np.int32) + np.array([first, *low], dtype=np.int32))
             values.append(dense[chosen])
-        return np.concatenate(found), np.concatenate(values)
+        return np.concatenate(indices), np.concatenate(values)
 
     def box_where(self, condition: Callable[[NDArray], NDArray[np.bool_]]) -> NDArray[np.int32]:
         """Lowest and highest index (2, 3) of the nodes whose values fulfil a condition.
@@ -211,8 +211,8 @@ class NodeBlocks:
             ValueError: none does.
         """
         if condition(self.nodes[0, :1, 0, 0])[0]:  # the constant does: own nodes beyond the lattice hold it, too
-            found = self.where(condition)[0]
-            return np.stack([found.min(axis=0), found.max(axis=0)])
+            indices = self.where(condition)[0]
+            return np.stack([indices.min(axis=0), indices.max(axis=0)])
         chosen, box = condition(self.own), np.empty((2, 3), dtype=np.int32)
         for axis in range(3):
             others = tuple(k + 1 for k in range(3) if k != axis)
@@ -258,20 +258,20 @@ class NodeBlocks:
         return self._along(axis, change(self.own).sum(axis=axis + 1, dtype=np.float64), np.add, 0.0)
 
     def _along(self, axis: int, faces: NDArray, join: np.ufunc, start: float) -> NDArray:
-        kept = [k for k in range(3) if k != axis]
-        blocks = [self.table.shape[k] for k in kept]
+        others = [k for k in range(3) if k != axis]
+        blocks = [self.table.shape[k] for k in others]
         flat = np.full((blocks[0], blocks[1], EDGE, EDGE), start, dtype=faces.dtype)
-        join.at(flat, tuple(self.places[:, kept].T // EDGE), faces)
+        join.at(flat, tuple(self.places[:, others].T // EDGE), faces)
         joined = flat.transpose(0, 2, 1, 3).reshape(blocks[0] * EDGE, blocks[1] * EDGE)
-        return np.ascontiguousarray(joined[: self.shape[kept[0]], : self.shape[kept[1]]])
+        return np.ascontiguousarray(joined[: self.shape[others[0]], : self.shape[others[1]]])
 
     def at(self, indices: NDArray[np.integer]) -> NDArray:
         """Values (n,) at nodes (n, 3)."""
-        flat, found = self.nodes.reshape(-1), np.empty(len(indices), dtype=self.nodes.dtype)
+        flat, values = self.nodes.reshape(-1), np.empty(len(indices), dtype=self.nodes.dtype)
         for first in range(0, len(indices), _BATCH):
             batch = slice(first, first + _BATCH)
-            found[batch] = flat[self.positions(indices[batch])]
-        return found
+            values[batch] = flat[self.positions(indices[batch])]
+        return values
 
     def interpolated(self, index: NDArray[np.float64]) -> NDArray[np.float64]:
         """Trilinear interpolation at fractional indices (..., 3), clamped to the lattice."""

@@ -44,8 +44,8 @@ class NodeSet:
         Args:
             step: -1, 0 or 1 along each axis.
         """
-        found: NDArray[np.int32] = self.numbers.nodes.reshape(-1)[self.positions[chosen] + int(np.dot(step, STRIDES))]
-        return found
+        numbers: NDArray[np.int32] = self.numbers.nodes.reshape(-1)[self.positions[chosen] + int(np.dot(step, STRIDES))]
+        return numbers
 
     def number_at(self, index: NDArray[np.integer]) -> int:
         """Number of the node at an index (3,) of the lattice, -1 where that is none of the set."""

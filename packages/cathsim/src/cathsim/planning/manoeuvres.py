@@ -92,19 +92,19 @@ def search_manoeuvres(
     """
     low, high = parameter_limits(actions)
     drawn = generator.uniform(low, high, (_DRAWN, len(low)))
-    found: list[tuple[Ending, Manoeuvre]] = []
+    endings: list[tuple[Ending, Manoeuvre]] = []
     for number in range(_ROUNDS + 1):
         if number:
-            elites = np.stack([one.parameters for _, one in found[:_ELITES]])
+            elites = np.stack([one.parameters for _, one in endings[:_ELITES]])
             spread = _SPREAD * _NARROWING ** (number - 1) * (high - low)
             drawn = elites[generator.integers(0, len(elites), _VARIED)]
             drawn = np.clip(drawn + spread * generator.normal(size=drawn.shape), low, high)
         tried = [manoeuvre(parameters, pace, lead=lead) for parameters in drawn]
-        found += zip(evaluate(tried), tried, strict=True)
-        found.sort(key=lambda row: row[0])
-        if found[0][0][0] < 0:
+        endings += zip(evaluate(tried), tried, strict=True)
+        endings.sort(key=lambda row: row[0])
+        if endings[0][0][0] < 0:
             break
-    return found
+    return endings
 
 
 def retreat(generator: np.random.Generator, actions: int, pace: Pace, *, lead: float = 0.0) -> Array:

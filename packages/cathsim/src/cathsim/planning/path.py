@@ -198,7 +198,7 @@ def _text(point: Array) -> str:
 def pull_taut(path: LumenPath, grid: SignedDistanceGrid, *, clearance: float = CLEARANCE) -> LumenPath:
     """Leaves out every point that a straight line can skip that keeps its clearance (m); both ends stay."""
     points = path.points
-    kept, here = [0], 0
+    corners, here = [0], 0
     while here < len(points) - 1:
         visible, hidden = here + 1, len(points)
         reach = 2
@@ -209,9 +209,9 @@ def pull_taut(path: LumenPath, grid: SignedDistanceGrid, *, clearance: float = C
                 visible, reach = trial, 2 * reach
             else:
                 hidden = trial
-        kept.append(visible)
+        corners.append(visible)
         here = visible
-    return LumenPath(points[kept])
+    return LumenPath(points[corners])
 
 
 def _line_is_free(a: Array, b: Array, grid: SignedDistanceGrid, clearance: float) -> bool:
@@ -219,16 +219,13 @@ def _line_is_free(a: Array, b: Array, grid: SignedDistanceGrid, clearance: float
     return bool(grid.sample(a + np.linspace(0.0, 1.0, count)[:, None] * (b - a)).min() >= clearance)
 
 
-def smooth_path(
-    path: LumenPath, grid: SignedDistanceGrid, *, clearance: float = CLEARANCE, step: float = _STEP
-) -> LumenPath:
+def smooth_path(path: LumenPath, grid: SignedDistanceGrid, *, clearance: float = CLEARANCE) -> LumenPath:
     """Rounds the corners of a path by averaging neighbours, wherever the result keeps its clearance; both ends stay.
 
     Args:
         clearance: m to keep from the wall; where the path comes nearer already, it may stay as near as it is.
-        step: m between the points of the result.
     """
-    points = np.array(path.resampled(step).points)
+    points = np.array(path.resampled(_STEP).points)
     if len(points) < 3:
         return LumenPath(points)
     floor = np.minimum(grid.sample(points), clearance)
@@ -246,7 +243,7 @@ def smooth_path(
                 break
             moved[bad] = points[bad]  # back to where it was good; its neighbours are tested again
         points = moved
-    return LumenPath(points).resampled(step)
+    return LumenPath(points).resampled(_STEP)
 
 
 def picture(

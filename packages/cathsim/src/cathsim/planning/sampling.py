@@ -174,8 +174,8 @@ class SamplingExpert:
             return
         knots = -(-settings.horizon // settings.hold)
         straight = np.tile([1.0, 0.0] * (self._actions // 2), (settings.horizon, 1))
-        kept = np.concatenate((self._plan, straight))[: settings.horizon]
-        candidates = np.stack((kept, straight))
+        plan = np.concatenate((self._plan, straight))[: settings.horizon]
+        candidates = np.stack((plan, straight))
         if settings.primitives:
             candidates = np.concatenate((candidates, motion_primitives(self._actions, settings.horizon)))
         costs = self.trials.costs(state, candidates)
@@ -233,9 +233,9 @@ class SamplingExpert:
         simulation = self.environment.simulation
         lead = simulation.device_lead if isinstance(simulation, DualSimulation) else 0.0
         evaluate = functools.partial(self.trials.endings, state)
-        found = search_manoeuvres(evaluate, self._generator, self._actions, self._pace, lead=lead)
+        manoeuvre = search_manoeuvres(evaluate, self._generator, self._actions, self._pace, lead=lead)
         self._waited = 0
-        for ending, tried in found[: max(self.settings.confirm, 1)]:
+        for ending, tried in manoeuvre[: max(self.settings.confirm, 1)]:
             cost, steps = self.trials.confirmed(state, tried, ending)
             if cost < min(self._nearest, here) - STUCK:
                 self._plan = tried.plan[:steps]

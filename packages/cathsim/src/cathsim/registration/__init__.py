@@ -50,5 +50,5 @@ def register() -> None:
     """Registers the environments; safe to call again."""
     for name, (entry, vector, arguments) in _ENTRIES.items():
         if name not in gymnasium.registry:
-            kept = _ThreadedArguments(arguments) if vector else arguments
-            gymnasium.register(name, entry_point=entry, vector_entry_point=vector, kwargs=kept)
+            defaults = _ThreadedArguments(arguments) if vector else arguments
+            gymnasium.register(name, entry_point=entry, vector_entry_point=vector, kwargs=defaults)

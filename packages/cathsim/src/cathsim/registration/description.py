@@ -91,11 +91,11 @@ def described(value: Any) -> Any:
         if not inspect.isfunction(function):
             raise ValueError(f"there is no function {value.get('name')!r}: expected module:function")
         return function
-    found = _found(str(kind))
-    if not (isinstance(found, type) and dataclasses.is_dataclass(found)):
+    settings_class = _found(str(kind))
+    if not (isinstance(settings_class, type) and dataclasses.is_dataclass(settings_class)):
         raise ValueError(f"there is no settings class {kind!r}: expected module:class of a dataclass")
     try:
-        return found(**arguments)
+        return settings_class(**arguments)
     except TypeError as error:
         raise ValueError(f"{kind} cannot be made of {', '.join(arguments)}: {error}") from None
 

@@ -101,8 +101,8 @@ def weighted_quantiles(values: Array, weights: Array, at: Sequence[float]) -> Ar
     Returns:
         Shape (len(at),).
     """
-    kept = weights > 0.01 * weights.max()
-    values, weights = values[kept], weights[kept]
+    counted = weights > 0.01 * weights.max()
+    values, weights = values[counted], weights[counted]
     order = np.argsort(values)
     share = np.cumsum(weights[order]) - 0.5 * weights[order]
     return np.asarray(np.interp(at, share / weights.sum(), values[order]))

@@ -87,10 +87,10 @@ def forces_of_shapes(
         wrong[:, 0] = np.clip(wrong[:, 0], 0.0, estimator.max_insertion)
         (insertion, rotation), *others = wrong.tolist()
         try:
-            found = estimator.update(curve, insertion, rotation, catheter=tuple(others[0]) if others else None)
+            estimate = estimator.update(curve, insertion, rotation, catheter=tuple(others[0]) if others else None)
         except ValueError as error:
             _LOGGER.debug("moment %d: %s", moment, error)
             refused += moment > 0
         else:
-            forces[moment] = found.resultant.value
+            forces[moment] = estimate.resultant.value
     return forces, refused

@@ -113,19 +113,19 @@ class Window:
 
     def _find_screen(self) -> None:
         display, chosen = self._pygame.display, sys.platform == "linux" and _SDL_DRIVER not in os.environ
-        found = _screen_named()
+        screen = _screen_named()
         # Left to itself, SDL draws nowhere where there is no screen, and at its end takes EGL from everybody else.
         if chosen:
             os.environ[_SDL_DRIVER] = "x11,wayland"
         try:
-            if found:
+            if screen:
                 display.init()
         except self._pygame.error:
-            found = False
+            screen = False
         finally:
             if chosen:
                 del os.environ[_SDL_DRIVER]
-        if not found:
+        if not screen:
             from cathsim.viewing.camera_view import RenderingUnavailableError
 
             raise RenderingUnavailableError(

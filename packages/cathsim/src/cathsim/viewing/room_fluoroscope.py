@@ -47,18 +47,14 @@ class RoomFluoroscope:
     Args:
         size: side of a view's image, px.
         room: what the vessels lie in, such as of `cathsim.fluoroscopy.ct_scene`.
-        views: of `cathsim.fluoroscopy.projector.VIEWS`.
-        seed: of the noise.
     """
 
-    def __init__(
-        self, simulation: Simulation, size: int, room: XRayScene, views: Sequence[str] = VIEWS, seed: int = 0
-    ) -> None:
-        self._simulation, self._generator, self._window = simulation, np.random.default_rng(seed), DisplayWindow()
+    def __init__(self, simulation: Simulation, size: int, room: XRayScene) -> None:
+        self._simulation, self._generator, self._window = simulation, np.random.default_rng(0), DisplayWindow()
         phantom, radius, self._catheter = simulation.phantom, wire_radius_of(simulation), catheter_in(simulation)
         self._seen = {
             view: (fluoroscope_of(phantom, size, radius, self._catheter, view, room=room), framed(phantom, view, size))
-            for view in views
+            for view in VIEWS
         }
 
     def image(self) -> NDArray[np.uint8]:

@@ -57,8 +57,8 @@ class CloningNetwork(nn.Module):
 
     def features(self, images: Tensor) -> Tensor:
         """Z of images (N, channels, height, width). Shape (N, features)."""
-        found: Tensor = self.images(images)
-        return found
+        features: Tensor = self.images(images)
+        return features
 
     def forward(self, images: Tensor) -> Tensor:
         """Mean action. Shape (N, actions)."""
@@ -127,8 +127,8 @@ class ClonedPolicy(FittedNetwork[CloningNetwork]):
     def features(self, observations: Mapping[str, NDArray[Any]]) -> NDArray[np.float32]:
         """Z of observations with a leading N. Shape (N, features)."""
         with torch.inference_mode():
-            found: NDArray[np.float32] = self.network.features(self._images(observations)).cpu().numpy()
-        return found
+            features: NDArray[np.float32] = self.network.features(self._images(observations)).cpu().numpy()
+        return features
 
     def controller(
         self, deterministic: bool = True, seed: int = 0

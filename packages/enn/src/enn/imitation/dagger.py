@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import gymnasium
@@ -159,7 +158,6 @@ def dagger(
     *,
     student: ClonedPolicy | None = None,
     seed: int = 0,
-    folder: Path | str | None = None,
     progress: Callable[[int, EpisodeFitProgress], None] | None = None,
     device: torch.device | str = "cpu",
 ) -> tuple[ClonedPolicy, list[DaggerRound], list[Trajectory]]:
@@ -187,7 +185,6 @@ def dagger(
             cloning,
             initial=initial if settings.warm_start else None,
             seed=seed + index,
-            folder=None if folder is None else Path(folder) / f"round{index}",
             progress=None if progress is None else lambda fit: progress(index, fit),
             device=device,
         )

@@ -197,7 +197,6 @@ def fit_path_follower(
     settings: PathFollowerSettings | None = None,
     *,
     seed: int = 0,
-    folder: Path | str | None = None,
     progress: Callable[[EpisodeFitProgress], None] | None = None,
     device: torch.device | str = "cpu",
 ) -> tuple[PathFollower, FitReport]:
@@ -207,7 +206,6 @@ def fit_path_follower(
         trajectories: of the expert; only tips and actions are used.
         paths: the planned path of each episode, (n, 3) m.
         settings: what is seen and how it is learnt from.
-        folder: for a checkpoint, from which an interrupted fit goes on.
         progress: called after every epoch.
         device: where the network is fitted and stays.
 
@@ -242,5 +240,5 @@ def fit_path_follower(
             index = torch.as_tensor(samples)
             return nn.functional.mse_loss(network(seen[index].to(device)), expert_actions[index].to(device))
 
-        report = fit(network, loss, episodes, settings.fit, seed=seed, folder=folder, progress=progress)
+        report = fit(network, loss, episodes, settings.fit, seed=seed, progress=progress)
     return PathFollower(network, settings), report

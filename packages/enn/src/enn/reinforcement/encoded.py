@@ -54,8 +54,8 @@ class EncodedEnvs(VecEnvWrapper):
             self._device = device_of(encoder)
         size = encoder.settings.features
         features = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
-        kept = {key: space[key] for key in self.passthrough}
-        super().__init__(venv, observation_space=gymnasium.spaces.Dict({"features": features, **kept}))
+        spaces = {key: space[key] for key in self.passthrough}
+        super().__init__(venv, observation_space=gymnasium.spaces.Dict({"features": features, **spaces}))
 
     def encode(self, observations: Mapping[str, np.ndarray]) -> Observations:
         """Features of a batch, and what passes by. Shapes (n, ...)."""

@@ -298,12 +298,12 @@ class LatestPolicy(BestPolicy):
         highest = 0.0 if self.best is None else self.best["rank"][0]
         rank = (max(mean.success, highest), mean.reward)
         if self.best is None:
-            kept = True
+            keep = True
         elif highest > 0:
-            kept = mean.success > 0 and mean.success >= highest - standard_error(highest, len(self.seeds))
+            keep = mean.success > 0 and mean.success >= highest - standard_error(highest, len(self.seeds))
         else:
-            kept = mean.success > 0 or (not self.keeps_first and mean.reward > self.best["rank"][1])
-        if kept:
+            keep = mean.success > 0 or (not self.keeps_first and mean.reward > self.best["rank"][1])
+        if keep:
             self._keep(policy, rank, mean, mean.success, decisions)
         self.evaluated_at = decisions
         return _columns(mean, mean.success)

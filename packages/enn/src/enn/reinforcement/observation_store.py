@@ -160,10 +160,10 @@ class FrameStore:
     def read(self, rows: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:
         """Reads rows, counted through environments. Shape (rows, channels, height, width)."""
         channels, height, width = self.space_shape
-        found = np.zeros((len(rows), channels, height, width), np.uint8)
+        frames = np.zeros((len(rows), channels, height, width), np.uint8)
         reference = self.reference
         if reference is None:
-            return found
+            return frames
         places: dict[bytes, tuple[int, int]] = {}
         for place, row in enumerate(rows.tolist()):
             stack = self._rows[row]
@@ -173,10 +173,10 @@ class FrameStore:
                 first = places.setdefault(frame, (place, channel))
                 if first == (place, channel):
                     pixels = np.frombuffer(zlib.decompress(frame), np.uint8).reshape(height, width)
-                    np.add(pixels, reference, out=found[place, channel])
+                    np.add(pixels, reference, out=frames[place, channel])
                 else:
-                    found[place, channel] = found[first]
-        return found
+                    frames[place, channel] = frames[first]
+        return frames
 
     def grow(self, rows: int) -> None:
         """Makes room for more rows, keeping those there are."""

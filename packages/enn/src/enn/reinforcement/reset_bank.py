@@ -182,9 +182,9 @@ class CaseResetBank(ResetBank):
             ValueError: the state holds more of a case than fits.
         """
         self._cases, self._failing = {}, state["failing"].copy()
-        for case, kept in state["cases"].items():
+        for case, bank in state["cases"].items():
             self._cases[case] = ResetBank(1.0, self.capacity)
-            self._cases[case].restore(kept)
+            self._cases[case].restore(bank)
         self._generator.bit_generator.state = state["generator"]
 
 

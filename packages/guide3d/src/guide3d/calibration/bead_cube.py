@@ -86,12 +86,12 @@ def find_beads(image: np.ndarray | Attenuation) -> Beads:
         return beads[np.zeros(len(beads), bool)]
     # a pair of beads in line looks like one large disc: now that their size is known, look for its halves
     radius = float(np.median(beads.radii_px[likely].mean(axis=1)))
-    kept = beads[np.flatnonzero(likely & _alike(beads, beads[likely]))]
+    chosen = beads[np.flatnonzero(likely & _alike(beads, beads[likely]))]
     starts, radii = _candidates(light, np.array([0.6, 0.75]) * radius)
-    fresh = cKDTree(kept.centres_px).query(starts)[0] > 0.8 * radius
+    fresh = cKDTree(chosen.centres_px).query(starts)[0] > 0.8 * radius
     beads = measure_beads(light, starts[fresh], np.full(int(fresh.sum()), radius))
-    more = beads[np.flatnonzero(_likely(beads) & _alike(beads, kept))]
-    together = _joined(kept, more)
+    more = beads[np.flatnonzero(_likely(beads) & _alike(beads, chosen))]
+    together = _joined(chosen, more)
     logger.debug("%d beads of %.1f px, %d of them close to others", len(together), radius, len(more))
     return together[np.argsort(together.centres_px[:, 0], kind="stable")]
 
@@ -111,14 +111,14 @@ def _alike(beads: Beads, sure: Beads) -> np.ndarray:
 
 def _joined(first: Beads, more: Beads) -> Beads:
     """Both, the second without those that the first, or they themselves, hold twice."""
-    kept = []
+    joined = []
     centres = list(first.centres_px)
     for k in np.argsort(more.misfit):
         reach = 0.7 * more.radii_px[k].mean()
         if min((np.hypot(*(c - more.centres_px[k])) for c in centres), default=np.inf) > reach:
-            kept.append(int(k))
+            joined.append(int(k))
             centres.append(more.centres_px[k])
-    return first.joined(more[np.array(kept, int)])
+    return first.joined(more[np.array(joined, int)])
 
 
 def attenuation(image: np.ndarray) -> Attenuation:
@@ -171,12 +171,12 @@ def _candidates(light: Attenuation, radii: np.ndarray) -> tuple[np.ndarray, np.n
     rows, columns = rows[order], columns[order]
     scale = radii[stack[:, rows, columns].argmax(axis=0)]
     places = 2.0 * np.column_stack([columns, rows]) + 0.5
-    kept: list[int] = []  # of two within one disc, the stronger
+    numbers: list[int] = []  # of two within one disc, the stronger
     for number in range(len(places)):
-        near = [k for k in kept if np.hypot(*(places[k] - places[number])) < 0.8 * max(scale[k], scale[number])]
+        near = [k for k in numbers if np.hypot(*(places[k] - places[number])) < 0.8 * max(scale[k], scale[number])]
         if not near:
-            kept.append(number)
-    return places[kept], scale[kept]
+            numbers.append(number)
+    return places[numbers], scale[numbers]
 
 
 def measure_beads(

@@ -101,11 +101,11 @@ def calibrate_folder(folder: str | Path, swirl: str = "auto", method: str = "loc
     sheets = {detector: read_grey(path) for detector, path in files.sheets.items()}
     images = {key: read_grey(path) for key, path in files.cubes.items()}
     for key, image in images.items():
-        wanted, found = sheets[key[1]].shape, image.shape
-        if found != wanted:
+        expected, shape = sheets[key[1]].shape, image.shape
+        if shape != expected:
             raise ValueError(
-                f"{files.cubes[key]}: expected an image of {wanted[1]} x {wanted[0]} px, as the sheet's, "
-                f"found {found[1]} x {found[0]}"
+                f"{files.cubes[key]}: expected an image of {expected[1]} x {expected[0]} px, as the sheet's, "
+                f"found {shape[1]} x {shape[0]}"
             )
     holes = {}
     for detector, sheet in sheets.items():

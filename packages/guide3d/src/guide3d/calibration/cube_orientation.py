@@ -49,7 +49,7 @@ def candidates(lattice: CubeLattice, fit: LatticeFit, field: np.ndarray) -> list
     number = {tuple(site): k for k, site in enumerate(lattice.sites.tolist())}
     shifts = sorted(itertools.product(*(range(-int(n) + 1, int(n)) for n in size)), key=lambda s: (np.abs(s).sum(), s))
     centre = (lattice.sites.max(axis=0) / 2 - lattice.sites) * lattice.pitch_mm
-    found = []
+    candidate_poses = []
     for shift in shifts:
         moved = sites + shift
         if (moved < 0).any() or (moved >= size).any():
@@ -68,8 +68,8 @@ def candidates(lattice: CubeLattice, fit: LatticeFit, field: np.ndarray) -> list
             middle = lattice.points_mm.mean(axis=0)
             turned = Camera(camera.K, R, camera.t_mm + camera.R @ middle - R @ middle, camera.width, camera.height)
             renumbered = np.where(numbers >= 0, symmetry[numbers], -1)
-            found.append(Candidate(renumbered, turned))
-    return found
+            candidate_poses.append(Candidate(renumbered, turned))
+    return candidate_poses
 
 
 def decide(

@@ -146,11 +146,11 @@ def _camera_files(folder: Path) -> list[tuple[str, dict[str, Path]]]:
 
 def _set_of(place: Path, sets: list[dict[str, Path]], tag: str) -> tuple[str, dict[str, Path]]:
     """The only file of either view, whatever they are called."""
-    found = {view: [files[view] for files in sets if view in files] for view in DETECTOR}
-    for view, files in found.items():
+    by_view = {view: [files[view] for files in sets if view in files] for view in DETECTOR}
+    for view, files in by_view.items():
         part = tag.format(detector=DETECTOR[view], view=view)
         if not files:
-            other = next(file for them in found.values() for file in them)
+            other = next(file for them in by_view.values() for file in them)
             name = f"*{part}*" if part.isdigit() else part
             raise FileNotFoundError(
                 f"{place} holds {other.name} only: the file of camera {view.upper()}, {name}.txt or .yaml, is missing"
@@ -158,7 +158,7 @@ def _set_of(place: Path, sets: list[dict[str, Path]], tag: str) -> tuple[str, di
         if len(files) > 1:
             names = ", ".join(file.name for file in files)
             raise ValueError(f"{place} holds several files of *{part}* ({names}): keep the one that is meant")
-    a, b = (files[0] for files in found.values())
+    a, b = (files[0] for files in by_view.values())
     return f"{a.name}, {b.name}", {"a": a, "b": b}
 
 

@@ -106,9 +106,9 @@ def _around(indices: np.ndarray, count: int) -> np.ndarray:
 
 def regular(centres: np.ndarray, indices: np.ndarray, tolerance_px: float) -> np.ndarray:
     """Which holes (n,) lie within a tolerance of the quadratic through their 18 neighbours, the worst dropped first."""
-    kept = np.ones(len(centres), bool)
+    fits = np.ones(len(centres), bool)
     for _ in range(8):
-        which = np.flatnonzero(kept)
+        which = np.flatnonzero(fits)
         around = which[_around(indices[which], 18)]
         away = lattice_points(indices[around] - indices[which][:, None])
         off = np.linalg.norm(predicted(away, centres[around]) - centres[which], axis=1)
@@ -118,8 +118,8 @@ def regular(centres: np.ndarray, indices: np.ndarray, tolerance_px: float) -> np
         bad = (off > tolerance_px) & (off >= worst[around].max(axis=1))
         if not bad.any():
             break
-        kept[which[bad]] = False
-    return kept
+        fits[which[bad]] = False
+    return fits
 
 
 def predicted(away: np.ndarray, seen: np.ndarray) -> np.ndarray:

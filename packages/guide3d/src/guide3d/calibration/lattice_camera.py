@@ -137,10 +137,10 @@ def recognise_lattice(
         if best is not None and (best[1].numbers >= 0).sum() >= enough and best[1].missing <= 2:
             break
     if best is None or (best[1].numbers >= 0).sum() < _LEAST_BEADS:
-        found = 0 if best is None else int((best[1].numbers >= 0).sum())
+        recognised = 0 if best is None else int((best[1].numbers >= 0).sum())
         raise ValueError(
             f"expected a lattice that explains {_LEAST_BEADS} of the {len(pixels)} discs or more, "
-            f"found one that explains {found}"
+            f"found one that explains {recognised}"
         )
     logger.debug(
         "%d of %d discs on the lattice, %d missing", (best[1].numbers >= 0).sum(), len(pixels), best[1].missing

@@ -78,14 +78,14 @@ def find_holes(image: np.ndarray) -> SheetHoles:
     if len(chosen) < 30:
         raise ValueError(f"expected an X-ray of a perforated sheet, found {len(chosen)} holes on one lattice")
     centres = centres[chosen]
-    kept = regular(centres, indices, 2 * _IRREGULAR * pitch)
-    centres, indices = centres[kept], indices[kept]
+    holes = regular(centres, indices, 2 * _IRREGULAR * pitch)
+    centres, indices = centres[holes], indices[holes]
     radius, blur = _hole_shape(grey, centres, indices)
     centres, partial, seen = _measured(grey, centres, local_lattice(centres, indices, indices), radius, blur)
-    kept = np.flatnonzero(seen)
+    holes = np.flatnonzero(seen)
     for _ in range(4):  # drop what is no hole, look for missed ones beside the kept
-        kept = kept[regular(centres[kept], indices[kept], _IRREGULAR * pitch)]
-        centres, indices, partial = centres[kept], indices[kept], partial[kept]
+        holes = holes[regular(centres[holes], indices[holes], _IRREGULAR * pitch)]
+        centres, indices, partial = centres[holes], indices[holes], partial[holes]
         missed, expected = missed_sites(centres, indices)
         new, new_partial, seen = _measured(grey, expected, local_lattice(centres, indices, missed), radius, blur)
         inside = ((new > -0.5) & (new < np.array(image.shape[::-1]) - 0.5)).all(axis=1)
@@ -96,13 +96,13 @@ def find_holes(image: np.ndarray) -> SheetHoles:
         centres = np.concatenate([centres, new[found]])
         indices = np.concatenate([indices, missed[found]])
         partial = np.concatenate([partial, new_partial[found]])
-        kept = np.arange(len(centres))
-    kept = np.flatnonzero(regular(centres, indices, _IRREGULAR * pitch))
-    kept = kept[np.lexsort((indices[kept, 0], indices[kept, 1]))]
-    nearest = cKDTree(centres[kept]).query(centres[kept], k=2)[0][:, 1]
-    logger.debug("%d candidates, %d on the lattice, %d kept", len(candidates), len(chosen), len(kept))
+        holes = np.arange(len(centres))
+    holes = np.flatnonzero(regular(centres, indices, _IRREGULAR * pitch))
+    holes = holes[np.lexsort((indices[holes, 0], indices[holes, 1]))]
+    nearest = cKDTree(centres[holes]).query(centres[holes], k=2)[0][:, 1]
+    logger.debug("%d candidates, %d on the lattice, %d kept", len(candidates), len(chosen), len(holes))
     return SheetHoles(
-        centres[kept], indices[kept], partial[kept], float(np.mean(nearest)), image.shape[1], image.shape[0]
+        centres[holes], indices[holes], partial[holes], float(np.mean(nearest)), image.shape[1], image.shape[0]
     )
 
 

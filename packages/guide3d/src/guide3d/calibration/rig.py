@@ -187,8 +187,8 @@ class _Bundle:
         for name, rms in worst.items():
             if rms > _RIGID_PX and name != self.pose_names[0]:
                 left_out[name] = f"leaves {rms:.1f} px RMS in a rig that stands still: its detectors stood elsewhere"
-        kept = [k for k, seen in enumerate(self.sightings) if seen.pose not in left_out]
-        return kept, left_out
+        numbers = [k for k, seen in enumerate(self.sightings) if seen.pose not in left_out]
+        return numbers, left_out
 
     def _assembled(
         self, used: list[np.ndarray], robust_px: float | None

@@ -101,7 +101,7 @@ def _thin(light: Attenuation, beads: Beads) -> list[np.ndarray]:
         y, x = np.mgrid[low[1] : low[1] + part.shape[0], low[0] : low[0] + part.shape[1]]
         part &= np.hypot(x - x0, y - y0) > reach
     _, labels, boxes, _ = cv2.connectedComponentsWithStats(((ridge > _FAINT) & free).astype(np.uint8), connectivity=8)
-    found = []
+    marks = []
     for number, (left, top, wide, high, _) in enumerate(boxes.tolist()[1:], 1):
         box = np.s_[top : top + high, left : left + wide]
         own = labels[box] == number
@@ -109,8 +109,8 @@ def _thin(light: Attenuation, beads: Beads) -> list[np.ndarray]:
         if own.sum() < 40 or clear.sum() < 10 or np.percentile(dark[box][own], 90) > _LETTER:
             continue
         y, x = np.nonzero(own)
-        found.append(np.column_stack([x + left, y + top]).astype(float))
-    return found
+        marks.append(np.column_stack([x + left, y + top]).astype(float))
+    return marks
 
 
 def _joined(lines: list[_Line], beads: Beads) -> list[_Line]:

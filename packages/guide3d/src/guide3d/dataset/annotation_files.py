@@ -75,14 +75,14 @@ def image_name(acquisition: str, camera: str, number: int) -> str:
 
 def camera_of(image: str) -> str | None:
     """Which camera an image is of, "a" or "b", by its folder's name; None where that does not say."""
-    found = _FOLDER.fullmatch(_folder(image))
-    return None if found is None else {"2": "a", "1": "b"}[found["camera"]]
+    match = _FOLDER.fullmatch(_folder(image))
+    return None if match is None else {"2": "a", "1": "b"}[match["camera"]]
 
 
 def acquisition_of(image: str) -> str:
     """The acquisition of an image: its folder's name without the camera."""
-    found = _FOLDER.fullmatch(_folder(image))
-    return _folder(image) if found is None else found["acquisition"]
+    match = _FOLDER.fullmatch(_folder(image))
+    return _folder(image) if match is None else match["acquisition"]
 
 
 def described(acquisition: str, video: Mapping[str, Any]) -> tuple[bool, str]:
@@ -94,11 +94,11 @@ def described(acquisition: str, video: Mapping[str, Any]) -> tuple[bool, str]:
     Raises:
         ValueError: neither says it.
     """
-    found = _NAME.fullmatch(acquisition)
+    match = _NAME.fullmatch(acquisition)
     fluid, wire = video.get("fluid"), video.get("guidewire_type")
-    if found is not None:
-        fluid = int(found["fluid"]) if fluid is None else fluid
-        wire = wire or found["wire"]
+    if match is not None:
+        fluid = int(match["fluid"]) if fluid is None else fluid
+        wire = wire or match["wire"]
     wire = {"angle": "angled"}.get(str(wire), wire)
     if fluid is None or wire not in WIRES:
         raise ValueError(
@@ -202,8 +202,8 @@ def write_curves(path: Path, annotations: Sequence[Annotation], curves: Mapping[
             written["3d"] = _rounded(views.space, 4)
         return written
 
-    kept = [frame for frame in annotations if (frame.acquisition, frame.number) in curves]
-    _write(path, _videos(kept, entry))
+    frames = [frame for frame in annotations if (frame.acquisition, frame.number) in curves]
+    _write(path, _videos(frames, entry))
 
 
 def _rounded(curve: BSplineCurve, digits: int) -> dict[str, Any]:
@@ -219,13 +219,13 @@ def _rounded(curve: BSplineCurve, digits: int) -> dict[str, Any]:
 def _videos(annotations: Sequence[Annotation], entry: Any) -> list[dict[str, Any]]:
     videos: dict[str, dict[str, Any]] = {}
     for frame in annotations:
-        found = _NAME.fullmatch(frame.acquisition)
+        match = _NAME.fullmatch(frame.acquisition)
         video = videos.setdefault(
             frame.acquisition,
             {
                 "fluid": frame.fluid,
                 "guidewire_type": frame.wire,
-                "video_number": int(found["number"]) if found else len(videos),
+                "video_number": int(match["number"]) if match else len(videos),
                 "frame_count": 0,
                 "task": frame.acquisition,
                 "frames": [],

@@ -133,10 +133,10 @@ class Dataset:
     @cached_property
     def acquisitions(self) -> dict[str, list[int]]:
         """Name of an acquisition to the indices of its frames, in time order."""
-        found: dict[str, list[int]] = {}
+        lengths: dict[str, list[int]] = {}
         for index, frame in enumerate(self.frames):
-            found.setdefault(frame.acquisition, []).append(index)
-        return found
+            lengths.setdefault(frame.acquisition, []).append(index)
+        return lengths
 
     @property
     def side_px(self) -> int:
@@ -209,8 +209,8 @@ def _curves(folder: Path, given: Path | None, damaged: list[str]) -> dict[tuple[
 def _find(folder: Path, name: str) -> Path | None:
     """The file of that name, whatever its capitals, nearest to the folder."""
     pattern = "".join(f"[{letter}{letter.upper()}]" if letter.isalpha() else letter for letter in name)
-    found = (file for file in folder.rglob(pattern) if not file.name.startswith("."))
-    return min(found, key=lambda file: (len(file.parts), str(file)), default=None)
+    files = (file for file in folder.rglob(pattern) if not file.name.startswith("."))
+    return min(files, key=lambda file: (len(file.parts), str(file)), default=None)
 
 
 def _image_folder(folder: Path, annotations: list[Annotation]) -> Path | None:

@@ -96,8 +96,8 @@ def thin_by_turning(points: Array, spacing: float, turning: float) -> Array:
     """
     measure = arc_length(points) / spacing + _turned(points) / turning
     count = max(2, int(np.ceil(measure[-1])) + 1)
-    kept = np.searchsorted(measure, np.linspace(0.0, measure[-1], count)).clip(0, len(points) - 1)
-    return points[np.unique(np.concatenate([[0], kept, [len(points) - 1]]))]
+    rows = np.searchsorted(measure, np.linspace(0.0, measure[-1], count)).clip(0, len(points) - 1)
+    return points[np.unique(np.concatenate([[0], rows, [len(points) - 1]]))]
 
 
 def _turned(points: Array) -> Array:

@@ -110,9 +110,9 @@ def fit_bspline(
     """
     if smoothing < 0:
         raise ValueError(f"smoothing: expected 0 or more, got {smoothing}")
-    kept = thinned(checked(points, what=what), closest) if closest > 0 else checked(points, what=what)
-    kept = checked(kept, what=what)
-    u = arc_length(kept)
-    k = min(degree, len(kept) - 1)
-    (knots, coefficients, k), _ = interpolate.splprep(kept.T, u=u, k=k, s=smoothing)
+    samples = thinned(checked(points, what=what), closest) if closest > 0 else checked(points, what=what)
+    samples = checked(samples, what=what)
+    u = arc_length(samples)
+    k = min(degree, len(samples) - 1)
+    (knots, coefficients, k), _ = interpolate.splprep(samples.T, u=u, k=k, s=smoothing)
     return BSplineCurve(np.asarray(knots), np.stack(coefficients, axis=-1), int(k))

@@ -37,10 +37,12 @@ def checked(points: ArrayLike, dimension: int | None = None, what: str = "polyli
     if not np.isfinite(array).all():
         bad = int(np.flatnonzero(~np.isfinite(array).all(axis=1))[0])
         raise ValueError(f"{what}: point {bad} is not finite; drop it before going on")
-    kept = array[np.concatenate([[True], (np.diff(array, axis=0) != 0).any(axis=1)])] if len(array) else array
-    if len(kept) < 2:
-        raise ValueError(f"{what}: expected at least 2 different points, got {len(kept)}; no curve goes through that")
-    return kept
+    vertices = array[np.concatenate([[True], (np.diff(array, axis=0) != 0).any(axis=1)])] if len(array) else array
+    if len(vertices) < 2:
+        raise ValueError(
+            f"{what}: expected at least 2 different points, got {len(vertices)}; no curve goes through that"
+        )
+    return vertices
 
 
 def arc_length(points: ArrayLike) -> Array:
@@ -89,18 +91,18 @@ def resample(points: ArrayLike, spacing: float | None = None, count: int | None 
 def thinned(points: ArrayLike, closest: float) -> Array:
     """Drops points (n, d) that lie closer than a distance, in their unit, to the last point kept; both ends stay."""
     array = np.asarray(points, dtype=float)
-    kept, rows = [0], array.tolist()  # numpy takes ten times as long, point by point
+    numbers, rows = [0], array.tolist()  # numpy takes ten times as long, point by point
     last = rows[0]
     for i, row in enumerate(rows[1:], 1):
         if math.dist(row, last) >= closest:
-            kept.append(i)
+            numbers.append(i)
             last = row
-    if kept[-1] != len(array) - 1:
-        if len(kept) > 1:
-            kept[-1] = len(array) - 1
+    if numbers[-1] != len(array) - 1:
+        if len(numbers) > 1:
+            numbers[-1] = len(array) - 1
         else:
-            kept.append(len(array) - 1)
-    return array[kept]
+            numbers.append(len(array) - 1)
+    return array[numbers]
 
 
 def distances_to(polyline: ArrayLike, points: ArrayLike) -> Array:

@@ -94,9 +94,9 @@ def _renamed(content: Mapping[Any, Any], file: Path) -> dict[str, Tensor]:
         raise ValueError(f"{file} has no weights of a vision transformer that can be used: {problem}")
     names = [name for name in content if not _UNUSED.fullmatch(name)]
     for rules in (_TIMM, _TORCHVISION):
-        found = {new: content[name] for name in names if (new := _translated(name, rules)) is not None}
-        if {"class_token", "positions", "patches.weight"} <= found.keys():
-            return found
+        weights = {new: content[name] for name in names if (new := _translated(name, rules)) is not None}
+        if {"class_token", "positions", "patches.weight"} <= weights.keys():
+            return weights
     shown = ", ".join(names[:3]) or "nothing"
     raise ValueError(
         f"{file} has the weights of no vision transformer that timm or torchvision makes: it has {shown} …"

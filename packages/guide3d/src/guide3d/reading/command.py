@@ -193,8 +193,8 @@ def _write_pair(given: argparse.Namespace, images: Sequence[Image], reading: Pai
 
 
 def _write_sequence(given: argparse.Namespace, frames: list[FrameReading], a: Source, b: Source | None) -> None:
-    found = [frame for frame in frames if _has_wire(frame.reading)]
-    if not found:
+    with_wire = [frame for frame in frames if _has_wire(frame.reading)]
+    if not with_wire:
         raise ValueError(f"{a.path}: no wire was found in any of {len(frames)} frames ({frames[0].said or 'no wire'})")
     rows = [frame_row(number, frame.reading, frame.said) for number, frame in enumerate(frames)]
     records = [_record(frame) for frame in frames]
@@ -211,7 +211,7 @@ def _write_sequence(given: argparse.Namespace, frames: list[FrameReading], a: So
     write_record(records, given.output / "frames.json")
     if page is not None:
         write_text(page, given.output / "view.html")
-    sys.stdout.write(f"{given.output}: {len(frames)} frames, a wire in {len(found)} of them\n")
+    sys.stdout.write(f"{given.output}: {len(frames)} frames, a wire in {len(with_wire)} of them\n")
 
 
 def _views(reading: PairReading | None) -> tuple[ImageReading, ImageReading]:

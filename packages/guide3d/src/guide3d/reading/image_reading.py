@@ -123,27 +123,27 @@ def read(
     scales = grey.at_known_scales()
     network = reader or shipped_reader()
     notes = list(grey.messages)
-    seen, found = _best(network, scales, prior, settings)
+    seen, curves = _best(network, scales, prior, settings)
     longer = max(scales[0].pixels.shape)
     smaller = []
-    if _score(found) < _FAINT_PX and longer >= _SMALL_PX:
+    if _score(curves) < _FAINT_PX and longer >= _SMALL_PX:
         smaller = [scales[0].resampled(round(share * longer)) for share in _WIDE_SCALES]
         smaller = [one for one in smaller if min(one.pixels.shape) >= SMALLEST_PX]
     if smaller:
         coarse, other = _best(network, smaller, prior, settings)
-        if _outdoes(coarse, other, found) and _is_wide_wire(coarse, other.candidates[0]):
-            seen, found = coarse, other
-    if _score(found) < _FAINT_PX:
+        if _outdoes(coarse, other, curves) and _is_wide_wire(coarse, other.candidates[0]):
+            seen, curves = coarse, other
+    if _score(curves) < _FAINT_PX:
         negatives = [replace(one, pixels=255 - one.pixels, outside=np.zeros_like(one.outside)) for one in scales]
         seen_inverted, other = _best(network, negatives, prior, settings)
-        if _outdoes(seen_inverted, other, found):
-            seen, found = seen_inverted, other
+        if _outdoes(seen_inverted, other, curves):
+            seen, curves = seen_inverted, other
             notes.append("the image looks like a negative (wire brighter than its surroundings) and was inverted")
     if seen.pixels.shape != grey.pixels.shape:
         of, at = (" x ".join(str(side) for side in one.pixels.shape[::-1]) for one in (grey, seen))
         notes.append(f"the image of {of} px was read at {at} px")
-    candidates = [_given(seen, curve) for curve in found.candidates]
-    others = [_given(seen, curve) for curve in found.others]
+    candidates = [_given(seen, curve) for curve in curves.candidates]
+    others = [_given(seen, curve) for curve in curves.others]
     return _reading(candidates, others, 0, notes)
 
 
@@ -159,9 +159,9 @@ def _best(
     return max(readings, key=lambda reading: _score(reading[1]) / max(reading[0].pixels.shape))
 
 
-def _outdoes(grey: GreyImage, curves: CurvesOfImage, found: CurvesOfImage) -> bool:
+def _outdoes(grey: GreyImage, curves: CurvesOfImage, best: CurvesOfImage) -> bool:
     """Whether far more certain wire is read in another version of an image than was found in the image as it is."""
-    return _score(curves) > 2.0 * max(_score(found), 0.0) + _CERTAIN_SHARE * min(grey.pixels.shape)
+    return _score(curves) > 2.0 * max(_score(best), 0.0) + _CERTAIN_SHARE * min(grey.pixels.shape)
 
 
 def _is_wide_wire(grey: GreyImage, curve: ImageCurve) -> bool:

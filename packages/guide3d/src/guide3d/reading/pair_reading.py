@@ -202,9 +202,9 @@ def _view(
     settings: PairReadingSettings,
 ) -> ImageReading:
     if image.shape[:2] != (camera.height, camera.width):
-        found = " x ".join(str(side) for side in image.shape[1::-1])
+        size = " x ".join(str(side) for side in image.shape[1::-1])
         raise ValueError(
-            f"image {name} has {found} px, its camera {camera.name or name} {camera.width} x {camera.height}: "
+            f"image {name} has {size} px, its camera {camera.name or name} {camera.width} x {camera.height}: "
             "expected the size that the camera was calibrated for"
         )
     try:

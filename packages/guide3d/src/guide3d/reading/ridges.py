@@ -159,15 +159,15 @@ def _described(pieces: list[tuple[Array, tuple[bool, bool]]], probability: Map, 
         column, row = points.astype(int).T
         worth.append(float((probability[row, column] - settings.worth_above).sum()))
     order = [k for k in np.argsort(worth)[::-1][: settings.pieces] if worth[k] > 0]
-    kept = [pieces[k] for k in order]
+    sorted_pieces = [pieces[k] for k in order]
     ends, outward, joined = [], [], []
-    for points, both in kept:
+    for points, both in sorted_pieces:
         for way, at_junction in ((points, both[0]), (points[::-1], both[1])):
             ends.append(way[0])
             outward.append(_outward(way, settings.direction_px))
             joined.append(at_junction)
     return Pieces(
-        [points for points, _ in kept],
+        [points for points, _ in sorted_pieces],
         np.array([worth[k] for k in order]),
         np.array(ends, float).reshape(-1, 2),
         np.array(outward, float).reshape(-1, 2),

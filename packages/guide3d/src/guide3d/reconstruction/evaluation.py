@@ -41,26 +41,26 @@ def evaluate_pair(
     """
     started = time.process_time()
     try:
-        found = (reconstruct_greedy if greedy else reconstruct)(camera_a, camera_b, a, b)
+        curve = (reconstruct_greedy if greedy else reconstruct)(camera_a, camera_b, a, b)
     except ValueError as error:
         return {"accepted": False, "reason": str(error)}
     record: Record = {
         "cpu_s": time.process_time() - started,
-        "accepted": bool(found.accepted),
-        "reason": "; ".join(found.warnings),
-        "mean_a_px": float(found.mean_a_px),
-        "mean_b_px": float(found.mean_b_px),
-        "coverage": float(found.coverage),
-        "tangent_share": max(found.tangent_share),
-        "along_a_px": _at_places(found.residual_a_px),
-        "along_b_px": _at_places(found.residual_b_px),
-        "length_mm": found.length_mm,
-        "sd_mm": float(found.sd_mm.mean()),
-        "curve": found.spline.to_tck(),
+        "accepted": bool(curve.accepted),
+        "reason": "; ".join(curve.warnings),
+        "mean_a_px": float(curve.mean_a_px),
+        "mean_b_px": float(curve.mean_b_px),
+        "coverage": float(curve.coverage),
+        "tangent_share": max(curve.tangent_share),
+        "along_a_px": _at_places(curve.residual_a_px),
+        "along_b_px": _at_places(curve.residual_b_px),
+        "length_mm": curve.length_mm,
+        "sd_mm": float(curve.sd_mm.mean()),
+        "curve": curve.spline.to_tck(),
     }
     if truth_mm is not None:
-        record |= curve_metrics(truth_mm, found.curve_mm)
-        record["along_mm"] = _at_places(distances_along(truth_mm, found.curve_mm))
+        record |= curve_metrics(truth_mm, curve.curve_mm)
+        record["along_mm"] = _at_places(distances_along(truth_mm, curve.curve_mm))
         record["length_error_mm"] = record["length_mm"] - float(arc_length(truth_mm)[-1])
     return record
 

@@ -97,14 +97,14 @@ def image_curve(points: ArrayLike, sample_px: float, what: str = "polyline") -> 
     Raises:
         ValueError: fewer than two different points, or a curve shorter than two samples.
     """
-    kept = checked(points, 2, what)
-    length = arc_length(kept)[-1]
+    samples = checked(points, 2, what)
+    length = arc_length(samples)[-1]
     if length < 2 * sample_px:
         raise ValueError(f"{what}: expected a curve of at least {2 * sample_px:g} px, got {length:.1f} px")
-    if length / (len(kept) - 1) > DENSE_PX:
-        curve = fit_bspline(kept, closest=CLOSEST_PX, what=what)
-        kept = curve.sample(max(32, int(2 * length / sample_px)))
-    return resample(kept, spacing=sample_px)
+    if length / (len(samples) - 1) > DENSE_PX:
+        curve = fit_bspline(samples, closest=CLOSEST_PX, what=what)
+        samples = curve.sample(max(32, int(2 * length / sample_px)))
+    return resample(samples, spacing=sample_px)
 
 
 def match_curves(

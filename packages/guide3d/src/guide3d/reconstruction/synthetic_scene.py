@@ -5,7 +5,7 @@ World millimetres, x along the long axis, y down, z away from the cameras. Wires
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -173,8 +173,6 @@ def scenes(
     count: int,
     seed: int = 0,
     noise_px: float | None = None,
-    kinds: tuple[str, ...] = KINDS,
-    distort: tuple[Callable[[Array], Array], Callable[[Array], Array]] | None = None,
 ) -> Iterator[SyntheticScene]:
     """Draws scenes, each with a rig and a wire of its own.
 
@@ -182,7 +180,6 @@ def scenes(
         count: number of scenes; kinds take turns.
         seed: of all randomness; the wires do not depend on the noise.
         noise_px: None annotates exactly and densely (every px); a number clicks every 15 to 30 px with that noise.
-        distort: per view a map of (n, 2) px applied to the annotation last, such as an intensifier's distortion.
 
     Yields:
         Scenes whose tip lies in both images and of which both see at least 60 mm.
@@ -190,7 +187,7 @@ def scenes(
     for index in range(count):
         rng = np.random.default_rng([seed, index])
         clicks = np.random.default_rng([seed, index, 1])
-        kind = kinds[index % len(kinds)]
+        kind = KINDS[index % len(KINDS)]
         while True:
             cameras = rig(rng)
             curve = wire(kind, rng) + np.append(rng.uniform([5.0, -40.0], [50.0, 40.0]), rng.uniform(-25.0, 25.0))
@@ -202,6 +199,4 @@ def scenes(
             points = [resample(view, spacing=1.0) for view in views]
         else:
             points = [clicked(view, clicks, noise_px) for view in views]
-        if distort is not None:
-            points = [np.asarray(move(view)) for move, view in zip(distort, points, strict=True)]
         yield SyntheticScene(kind, cameras, curve, (points[0], points[1]))

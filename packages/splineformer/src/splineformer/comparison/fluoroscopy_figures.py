@@ -66,7 +66,7 @@ def figures_of(drawn: RandomImage, found: Array | None) -> dict[str, Any]:
     return row | curve_figures(found, pixels_of_shares(curve, (side, side)))
 
 
-def curve_figures(found: Array, true: Array) -> dict[str, float]:
+def curve_figures(curve: Array, true: Array) -> dict[str, float]:
     """Distances of a curve that was found from the true one, px; both (n, 2) px, tip first.
 
     Returns:
@@ -75,11 +75,11 @@ def curve_figures(found: Array, true: Array) -> dict[str, float]:
     """
     truth = resample(true, spacing=1.0)
     share = np.linspace(0.0, 1.0, _SHARES)
-    apart = at_length(found, share * arc_length(found)[-1]) - at_length(truth, share * arc_length(truth)[-1])
+    apart = at_length(curve, share * arc_length(curve)[-1]) - at_length(truth, share * arc_length(truth)[-1])
     return {
-        "curve_px": float(distances_to(found, truth).mean()),
+        "curve_px": float(distances_to(curve, truth).mean()),
         "order_px": float(np.hypot(*apart.T).mean()),
-        "tip_px": float(np.hypot(*(found[0] - truth[0]))),
+        "tip_px": float(np.hypot(*(curve[0] - truth[0]))),
     }
 
 
@@ -92,10 +92,10 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         images without a wire, and "found_in_empty".
     """
     measured = [row for row in rows if row["measured"]]
-    found = [row for row in measured if row["found"]]
+    with_curve = [row for row in measured if row["found"]]
     empty = [row for row in rows if row["wires"] == NONE]
     medians = {
-        f"{name}_median_px": float(np.median([row[f"{name}_px"] for row in found])) if found else None
+        f"{name}_median_px": float(np.median([row[f"{name}_px"] for row in with_curve])) if with_curve else None
         for name in ("curve", "order", "tip")
     }
     in_order = [row["found"] and row["order_px"] <= IN_ORDER_PX for row in measured]
@@ -103,7 +103,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "images": len(measured),
         **medians,
         "in_order": float(np.mean(in_order)) if in_order else None,
-        "missed": len(measured) - len(found),
+        "missed": len(measured) - len(with_curve),
         "empty": len(empty),
         "found_in_empty": sum(row["found"] for row in empty),
     }

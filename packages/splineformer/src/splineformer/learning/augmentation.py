@@ -96,9 +96,9 @@ def moved(points: Points, settings: Augmentation, generator: np.random.Generator
         size = np.exp(generator.uniform(-settings.stretch, settings.stretch))
         linear = size * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
         offset = 0.5 - linear @ [0.5, 0.5] + generator.uniform(-settings.shift, settings.shift, 2)
-        kept = inside(points @ linear.T + offset)
-        if kept is not None:
-            return kept, np.column_stack([linear, offset])
+        seen = inside(points @ linear.T + offset)
+        if seen is not None:
+            return seen, np.column_stack([linear, offset])
     return points, np.eye(2, 3)
 
 

@@ -98,8 +98,8 @@ def curve_of(drawn: RandomImage) -> tuple[int, Points | None]:
     side = len(drawn.image)
     wires = [parts for parts in drawn.wires if sum(arc_length(part)[-1] for part in parts) >= _SHORTEST_PX]
     curves = [inside(shares_of_pixels(parts[0], (side, side))) for parts in wires if _tip_is_seen(parts[0], drawn.tips)]
-    kept = [curve for curve in curves if curve is not None]
-    return min(len(wires), SEVERAL), kept[0] if kept else None
+    single = [curve for curve in curves if curve is not None]
+    return min(len(wires), SEVERAL), single[0] if single else None
 
 
 def _tip_is_seen(points: Points, tips: Points) -> bool:

@@ -51,8 +51,8 @@ def curves_of(data: Dataset) -> list[NDArray[np.float64] | None]:
     curves: list[NDArray[np.float64] | None] = []
     for camera in VIEWS:
         for frame in data.frames:
-            kept = inside(shares_of_pixels(frame.polyline(camera), frame.size_px[camera]))
-            curves.append(None if kept is None else resample(kept, count=_DENSE))
+            seen = inside(shares_of_pixels(frame.polyline(camera), frame.size_px[camera]))
+            curves.append(None if seen is None else resample(seen, count=_DENSE))
     return curves
 
 

@@ -102,10 +102,10 @@ def errors(predictor: Predictor, shown: WirePictures) -> dict[str, float]:
     if not places:
         return {}
     readings = PerceptionNetwork(predictor)(list(shown.pictures[places]))
-    found = [
+    distances = [
         curve_errors(1024.0 * reading.points.astype(float), 1024.0 * shown.curves[place])
         for place, reading in zip(places, readings, strict=True)
     ]
-    values = {name: [one[name] for one in found] for name in ("tip_px", "mean_px")}
+    values = {name: [one[name] for one in distances] for name in ("tip_px", "mean_px")}
     means = {name: float(np.mean(of)) for name, of in values.items()}
     return means | {f"median_{name}": float(np.median(of)) for name, of in values.items()}

@@ -194,17 +194,17 @@ def _seen(tree: VesselTree, rng: np.random.Generator, shape: str) -> VesselTree:
     radius = aorta.radius * (1 - narrow * np.exp(-(((aorta.arc - place) / width) ** 2))) * (1 + waves)
     first = rng.random() ** 2 * max(min(leaving) - _LEAST_DESCENDING, 0.0)
     last = aorta.length - float(rng.uniform(0.0, max(aorta.length - max(leaving) - _LEAST_ROOT, 0.0)))
-    kept = (aorta.arc >= first) & (aorta.arc <= last)
-    cut = float(aorta.arc[kept][0])
-    branches = [Branch(aorta.name, size * aorta.points[kept], size * radius[kept])]
+    within = (aorta.arc >= first) & (aorta.arc <= last)
+    cut = float(aorta.arc[within][0])
+    branches = [Branch(aorta.name, size * aorta.points[within], size * radius[within])]
     for branch in tree.branches[1:]:
         along = size * (branch.parent_arc - (cut if branch.parent == aorta.name else 0.0))
         thick = size if branch.name == "sac" else size**_BRANCHES_GROW
         end = branch.length
         if branch.open_end and branch.name in ("lcca", "lsa"):
             end = max((1 - 0.6 * rng.random()) * end, tree.ostium_arc(branch.name) + _LEAST_BRANCH)
-        kept = branch.arc <= end
-        points, radii = size * branch.points[kept], np.maximum(thick * branch.radius[kept], _NARROWEST)
+        within = branch.arc <= end
+        points, radii = size * branch.points[within], np.maximum(thick * branch.radius[within], _NARROWEST)
         branches.append(Branch(branch.name, points, radii, branch.parent, along, branch.open_end))
     return VesselTree(tuple(branches))
 

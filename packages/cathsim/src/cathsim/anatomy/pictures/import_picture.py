@@ -42,8 +42,8 @@ def doubts(notes: Sequence[str]) -> tuple[str, ...]:
 
 def vessels_named(note: str, names: Sequence[str]) -> tuple[str, ...]:
     """The vessels of which a note speaks; the aorta only where it speaks of no other."""
-    found = tuple(name for name in names if re.search(rf"\b{re.escape(name)}\b", note, re.IGNORECASE))
-    return tuple(name for name in found if name != "aorta") or found
+    vessels = tuple(name for name in names if re.search(rf"\b{re.escape(name)}\b", note, re.IGNORECASE))
+    return tuple(name for name in vessels if name != "aorta") or vessels
 
 
 def draw_import(phantom: Phantom, path: Path | None = None) -> Figure:

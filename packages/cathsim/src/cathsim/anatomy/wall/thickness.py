@@ -26,30 +26,24 @@ LARGEST = 2e-7  # m^3, 0.2 ml: a larger one may be a vessel, and is for the chec
 SPECK = 8  # nodes: what is smaller is rounding at an edge, not a chamber
 
 
-def thicken_between_lumens(
-    grid: SignedDistanceGrid, thinnest: float = THINNEST, narrowest: float = NARROWEST
-) -> SignedDistanceGrid:
+def thicken_between_lumens(grid: SignedDistanceGrid) -> SignedDistanceGrid:
     """The grid with walls of a thickness at least wherever there is lumen on both sides.
 
     What is missing is taken from the vessels on both sides, half from each; a narrow vessel gives less. A low ridge,
     and what floats in the lumen, stay as they are: both sides of them are one lumen everywhere. A wall so thin that
     the lattice has nothing of it is none.
 
-    Args:
-        thinnest: m.
-        narrowest: m of width that a vessel keeps; one that is narrower already stays as it is.
-
     Returns:
         Another grid on the same lattice, or the same where nothing is too thin.
     """
     from scipy.spatial import cKDTree
 
-    centres, radii = _balls(grid, thinnest, narrowest)
+    centres, radii = _balls(grid, THINNEST, NARROWEST)
     if not len(centres):
         return grid
-    indices, values = grid.blocks.where(lambda values: values > -thinnest)
+    indices, values = grid.blocks.where(lambda values: values > -THINNEST)
     away, nearest = cKDTree(centres).query(
-        grid.coordinates(indices), k=range(1, _NEIGHBOURS + 1), distance_upper_bound=thinnest + _WIDEST / 2
+        grid.coordinates(indices), k=range(1, _NEIGHBOURS + 1), distance_upper_bound=THINNEST + _WIDEST / 2
     )
     radius = np.append(radii, 0.0)[nearest]  # of none that is so near: infinitely far away
     filled = (away - radius).min(axis=1).astype(np.float32)
@@ -112,13 +106,13 @@ def _apart(grid: SignedDistanceGrid, first: Array, second: Array) -> NDArray[np.
     steps = np.arange(-reach, reach + 1)
     nodes = np.rint((0.5 * (first + second) - grid.origin) / grid.spacing)
     cube = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1)
-    found = np.ones(len(first), dtype=bool)
+    apart = np.ones(len(first), dtype=bool)
     for place, (node, one, other) in enumerate(zip(nodes, first, second, strict=True)):
         at = grid.coordinates(node + cube)
         parts, _ = label(grid.sample(at) > 0)
         sides = [_nearest_part(parts, at, point) for point in (one, other)]
-        found[place] = 0 in sides or sides[0] != sides[1]
-    return found
+        apart[place] = 0 in sides or sides[0] != sides[1]
+    return apart
 
 
 def _with_neighbours(places: Array, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -173,7 +173,7 @@ def ct_body(path: str | Path, phantom: ImportedPhantom, transform: str | None = 
             f"{path.name} has no place: the phantom was not imported from a file; a CT belongs to an imported anatomy."
         )
     source, values = in_child(_read, path, transform)
-    found, refusal = None, None
+    body, refusal = None, None
     for affine in _placements(source, report):
         to_index: Array = np.linalg.inv(affine).astype(np.float64)
         try:
@@ -181,12 +181,12 @@ def ct_body(path: str | Path, phantom: ImportedPhantom, transform: str | None = 
         except MeshRefusedError as error:
             refusal = refusal or error
         else:
-            if found is None or stands_out > found[0]:
-                found = stands_out, affine, to_index, aside
-    if found is None:
+            if body is None or stands_out > body[0]:
+                body = stands_out, affine, to_index, aside
+    if body is None:
         assert refusal is not None
         raise refusal
-    _, affine, to_index, aside = found
+    _, affine, to_index, aside = body
     notes = (*(f"{path.name}: {note}" for note in source.notes), *((aside,) if aside else ()))
     for note in notes:
         logger.warning("%s.", note)

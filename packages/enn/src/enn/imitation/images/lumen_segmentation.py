@@ -105,9 +105,9 @@ def fit_segmenter(
 
 def overlap(network: LumenSegmenter, images: NDArray[np.floating], lumens: NDArray[np.floating]) -> float:
     """Intersection over union of the segmented lumens and the true ones, all images together."""
-    found = np.stack([network.lumen(image) for image in images]) > 0.5
+    masks = np.stack([network.lumen(image) for image in images]) > 0.5
     true = lumens > 0.5
-    return float((found & true).sum() / max((found | true).sum(), 1))
+    return float((masks & true).sum() / max((masks | true).sum(), 1))
 
 
 def _augmented(pair: Tensor, generator: np.random.Generator) -> Tensor:

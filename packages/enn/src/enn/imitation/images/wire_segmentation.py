@@ -212,9 +212,9 @@ def dice(
     """Dice score of the segmented wires and the true ones, all images together."""
     both = either = 0
     for image, plain, mask in zip(images, plains, masks, strict=True):
-        found, true = network.mask(image, plain) > 0, mask > 0
-        both += int((found & true).sum())
-        either += int(found.sum() + true.sum())
+        predicted, true = network.mask(image, plain) > 0, mask > 0
+        both += int((predicted & true).sum())
+        either += int(predicted.sum() + true.sum())
     return 2 * both / max(either, 1)
 
 
@@ -244,8 +244,8 @@ def _part(
 
 def _loss(logits: Tensor, wire: Tensor) -> Tensor:
     """Cross-entropy, and one less the Dice score, which does not mind how few pixels show the wire."""
-    found = torch.sigmoid(logits)
-    overlap = (2 * (found * wire).sum() + 1) / (found.sum() + wire.sum() + 1)
+    probability = torch.sigmoid(logits)
+    overlap = (2 * (probability * wire).sum() + 1) / (probability.sum() + wire.sum() + 1)
     return functional.binary_cross_entropy_with_logits(logits, wire) + 1 - overlap
 
 
@@ -270,7 +270,7 @@ def wire_frames(
     Returns:
         Of each name the images. Shapes (n, size, size).
     """
-    kept: list[list[NDArray[np.uint8]]] = [[] for _ in names]
+    frames: list[list[NDArray[np.uint8]]] = [[] for _ in names]
     for number, case in enumerate(cases):
         tick(number)
         observation, _ = environment.reset(seed=int(generator.integers(2**31)), options={"case": case})
@@ -278,8 +278,8 @@ def wire_frames(
         over, step = False, 0
         while not over:
             if step % BETWEEN == 0:
-                for images, name in zip(kept, names, strict=True):
+                for images, name in zip(frames, names, strict=True):
                     images.extend(observation[name])
             observation, _, terminated, truncated, _ = environment.step(steer(observation))
             over, step = terminated or truncated, step + 1
-    return tuple(np.stack(images) for images in kept)
+    return tuple(np.stack(images) for images in frames)

@@ -60,11 +60,11 @@ class TrainingInputs:
 
     def make_reset_bank(self, settings: TrainingSettings) -> ResetBank | None:
         """A reset bank of the demonstrations and starts, or None where no episode is to start from one."""
-        kept = settings.reset_bank_share, settings.reset_bank_capacity, self.seed
+        arguments = settings.reset_bank_share, settings.reset_bank_capacity, self.seed
         if settings.reset_bank_cases:
-            reset_bank: ResetBank = CaseResetBank(settings.reset_bank_cases, *kept)
+            reset_bank: ResetBank = CaseResetBank(settings.reset_bank_cases, *arguments)
         elif settings.reset_bank_share > 0:
-            reset_bank = ResetBank(*kept)
+            reset_bank = ResetBank(*arguments)
         else:
             return None
         fill_reset_bank(reset_bank, self.demonstrations)

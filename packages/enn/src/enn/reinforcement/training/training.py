@@ -91,8 +91,8 @@ class TrainingRun:
         self._evaluation_envs: list[gymnasium.Env[Any, Any]] = []
         self.decisions = 0
         self.next_row, self.next_evaluation = settings.curve_every, settings.evaluate_every or 1 << 62
-        kept = partial(LatestPolicy, first=inputs.initial_result) if settings.keep_latest else BestPolicy
-        self.best_policy = kept(settings.evaluation_episodes, inputs.seed, keeps_first=inputs.initial is not None)
+        judge = partial(LatestPolicy, first=inputs.initial_result) if settings.keep_latest else BestPolicy
+        self.best_policy = judge(settings.evaluation_episodes, inputs.seed, keeps_first=inputs.initial is not None)
         self.log = TrainingLog(self.folder, lambda: getattr(self.sampled, "cpu_s", 0.0))
         self.here = 0  # decisions of this run alone
         self.ticked = 0.0

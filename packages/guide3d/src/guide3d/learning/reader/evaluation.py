@@ -57,7 +57,7 @@ def evaluate_reader(reader: Reader, fluoroscopy: RandomFluoroscopy, indices: Ite
     """Reads the whole images of some indices."""
     both = marked = true = hit = covered = length = 0.0
     sheath = np.zeros(2)
-    tips = found = false = 0
+    tips = hits = false = 0
     empty: list[float] = []
     sums = np.zeros((3, 10))  # of map, truth, and number
     count = 0
@@ -84,7 +84,7 @@ def evaluate_reader(reader: Reader, fluoroscopy: RandomFluoroscopy, indices: Ite
         if apart is None:
             false += len(places)
         elif len(places):
-            found += int((apart.min(axis=0) <= _TIP_NEAR_PX).sum())
+            hits += int((apart.min(axis=0) <= _TIP_NEAR_PX).sum())
             false += int((apart.min(axis=1) > _TIP_NEAR_PX).sum())
         said = maps.wire > 0.02
         part = np.minimum((maps.wire[said] * 10).astype(int), 9)
@@ -97,7 +97,7 @@ def evaluate_reader(reader: Reader, fluoroscopy: RandomFluoroscopy, indices: Ite
         precision=float(hit / max(marked, 1)),
         recall=float(covered / max(length, 1)),
         catheter_dice=float(sheath[0] / max(sheath[1], 1)),
-        tip_found=found / max(tips, 1),
+        tip_found=hits / max(tips, 1),
         tip_false=false / max(count, 1),
         empty_px=float(np.mean(empty)) if empty else 0.0,
         calibration=float(np.abs(sums[0] - sums[1]).sum() / max(sums[2].sum(), 1)),
@@ -121,7 +121,7 @@ def calibrate(network: ReaderNetwork, fluoroscopy: RandomFluoroscopy, indices: I
             row = CLASSES.index(name)
             logits[name].append(given[row, chosen].astype(float))
             truth[name].append(target[row, chosen].astype(float))
-    found = {}
+    shares = {}
     pixels = network.block_px**2
     for name in CALIBRATED:
         scale, shift = fitted(np.concatenate(logits[name]), np.concatenate(truth[name]))
@@ -131,8 +131,8 @@ def calibrate(network: ReaderNetwork, fluoroscopy: RandomFluoroscopy, indices: I
             assert network.head.bias is not None
             network.head.weight[part] *= scale
             network.head.bias[part] = network.head.bias[part] * scale + shift
-        found[name] = [scale, shift]
-    return found
+        shares[name] = [scale, shift]
+    return shares
 
 
 def fitted(logits: NDArray[np.float64], truth: NDArray[np.float64]) -> tuple[float, float]:

@@ -192,13 +192,13 @@ def train_reader(
     path = folder / CHECKPOINT
     step = 0
     if path.is_file():
-        kept = read_content(path)
-        if kept["identity"] != identity:
+        checkpoint = read_content(path)
+        if checkpoint["identity"] != identity:
             raise ValueError(f"{path} belongs to a training with other settings: remove it, or give another folder")
-        network.load_state_dict(kept["network"])
-        averaged.load_state_dict(kept["averaged"])
-        optimiser.load_state_dict(kept["optimiser"])
-        step = kept["step"]
+        network.load_state_dict(checkpoint["network"])
+        averaged.load_state_dict(checkpoint["averaged"])
+        optimiser.load_state_dict(checkpoint["optimiser"])
+        step = checkpoint["step"]
     reduced = recipe.precision == "bfloat16" or (recipe.precision == "auto" and has_bfloat16())
     tiles = ReaderTiles(recipe.fluoroscopy, seed, recipe.tile_px, courses, backgrounds)
     began, own, last_kept, recent = time.monotonic(), time.process_time(), time.monotonic(), []

@@ -52,8 +52,8 @@ def _window(box: NDArray[np.uint8], number: int) -> Window | None:
     """The part of a box that holds a vessel."""
     from scipy.ndimage import find_objects
 
-    found: list[Window] = find_objects((box == number).view(np.uint8))
-    return found[0] if found else None
+    windows: list[Window] = find_objects((box == number).view(np.uint8))
+    return windows[0] if windows else None
 
 
 def _refuse_noise(mask: Mask, file: str, of: str) -> None:
@@ -95,15 +95,15 @@ def _greatest_radius(mask: Mask, spacing: Array, at_faces: list[tuple[bool, bool
 
 def _size_notes(radius: float, volume: LabelVolume) -> list[str]:
     voxel = " x ".join(f"{1e3 * side:.2g}" for side in volume.spacing)
-    found = f"the aorta has {1e3 * radius:.2g} mm of radius at its widest, by voxels of {voxel} mm"
+    sentence = f"the aorta has {1e3 * radius:.2g} mm of radius at its widest, by voxels of {voxel} mm"
     if not _LEAST_AORTA <= radius <= _MOST_AORTA:
         other = "" if radius < _LEAST_AORTA else ", or whether the label holds the heart, too"
         raise MeshRefusedError(
-            f"{found} in {volume.file}, expected {1e3 * _LEAST_AORTA:g} to {1e3 * _MOST_AORTA:g} (adults have 10 to "
+            f"{sentence} in {volume.file}, expected {1e3 * _LEAST_AORTA:g} to {1e3 * _MOST_AORTA:g} (adults have 10 to "
             f"20); check the unit of the file's affine{other}."
         )
     if radius < _LITTLE_AORTA:
-        return [f"{found}: an infant's, or the unit of the affine is wrong (adults have 10 to 20 mm)"]
+        return [f"{sentence}: an infant's, or the unit of the affine is wrong (adults have 10 to 20 mm)"]
     return []
 
 

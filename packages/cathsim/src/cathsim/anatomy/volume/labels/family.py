@@ -73,11 +73,11 @@ def find_family(box: Box, names: Sequence[str], spacing: Array) -> tuple[Box, Fa
     touching = _contacts(box, spacing)
     closed = False
     while waiting:
-        found = {n: parent for n in waiting if (parent := _parent(n, box, names, order, touching, spacing, closed))}
-        if found:
-            links |= {n: _link(n, parent, touching) for n, parent in found.items()}
-            order += found
-            waiting = [n for n in waiting if n not in found]
+        parents = {n: parent for n in waiting if (parent := _parent(n, box, names, order, touching, spacing, closed))}
+        if parents:
+            links |= {n: _link(n, parent, touching) for n, parent in parents.items()}
+            order += parents
+            waiting = [n for n in waiting if n not in parents]
         elif not closed:
             gaps = [_close_to_parent(box, n, names, order, spacing) for n in waiting]
             notes += [gap for gap in gaps if gap]
@@ -95,8 +95,8 @@ def find_family(box: Box, names: Sequence[str], spacing: Array) -> tuple[Box, Fa
     for number in waiting:
         box[box == number] = 0
         notes.append(f"{names[number - 1]} touches no other vessel and is left out")
-    kept = {number: names[number - 1] for number in order}
-    return box, Family(kept, links, _false_contacts(touching, links, root, waiting, beside), order, notes)
+    vessels = {number: names[number - 1] for number in order}
+    return box, Family(vessels, links, _false_contacts(touching, links, root, waiting, beside), order, notes)
 
 
 def _further_contacts(
@@ -173,7 +173,7 @@ def _contacts(box: Box, spacing: Array) -> Touching:
     steps = list(np.ndindex(3, 3, 3))
     offsets = [tuple(int(n) - 1 for n in step) for step in steps]
     offsets = [o for o in offsets if o > (0, 0, 0)]
-    found: dict[tuple[int, int], list[tuple[Array, Array]]] = {}
+    contacts: dict[tuple[int, int], list[tuple[Array, Array]]] = {}
     for offset in offsets:
         here = tuple(slice(max(-o, 0), n - max(o, 0)) for o, n in zip(offset, box.shape, strict=True))
         shifted = tuple(slice(max(o, 0), n - max(-o, 0)) for o, n in zip(offset, box.shape, strict=True))
@@ -186,9 +186,9 @@ def _contacts(box: Box, spacing: Array) -> Touching:
         size = area[offset.index(1)] if offset in _AXES else 0.0
         for pair in {tuple(sorted(p)) for p in zip(first.tolist(), second.tolist(), strict=True)}:
             chosen = ((first == pair[0]) & (second == pair[1])) | ((first == pair[1]) & (second == pair[0]))
-            found.setdefault((pair[0], pair[1]), []).append((middle[chosen], np.full(int(chosen.sum()), size)))
+            contacts.setdefault((pair[0], pair[1]), []).append((middle[chosen], np.full(int(chosen.sum()), size)))
     return {pair: (np.concatenate([p for p, _ in parts]), np.concatenate([s for _, s in parts]))
-            for pair, parts in found.items()}  # fmt: skip
+            for pair, parts in contacts.items()}  # fmt: skip
 
 
 def _parent(

@@ -132,7 +132,7 @@ def _enclosed(box: Box) -> NDArray[np.int64]:
     from scipy.ndimage import label
 
     axis = int(np.argmax(box.shape))
-    found = []
+    enclosed = []
     for place in range(box.shape[axis]):
         at: list[int | slice] = [slice(None)] * 3
         at[axis] = place
@@ -140,8 +140,8 @@ def _enclosed(box: Box) -> NDArray[np.int64]:
         if count > 1:
             open_gaps = np.unique(np.concatenate([gaps[0], gaps[-1], gaps[:, 0], gaps[:, -1]]))
             inner = np.argwhere((gaps > 0) & ~np.isin(gaps, open_gaps))
-            found.append(np.insert(inner, axis, place, axis=1))
-    places = np.concatenate(found) if found else np.empty((0, 3), dtype=np.int64)
+            enclosed.append(np.insert(inner, axis, place, axis=1))
+    places = np.concatenate(enclosed) if enclosed else np.empty((0, 3), dtype=np.int64)
     return np.sort(np.ravel_multi_index(tuple(places.T), box.shape))
 
 

@@ -68,15 +68,15 @@ class LumenGraph:
     def ways(self, start: int, ends: list[int]) -> list[Nodes]:
         """Ways (k,) of nodes along the middle from a start to ends, shared until they part."""
         _, before = self._search(start, self._middle_cost, None)
-        found = []
+        ways = []
         for end in ends:
             way = [end]
             while way[-1] != start:
                 way.append(int(before[way[-1]]))
                 if way[-1] < 0:
                     raise ValueError(f"no way leads to node {end}")
-            found.append(np.array(way[::-1]))
-        return found
+            ways.append(np.array(way[::-1]))
+        return ways
 
     def way(self, start: int, end: int, chosen: NDArray[np.bool_]) -> Nodes:
         """The way (k,) of nodes along the middle between two, within some nodes where there is one.
@@ -99,8 +99,8 @@ class LumenGraph:
 
         pairs = self.pairs
         if chosen is not None:
-            kept = chosen[pairs].all(axis=1)
-            pairs, cost = pairs[kept], cost[kept]
+            inside = chosen[pairs].all(axis=1)
+            pairs, cost = pairs[inside], cost[inside]
         graph = csr_matrix((cost, (pairs[:, 0], pairs[:, 1])), shape=(len(self.points),) * 2)
         away, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
         return away, before.astype(np.int64)

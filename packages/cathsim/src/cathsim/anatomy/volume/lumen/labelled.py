@@ -186,9 +186,9 @@ class LabelledLumen:
             if len(lumen):
                 away, _ = cKDTree(lumen).query(points[rest], distance_upper_bound=reach)
                 near[rest] = np.isfinite(away)
-        found = np.zeros_like(mask)
-        found[tuple(voxels[near].T)] = True
-        return found
+        result = np.zeros_like(mask)
+        result[tuple(voxels[near].T)] = True
+        return result
 
     def _open(self, number: int, places: Array) -> None:
         """Keeps a vessel open about places (n, 3) m of the box's axes."""

@@ -54,8 +54,8 @@ class VesselField:
         from scipy.ndimage import map_coordinates
 
         index = ((points - self.origin) / self.spacing).T
-        found: Field = map_coordinates(self.values, index, order=1, mode="nearest", output=np.float32)
-        return found
+        values: Field = map_coordinates(self.values, index, order=1, mode="nearest", output=np.float32)
+        return values
 
     @property
     def bounds(self) -> Array:
@@ -200,12 +200,12 @@ def _spread(coarse: Field, shape: tuple[int, ...]) -> Field:
     return fine[: shape[0], : shape[1], : shape[2]]
 
 
-def ways_to_lost(mask: Mask, kept: Mask, spacing: Array) -> list[Array]:
+def ways_to_lost(mask: Mask, main: Mask, spacing: Array) -> list[Array]:
     """Ways along a vessel's middle from what is kept of it to the far end of each part that is lost.
 
     Args:
         mask: (nx, ny, nz) the vessel's voxels in a box.
-        kept: (nx, ny, nz) those of them that lie in the lumen.
+        main: (nx, ny, nz) those of them that lie in the lumen.
         spacing: (3,) m between voxels.
 
     Returns:
@@ -214,7 +214,7 @@ def ways_to_lost(mask: Mask, kept: Mask, spacing: Array) -> list[Array]:
     """
     from scipy.ndimage import distance_transform_edt, label
 
-    parts, count = label(mask & ~kept, structure=np.ones((3, 3, 3)))
+    parts, count = label(mask & ~main, structure=np.ones((3, 3, 3)))
     sizes = np.bincount(parts.ravel(), minlength=count + 1)
     large = [n for n in range(1, count + 1) if sizes[n] >= _LEAST_SHARE * np.count_nonzero(mask)]
     if not large:
@@ -230,13 +230,13 @@ def ways_to_lost(mask: Mask, kept: Mask, spacing: Array) -> list[Array]:
         low = np.maximum(places.min(axis=0) - around, 0)
         high = places.max(axis=0) + around + 1
         window = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-        way = _way(depth[window], kept[window], parts[window] == number, spacing)
+        way = _way(depth[window], main[window], parts[window] == number, spacing)
         if way is not None:
             ways.append((way + low) * spacing)
     return ways
 
 
-def _way(depth: Array, kept: Mask, lost: Mask, spacing: Array) -> NDArray[np.int64] | None:
+def _way(depth: Array, main: Mask, lost: Mask, spacing: Array) -> NDArray[np.int64] | None:
     """Voxels (n, 3) from what is kept to the farthest of a lost part; None where no way leads there."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import dijkstra
@@ -246,7 +246,7 @@ def _way(depth: Array, kept: Mask, lost: Mask, spacing: Array) -> NDArray[np.int
     pairs, lengths = neighbours(voxels, spacing)
     first, second = pairs.T
     graph = csr_matrix((lengths * (dear[first] + dear[second]), (first, second)), shape=(len(voxels),) * 2)
-    ours, theirs = kept[tuple(voxels.T)], np.flatnonzero(lost[tuple(voxels.T)])
+    ours, theirs = main[tuple(voxels.T)], np.flatnonzero(lost[tuple(voxels.T)])
     if not ours.any():
         return None
     away, before, _ = dijkstra(
@@ -258,5 +258,5 @@ def _way(depth: Array, kept: Mask, lost: Mask, spacing: Array) -> NDArray[np.int
     way = [int(reached[np.argmax(away[reached])])]
     while before[way[-1]] >= 0:
         way.append(int(before[way[-1]]))
-    found: NDArray[np.int64] = voxels[way[::-1]]
-    return found
+    places: NDArray[np.int64] = voxels[way[::-1]]
+    return places
