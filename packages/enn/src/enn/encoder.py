@@ -64,7 +64,6 @@ def fit_encoder(
     Args:
         settings: choices of network and training; keys, shapes, feeder and epochs of 0 are filled in.
         progress: called after every epoch with the share done and the errors of its batches (`loss`).
-        device: where the encoder is trained and stays.
 
     Returns:
         The encoder, frozen and in evaluation mode, and a report: `encoder_report` of the held-out roll-outs, and

@@ -31,7 +31,6 @@ class Policy:
     """A trained policy: optional frozen encoder, network, and how its actions are to be repeated.
 
     Args:
-        network: how the network is built.
         module: the network, an actor (and critic) of stable-baselines3.
         encoder: turns observations into features before the network, or None.
         passthrough: observations that go to the network beside the encoder's features.

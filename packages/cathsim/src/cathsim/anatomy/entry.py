@@ -94,7 +94,6 @@ def point_entry(
     Args:
         name: what it is called.
         point: m, world frame.
-        phantom: name of the phantom, for errors.
         goal: branch, and arc length (m) along it, to which the sheath leads; None: towards the heart.
 
     Raises:

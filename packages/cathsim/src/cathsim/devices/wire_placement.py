@@ -168,7 +168,6 @@ def pushed_shapes(simulation: Simulation, way: ArrayLike, generator: np.random.G
     Two devices are laid at a lead from `LEADS`, and each is moved by itself; their shape is that of both together.
 
     Args:
-        simulation: whose wire it is.
         way: as `place_wire` takes it.
         generator: of place and moves; the caller may draw from it between two shapes.
 

@@ -63,7 +63,6 @@ class RandomMoves:
     def __init__(self, motion: str, generator: np.random.Generator) -> None:
         """Args:
         motion: a key of `MOTIONS`.
-        generator: of the draws.
         """
         self._moves = np.array(self._MOVES[motion])
         self._generator = generator

@@ -36,7 +36,6 @@ def displaced_walls(phantom: Phantom, seed: int, farthest: float) -> Phantom:
     Targets, entries, centrelines and the distances along the lumen are those of the scan.
 
     Args:
-        phantom: the scan.
         seed: of the field.
         farthest: largest displacement, m.
 

@@ -29,7 +29,6 @@ class Feeders:
         shape: of an action.
 
     Args:
-        simulation: whose devices are fed.
         drive: "direct", or "robot": a follower robot for each feeder.
 
     Raises:

@@ -151,9 +151,6 @@ class FollowerRobot:
     Attributes:
         model: of the robot alone; see `cathsim.robot.model` for its frame and joints.
         cycle: the state machine behind its set points.
-
-    Args:
-        settings: by default those of `RobotSettings`.
     """
 
     def __init__(self, settings: RobotSettings | None = None) -> None:

@@ -140,8 +140,6 @@ def fit_force(
 
     Args:
         folder: for a checkpoint, from which an interrupted fit goes on.
-        progress: called after every epoch.
-        device: where the network is fitted and stays.
 
     Returns:
         The predictor, and what the fit was like.

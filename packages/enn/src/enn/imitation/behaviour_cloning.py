@@ -100,8 +100,6 @@ def clone(
         expert_features: Z of each episode's moments, (T, z) or (T + 1, z); without, features are not matched.
         initial: student to go on from instead of fresh weights.
         folder: for a checkpoint, from which an interrupted fit goes on.
-        progress: called after every epoch.
-        device: where the student is fitted and stays.
 
     Returns:
         The student, and what the fit was like.

@@ -205,9 +205,6 @@ def fit_path_follower(
     Args:
         trajectories: of the expert; only tips and actions are used.
         paths: the planned path of each episode, (n, 3) m.
-        settings: what is seen and how it is learnt from.
-        progress: called after every epoch.
-        device: where the network is fitted and stays.
 
     Returns:
         The follower, and what the fit was like.

@@ -126,7 +126,6 @@ class RecurrentPolicy:
     """A network and what its perception is made from.
 
     Args:
-        device: where it computes.
         perception: what the file keeps for the perception: numbers, strings, lists, dictionaries and tensors.
     """
 

@@ -52,7 +52,6 @@ def train_network(
         form: of the shape network's curves, "spherical" or "cartesian".
         pictures: folder that keeps prepared pictures; None: in memory.
         pretrained: weights of the shape network's vision transformer, if there are any.
-        seed: of weights, shuffling and augmentation.
         ranks: that train together; None: this process alone.
 
     Returns:

@@ -83,9 +83,6 @@ class CameraView:
     def look(self, reading: WireReading) -> NDArray[np.float32]:
         """What a reading shows; to be called once a decision.
 
-        Args:
-            reading: of the moment's image.
-
         Returns:
             Tokens (3 a token); the wire behind the tip over its distances, confidence, length, and the tip's place and
             direction (24); for one and two decisions ago, the tip's motion since, its turn, and the change of length

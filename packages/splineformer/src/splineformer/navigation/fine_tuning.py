@@ -73,8 +73,6 @@ def fine_tune(
         shown: pictures to train with and to validate with.
         variant: whose recipe for a desk is followed.
         folder: for the checkpoint of the fit.
-        device: where it is trained.
-        progress: called after every epoch.
 
     Returns:
         The predictor, and the number of images, the CPU time in minutes, and the errors before and after.

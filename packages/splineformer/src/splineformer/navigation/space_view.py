@@ -86,9 +86,6 @@ class SpaceView:
     def look(self, readings: Sequence[WireReading]) -> NDArray[np.float32]:
         """What both readings show together; to be called once a decision.
 
-        Args:
-            readings: of the moment's image of each camera.
-
         Returns:
             In the wire's frame: the way ahead over its distances (21), the wire behind the tip over its distances (18),
             distances to the wall along `RAYS` over 30 mm (9), the direction to the target (3), the tip's motion since

@@ -55,7 +55,6 @@ def import_volume(
     """Makes a phantom of a segmentation: a file, or a folder with one file a vessel; cached by content.
 
     Args:
-        path: of the file or folder.
         labels: which label is which vessel, by its number, by its name in the file, or by a folder's file without its
             ending; None leaves a label out. It overrules names in the file and published numbers.
         names: names of the user's own: a mapping from the names that were found, or a list for the aorta's branches

@@ -44,11 +44,7 @@ class WallRelief:
 def raise_relief(
     grid: SignedDistanceGrid, tree: VesselTree, relief: WallRelief, rng: np.random.Generator
 ) -> SignedDistanceGrid:
-    """The grid of a lumen whose wall has a drawn relief; the same draw at every resolution.
-
-    Args:
-        tree: of the lumen, for the vessels' radii.
-    """
+    """The grid of a lumen whose wall has a drawn relief; the same draw at every resolution."""
     from scipy.spatial import cKDTree
 
     low = np.min([branch.points.min(axis=0) for branch in tree], axis=0) - 0.05

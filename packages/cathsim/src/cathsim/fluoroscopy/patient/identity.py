@@ -36,8 +36,6 @@ def check_patient(values: NDArray[np.int16], to_index: Array, grid: Any, file: s
     Args:
         values: (nx, ny, nz) Hounsfield units.
         to_index: (4, 4) from the world, m, to indices.
-        grid: the phantom's signed distances.
-        file: name of the CT's file, for the messages.
 
     Returns:
         Hounsfield units by which the lumen exceeds what lies around it, and a note where it lies a little aside.

@@ -78,7 +78,6 @@ def fit_segmenter(
         lumens: 1 where the lumen is seen. Shape (n, size, size).
         working_size: px, of the segmenter.
         progress: called with each epoch's number and loss.
-        device: where the network is trained and stays.
 
     Returns:
         The segmenter, and the overlap (intersection over union) on the training images.

@@ -17,7 +17,6 @@ class ImagePolicy:
     """A policy that steers by images alone.
 
     Attributes:
-        policy: features to actions.
         perception: images to features.
     """
 

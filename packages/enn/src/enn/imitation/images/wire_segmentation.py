@@ -58,7 +58,6 @@ def fitted(
         loss_of: gives the loss of a batch, from the network, the images' indices and the generator of augmentation.
         seed: of weights, order and augmentation.
         progress: called with each epoch's number and loss.
-        device: where the network is trained and stays.
     """
     generator = np.random.default_rng(seed)
     with torch.random.fork_rng(devices=[]):
@@ -183,7 +182,6 @@ def fit_wire_segmenter(
         plains: the same without it. Shape (n, size, size).
         masks: the wire's pixels, not 0. Shape (n, size, size).
         progress: called with each epoch's number and loss.
-        device: where the network is trained and stays.
 
     Returns:
         The segmenter, and the Dice score of its masks on the training images.

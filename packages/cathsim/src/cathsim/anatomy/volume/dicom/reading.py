@@ -21,7 +21,6 @@ def open_dicom(path: Path, *, image: bool) -> VolumeSource:
     """Reads the headers of a DICOM file, or of a folder of them.
 
     Args:
-        path: of the file or folder.
         image: whether a CT is wanted, and no labels.
 
     Raises:

@@ -142,7 +142,6 @@ class Layers:
 
     Args:
         shape: voxels along the axes.
-        file: for messages.
     """
 
     def __init__(self, shape: tuple[int, int, int], file: str) -> None:

@@ -136,7 +136,6 @@ def read_labels(path: str | Path, labels: Labels = None, transform: str | None =
     """Reads the vessels of a label volume, or of a folder with one file a vessel.
 
     Args:
-        path: of the file or folder.
         labels: vessel's name by label (its number, its name in the file, or the name of a file of a folder); it
             overrules what the file says.
         transform: of NIfTI files, "sform" or "qform": which of their affines is taken; None: the sform where there is

@@ -70,7 +70,6 @@ def choose_labels(
         names: of labels, as the file gives them.
         own: the user's mapping from a label's number, or its name in the file, to a vessel's name; None leaves a label
             out.
-        file: for messages.
         misfit: says why labels cannot be the vessels that a published scheme makes of their numbers; such a scheme is
             not used. None believes the numbers.
 
