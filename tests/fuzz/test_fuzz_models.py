@@ -18,8 +18,8 @@ from enn.networks.network import NetworkSettings, build_network
 from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointError, CheckpointFolder
 from guide3d.learning.build import SHAPE_SIZES, build_shape_network
+from guide3d.learning.picture_store import Preprocessing
 from guide3d.learning.predictor import ShapePredictor
-from guide3d.learning.preprocessing import Preprocessing
 from splineformer import build as splineformer_build
 from splineformer.predictor import Predictor
 from tests.fuzz.mutations import damaged

@@ -25,7 +25,7 @@ from cathsim.presets import ACCURACY
 from enn.imitation.recurrent_policy import RecurrentPolicySettings
 from enn.reinforcement.training.settings import TrainingSettings
 from guide3d.geometry.distortion import Distortion
-from guide3d.learning.preprocessing import Preprocessing
+from guide3d.learning.picture_store import Preprocessing
 from guide3d.learning.recipes import fgrn_recipe, segmentation_recipe, shape_recipe
 from guide3d.modeling.spherical import SphericalForm
 from guide3d.reconstruction.synthetic_scene import rig

@@ -9,7 +9,7 @@ import pytest
 
 from guide3d.dataset.dataset import Dataset
 from guide3d.learning.evaluation import evaluate_segmentation, evaluate_shape, off_line_px
-from guide3d.learning.preprocessing import Preprocessing
+from guide3d.learning.picture_store import Preprocessing
 from tests.guide3d.learning.drawn_data import SIDE, draw
 
 

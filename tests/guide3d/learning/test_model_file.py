@@ -14,8 +14,8 @@ import torch
 from guide3d.geometry.distortion import Distortion
 from guide3d.learning.build import FGRN_SIZES, SEGMENTER_SIZES, SHAPE_SIZES, build_shape_network
 from guide3d.learning.model_file import read_content, write_content
+from guide3d.learning.picture_store import Preprocessing
 from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor, built
-from guide3d.learning.preprocessing import Preprocessing
 from guide3d.modeling.shape_network import FGRN
 from tests.damaged_files import damaged, refusals
 from tests.forged_models import require_refusals

@@ -16,9 +16,8 @@ import torch
 from guide3d.dataset.dataset import Dataset, split
 from guide3d.learning.evaluation import dice
 from guide3d.learning.network_training import train_network
-from guide3d.learning.picture_store import PictureStore
+from guide3d.learning.picture_store import PictureStore, Preprocessing
 from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor
-from guide3d.learning.preprocessing import Preprocessing
 from guide3d.learning.recipes import fgrn_recipe, segmentation_recipe, shape_recipe
 from guide3d.learning.shape_samples import ShapeAugmentation, ShapeObjective, clips_of, curve_of, sideways, walks_of
 from guide3d.train import main

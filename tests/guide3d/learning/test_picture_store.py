@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from guide3d.learning.picture_store import PictureStore
-from guide3d.learning.preprocessing import Preprocessing
+from guide3d.learning.picture_store import PictureStore, Preprocessing
 from tests.guide3d.learning.drawn_data import draw
 
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from guide3d.learning.build import SEGMENTER_SIZES
+from guide3d.learning.picture_store import Preprocessing
 from guide3d.learning.predictor import SegmentationPredictor, built
-from guide3d.learning.preprocessing import Preprocessing
 from pipeline.jobs.worker import Report
 from pipeline.plots.splineformer import draw_attention, draw_comparison, draw_errors
 from pipeline.stages import splineformer

@@ -22,9 +22,18 @@ except ModuleNotFoundError as error:
         'cathsim.composer needs dm_control: install it with pip install "endonav-cathsim[composer]"'
     ) from error
 
-from cathsim.composer.compatibility import forget_dropped_fields
+import mujoco
+from dm_control.mujoco.wrapper.mjbindings import sizes
 
-forget_dropped_fields()
+
+def _forget_dropped_fields() -> None:
+    """Takes array fields that MuJoCo 4.0 lacks off the list from which dm_control 1.0.50 makes named indexers."""
+    for struct, owner in (("mjmodel", mujoco.MjModel), ("mjdata", mujoco.MjData)):
+        for name in [name for name in sizes.array_sizes[struct] if not hasattr(owner, name)]:
+            del sizes.array_sizes[struct][name]
+
+
+_forget_dropped_fields()
 
 from cathsim.composer.entities import Feeder, GuidewireEntity, VesselArena  # noqa: E402
 from cathsim.composer.navigate import STEPPING, NavigateTask, load  # noqa: E402

@@ -19,9 +19,8 @@ from guide3d.dataset.dataset import VIEWS, Dataset, images_of
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.metrics import curve_metrics, distances_along
 from guide3d.geometry.polyline import Array, arc_length, resample
-from guide3d.learning.picture_store import PictureStore
+from guide3d.learning.picture_store import PictureStore, averaged
 from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor
-from guide3d.learning.preprocessing import averaged
 from guide3d.learning.shape_samples import CAMERA, clips_of, curve_of
 from guide3d.reconstruction.evaluation import METRICS as SHAPE_METRICS
 from guide3d.reconstruction.evaluation import mean_and_spread

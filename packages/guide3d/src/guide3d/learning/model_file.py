@@ -11,7 +11,7 @@ What a network's file holds::
     format        "guide3d-network-1"
     kind          "shape", "fgrn" or "segmentation"
     network       what `guide3d.learning.build` makes the network from: numbers, strings, lists
-    preprocessing fields of `guide3d.learning.preprocessing.Preprocessing`
+    preprocessing fields of `guide3d.learning.picture_store.Preprocessing`
     metadata      what else is known: data, training, versions
     weights       the network's state dictionary; normalisation is part of it
 """

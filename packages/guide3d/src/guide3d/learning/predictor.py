@@ -17,7 +17,7 @@ from guide3d.geometry.polyline import Array
 from guide3d.learning.bounded_content import built_from
 from guide3d.learning.build import ShapeSize, build_segmenter, described, rebuilt
 from guide3d.learning.model_file import UNFIT, another_architecture, read_model, write_model
-from guide3d.learning.preprocessing import Preprocessing
+from guide3d.learning.picture_store import Preprocessing
 from guide3d.modeling.shape_network import FGRN, ShapeNetwork
 
 Images = NDArray[np.uint8]

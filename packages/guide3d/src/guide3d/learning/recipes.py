@@ -12,7 +12,7 @@ from typing import Any
 
 from guide3d.learning.build import FGRN_SIZES, SEGMENTER_SIZES, SEGMENTERS, SHAPE_SIZES, SIZES, ShapeSize
 from guide3d.learning.losses import ShapeLoss
-from guide3d.learning.preprocessing import Preprocessing
+from guide3d.learning.picture_store import Preprocessing
 from guide3d.learning.segmentation_samples import SegmentationAugmentation
 from guide3d.learning.shape_samples import ShapeAugmentation
 from guide3d.learning.training import NetworkFitSettings

@@ -12,9 +12,8 @@ from torch import Tensor, nn
 
 from guide3d.dataset.dataset import VIEWS
 from guide3d.learning.losses import segmentation_loss
-from guide3d.learning.picture_store import PictureStore, replace_unreadable
+from guide3d.learning.picture_store import PictureStore, averaged, replace_unreadable
 from guide3d.learning.precision import bfloat16_on_processor
-from guide3d.learning.preprocessing import averaged
 from guide3d.setting_kinds import Grey, Logarithm, Share, settings
 
 

@@ -12,8 +12,7 @@ import torch
 
 from guide3d.dataset.dataset import VIEWS, images_of
 from guide3d.learning.distributed import Ranks
-from guide3d.learning.picture_store import PictureStore
-from guide3d.learning.preprocessing import Preprocessing
+from guide3d.learning.picture_store import PictureStore, Preprocessing
 from guide3d.learning.training import FitProgress, FitReport, fit
 from splineformer.build import build
 from splineformer.learning.recipes import Recipe

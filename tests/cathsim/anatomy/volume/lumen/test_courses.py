@@ -10,7 +10,7 @@ import pytest
 
 from cathsim.anatomy.volume.labels.family import Family
 from cathsim.anatomy.volume.lumen import courses
-from cathsim.anatomy.volume.lumen.following import narrow_places
+from cathsim.anatomy.volume.lumen.courses import narrow_places
 from cathsim.anatomy.volume.lumen.graph import LumenGraph
 
 

@@ -10,9 +10,8 @@ from cathsim.anatomy.lumen import OUTSIDE, PADDING
 from cathsim.anatomy.mesh.branches import RoughVessel
 from cathsim.anatomy.volume.files.reading import LabelVolume
 from cathsim.anatomy.volume.labels.family import find_family
-from cathsim.anatomy.volume.lumen.courses import Courses, find_courses
+from cathsim.anatomy.volume.lumen.courses import Courses, find_courses, narrow_places, rough_vessels
 from cathsim.anatomy.volume.lumen.ends import Tip, flat_end
-from cathsim.anatomy.volume.lumen.following import narrow_places, rough_vessels
 from cathsim.anatomy.volume.lumen.graph import LumenGraph
 from cathsim.anatomy.volume.lumen.lattice import BlockLattice
 from cathsim.anatomy.volume.lumen.smoothing import VesselField, ways_to_lost
