@@ -17,6 +17,8 @@ from pipeline.store.run_folder import Identity, RunFolder
 from tests.conftest import PipelineProcess
 from tests.pipeline.composed import Stages
 
+pytestmark = pytest.mark.slow
+
 # Rows that have the network of another one, or one whose size the tests of guide3d's networks count, are left out.
 FEWER_ROWS = (
     "stage@baselines.observations=[internal,sequential]",
