@@ -69,7 +69,7 @@ def test_log_is_sound_and_says_that_a_human_steered(procedure: Procedure, tmp_pa
     assert arrays["mask/frontal"][-1].sum() > arrays["mask/frontal"][0].sum()
 
 
-def test_a_log_of_two_devices_has_both_and_the_catheters_name(own_cache: None, tmp_path: Path) -> None:
+def test_a_log_of_two_devices_has_both_and_the_catheters_name(tmp_path: Path) -> None:
     environment = NavigateEnv(observation="tip", accuracy="fast", max_steps=4, catheter="simmons2_6f")
     procedure = Procedure(environment, McapRecorder(tmp_path), seed=1)
     for _ in range(4):
@@ -279,7 +279,7 @@ def test_rows_are_those_of_the_thesis() -> None:
     assert {"bca/H", "lcca/H"} <= set(thesis["ablation"]["rows"])
 
 
-def test_a_human_steers_two_devices(own_cache: None, tmp_path: Path) -> None:
+def test_a_human_steers_two_devices(tmp_path: Path) -> None:
     environment = NavigateEnv(observation="tip", accuracy="fast", max_steps=4, catheter="vertebral", image_size=40)
     recorder = McapRecorder(tmp_path)
     _, info = environment.reset(seed=3)
