@@ -234,11 +234,12 @@ def _fault_of_sides(width: int, height: int) -> str:
 def _fault_of_bmp(data: bytes) -> str:
     width, height = (abs(int.from_bytes(data[at : at + 4], "little", signed=True)) for at in (18, 22))
     start, bits, compression = (int.from_bytes(data[at : at + n], "little") for at, n in ((10, 4), (28, 2), (30, 4)))
-    whole = start + height * ((width * bits + 31) // 32 * 4)  # without its last row's filling, which writers leave out
+    row = (width * bits + 7) // 8
+    whole = start + (height - 1) * ((row + 3) // 4 * 4) + row  # without its last row's filling, which writers leave out
     if len(data) < 34:
         return "it is cut off"
     fault = _fault_of_sides(width, height)
-    return fault or ("it is cut off" if compression in (0, 3) and len(data) < whole - 3 else "")
+    return fault or ("it is cut off" if compression in (0, 3) and len(data) < whole else "")
 
 
 def _fault_of_jpeg(data: bytes) -> str:
