@@ -42,7 +42,8 @@ def main(episodes: int = 10, steps: int = 300) -> Summary:
             forces.append(info["force"])
             rewards.append(reward)
             ended = terminated or truncated
-        results.append(EpisodeMetrics.from_arrays(np.array(tips), np.array(forces), np.array(rewards), terminated))
+        arrays = np.array(tips), np.array(forces), np.array(rewards)
+        results.append(EpisodeMetrics.from_arrays(*arrays, terminated, ending=info))
         print(f"start {seed}: {'reached' if terminated else 'missed'} after {0.1 * len(forces):.1f} s")
     low, high = wilson_interval(sum(one.success for one in results), episodes)
     found = summarise(results)

@@ -61,6 +61,8 @@ class Task:
     image_size_px: ImageSize = 80  # side of the images
     max_steps: Count = 300  # of 0.1 s at the usual pace, after which an episode is cut off
     success_radius_mm: SuccessRadius = 8.0  # the target is reached within this distance of the tip
+    # "lumen" (in the target's branch) or "straight"; null: straight in learning stages on named phantoms, as the thesis
+    success: Annotated[str, one_of("lumen", "straight")] | None = None
     start_jitter_mm: StartJitter = 1.0  # the wire starts advanced by up to this much
     start_rotation_deg: StartRotation = 180.0  # ... and turned by up to this much either way
     entry: PathText = DESCENDING  # where the sheath ends: a name of the anatomy's, or coordinates in m, world frame
@@ -127,21 +129,33 @@ class Task:
 
         return DevicePair(self._wire(), self.guiding_catheter())
 
-    def rules(self) -> dict[str, Any]:
-        """Pace, images, limits, start and entry as arguments of an environment, in m and rad."""
+    def success_in(self, phantom: str | None) -> str:
+        """The rule of success in a phantom of a name, or in others."""
+        from cathsim import PHANTOMS
+        from cathsim.navigation import NavigationTask
+
+        return self.success or ("straight" if phantom in PHANTOMS else NavigationTask.success)
+
+    def rules(self, phantom: str | None = None) -> dict[str, Any]:
+        """Pace, images, limits, success, start and entry as arguments of an environment, in m and rad.
+
+        Args:
+            phantom: the name of the anatomy, where it counts as the thesis's if it has that of one.
+        """
         return {
             "pace": self.pace,
             "image_size": self.image_size_px,
             "max_steps": self.max_steps,
             "success_radius": self.success_radius,
+            "success": self.success_in(phantom),
             "start_jitter": self.start_jitter_mm / _MM,
             "start_rotation": math.radians(self.start_rotation_deg),
             "entry": entry_place(self.entry),
         }
 
-    def arguments(self) -> dict[str, Any]:
-        """All of it as arguments of `cathsim.NavigateEnv`."""
-        return {**self.devices(), "actions": self.actions, **self.rules()}
+    def arguments(self, phantom: str | None = None) -> dict[str, Any]:
+        """All of it as arguments of `cathsim.NavigateEnv`; the phantom as of `rules`."""
+        return {**self.devices(), "actions": self.actions, **self.rules(phantom)}
 
 
 def entry_place(entry: str) -> str | tuple[float, float, float]:
@@ -187,7 +201,7 @@ class DeviceSettings:
 
 PARTS = tuple(field.name for field in dataclasses.fields(Task))
 # What the actions of an episode have to do with: the same devices, moved the same way, to the same end.
-MOTION = ("wire", LENGTH, "catheter", "torsion", "actions", "pace", "success_radius_mm")
+MOTION = ("wire", LENGTH, "catheter", "torsion", "actions", "pace", "success_radius_mm", "success")
 
 
 def task_in_random_arches() -> Task:

@@ -9,10 +9,11 @@
     python benchmarks/enn/shipped_policies.py --policy navigator --attempts 3
     python benchmarks/enn/shipped_policies.py --policy navigator --steep navigator_simmons2 --steep-from 13
 
-Prints a row for each anatomy and target (all random arches together), with Wilson's 95 % interval, then rows by how far
-the target's ostium is set back behind the top of the arch, and one JSON object as its last line. --steep names the
-policy for targets set back by --steep-from mm or more, which the scan tells beforehand; a policy of two devices steers
-its own, or those of --catheter and --wire.
+Prints a row for each anatomy and target (all random arches together), with Wilson's 95 % interval, how many came
+within the success radius in a straight line, the branches in which the tips ended, and their depths behind the ostium
+(least, median, most), then rows by how far the target's ostium is set back behind the top of the arch, and one JSON
+object as its last line. --steep names the policy for targets set back by --steep-from mm or more, which the scan tells
+beforehand; a policy of two devices steers its own, or those of --catheter and --wire.
 With --among the first policy, or from --steep-from mm on the second, plays an episode in each of three copies of the
 anatomy; if it fails in one of them, all of these policies, which see a roadmap, play in six copies, and the one that
 arrives most often plays the episodes (`enn.device_trials`).
@@ -33,6 +34,7 @@ import itertools
 import json
 import os
 import sys
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
@@ -70,6 +72,9 @@ class Outcome:
     """How an episode went."""
 
     success: bool
+    straight: bool  # whether the tip came within the success radius, also outside the branch
+    branch: str  # in which the tip ended
+    depth_mm: float  # of it behind the branch's ostium
     steps: int
     forces: np.ndarray  # of each step, N
     attempts: int
@@ -169,13 +174,15 @@ def play(
     controller = RetryingController(attempt, given.max_steps, given.attempts, seed, most_force=given.most_force)
     observation, info = environment.reset(seed=seed)
     forces: list[float] = []
-    ended = success = False
+    ended = success = straight = False
     while not ended:
         observation, _, success, truncated, info = environment.step(controller(observation, info))
         forces.append(float(info["force"]))
+        straight |= info["distance"] <= task.task.success_radius
         ended = success or truncated
     environment.close()
-    return Outcome(bool(success), len(forces), np.array(forces), controller.attempts)
+    place = bool(success), straight, info["branch"], 1e3 * info["depth"]
+    return Outcome(*place, len(forces), np.array(forces), controller.attempts)
 
 
 def play_with(
@@ -192,6 +199,9 @@ def play_with(
             further = play(task, policy, place, target, seed + number, given)
             outcome = Outcome(
                 further.success,
+                outcome.straight or further.straight,
+                further.branch,
+                further.depth_mm,
                 outcome.steps + further.steps,
                 np.concatenate((outcome.forces, further.forces)),
                 number * given.attempts + further.attempts,
@@ -285,6 +295,9 @@ def main() -> None:
                 "within_attempts": [
                     sum(one.success and one.attempts <= most + 1 for one in outcomes) for most in range(tries)
                 ],
+                "straight": sum(one.straight for one in outcomes),
+                "branches": dict(Counter(one.branch for one in outcomes)),
+                "depth_mm": np.percentile([one.depth_mm for one in outcomes], (0, 50, 100)).round(1).tolist(),
                 "steps": round(float(np.mean([one.steps for one in outcomes])), 1),
                 "force_mean_n": round(float(np.mean([one.forces.mean() for one in outcomes])), 3),
                 "force_p95_n": round(float(np.mean([np.percentile(one.forces, 95) for one in outcomes])), 3),
@@ -293,11 +306,14 @@ def main() -> None:
             }  # fmt: skip
             rows.append(row)
             share = f"{100 * won / len(outcomes):3.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+            places = ", ".join(f"{branch} {count}" for branch, count in row["branches"].items())
+            depth = f"straight {row['straight']}; {places}; {' / '.join(f'{mm:.0f}' for mm in row['depth_mm'])} mm deep"
             force = ", ".join(f"{row[key]:.2f}" for key in ("force_mean_n", "force_p95_n", "force_max_n"))
             tried = f"  within attempts {row['within_attempts']}" if tries > 1 else ""
             tried += f"  {', '.join(f'{name} {count}' for name, count in row['played_by'].items())}" * bool(given.among)
             print(
-                f"{name:24} {target:5} {won} of {len(outcomes)}  {share}  {row['steps']:.0f} steps  {force} N{tried}",
+                f"{name:24} {target:5} {won} of {len(outcomes)}  {share}  {depth}  {row['steps']:.0f} steps  "
+                f"{force} N{tried}",
                 flush=True,
             )
     except (OSError, ValueError) as error:

@@ -90,6 +90,7 @@ def run(options: argparse.Namespace) -> None:
     tried = f" at attempt {scene.steer.attempts}" if scene.steer.attempts > 1 else ""
     print(  # noqa: T201 - the last word of a command line
         f"demo: {outcome}{tried} in {metrics.steps / 10:.1f} s of simulated time, "
+        f"tip {1e3 * (metrics.depth or 0.0):.0f} mm deep in {metrics.branch}, "
         f"largest force {metrics.force_max:.2f} N; {time.monotonic() - began:.0f} s in all\nopen {page}"
     )
 

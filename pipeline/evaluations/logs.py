@@ -172,7 +172,12 @@ def read_evaluation(path: Path, run_path: Path) -> Evaluation:
     contacts = contacts[np.isfinite(contacts)]  # the arrays are padded with NaN
     try:
         metrics = EpisodeMetrics.from_arrays(
-            arrays["tip"], arrays["resultant_force"][1:], rewards, success, target=info.target
+            arrays["tip"],
+            arrays["resultant_force"][1:],
+            rewards,
+            success,
+            target=info.target,
+            ending=outcome.metrics,
         )
     except ValueError as error:
         raise UnusableLogError(str(error)) from error

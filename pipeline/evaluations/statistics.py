@@ -60,11 +60,13 @@ def over_seeds(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]
     means: dict[str, list[float]] = {}
     for of_seed in seeds.values():
         for name, value in summary(of_seed, shortest).items():
-            means.setdefault(name, []).append(mean_of(value))
+            if value is not None:
+                means.setdefault(name, []).append(mean_of(value))
         contacts = [one.contact_force for one in of_seed if one.contact_force is not None]
         if contacts:
             means.setdefault("contact_force_n", []).append(float(np.mean(contacts)))
-    return {"contact_force_n": None, **{name: _mean_and_spread(values) for name, values in means.items()}}
+    unknown = dict.fromkeys(("contact_force_n", "success_lumen_pct", "depth_mm"))
+    return {**unknown, **{name: _mean_and_spread(values) for name, values in means.items()}}
 
 
 def _mean_and_spread(values: list[float]) -> Cell:

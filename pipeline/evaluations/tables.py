@@ -46,9 +46,10 @@ OWN_TABLES = {"baselines": "baselines", "enn": "enn", "imitation": "behaviour_cl
               "expert": "expert", "human": "human"}  # fmt: skip
 BASELINE_COLUMNS = {"reward_{}": "reward", "mean_force_{}_n": "force_n", "max_force_{}_n": "force_max_n"}
 THESIS_PHANTOM, THESIS_TARGETS = "type_1", ("bca", "lcca")  # of the thesis's ablation
-ABLATION_COLUMNS = ("force_n", "path_length_cm", "episode_length_steps", "safety_pct", "success_pct", "spl_pct")
-OWN_COLUMNS = ("episode_length_steps", "path_length_cm", "spl_pct", "safety_pct", "force_n", "force_p95_n",
-               "force_max_n", "contact_force_n")  # fmt: skip
+ABLATION_COLUMNS = ("force_n", "path_length_cm", "episode_length_steps", "safety_pct", "success_pct", "spl_pct",
+                    "success_lumen_pct", "depth_mm")  # fmt: skip
+OWN_COLUMNS = ("success_lumen_pct", "depth_mm", "episode_length_steps", "path_length_cm", "spl_pct", "safety_pct",
+               "force_n", "force_p95_n", "force_max_n", "contact_force_n")  # fmt: skip
 EXPERT_ROW = "I+V+M"
 _DEVICE_COLUMNS = ("success_pct", "episode_length_steps", "path_length_cm", "force_n", "force_max_n")
 _DEVICES = ("wire", "catheter")  # as `Evaluation.feeder_forces` has them
@@ -199,6 +200,8 @@ def _baselines(rows: Rows, shortest: Shortest) -> Table:
         row = table.setdefault(f"{phantom}/{name}", {})
         row |= {column.format(target): values[source] for column, source in BASELINE_COLUMNS.items()}
         row[f"success_{target}_pct"] = mean_of(values["success_pct"])
+        if values["success_lumen_pct"] is not None:
+            row[f"success_lumen_{target}_pct"] = mean_of(values["success_lumen_pct"])
         row[SAMPLES] = min(len(chosen), row.get(SAMPLES, len(chosen)))  # behind either target's cells
     return table
 

@@ -291,7 +291,12 @@ def record_episode(
             forces.append(info["force"])
             rewards.append(reward)
         metrics = EpisodeMetrics.from_arrays(
-            np.array(tips), np.array(forces), np.array(rewards), bool(info["success"]), target=description.target
+            np.array(tips),
+            np.array(forces),
+            np.array(rewards),
+            bool(info["success"]),
+            target=description.target,
+            ending=info,
         )
         log.finish(EpisodeOutcome(success=metrics.success, steps=step, metrics=asdict(metrics)))
     return metrics

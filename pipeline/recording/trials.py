@@ -130,10 +130,13 @@ def summary(metrics: Sequence[EpisodeMetrics]) -> dict[str, Any]:
         metrics: of at least one episode.
 
     Returns:
-        Success in %, mean length in steps, mean and largest force in N, number of episodes.
+        Success in %, median depth in mm, mean length in steps, mean and largest force in N, number of episodes.
     """
+    from cathsim.metrics import median_depth_mm
+
     return {
         "success_pct": 100.0 * float(np.mean([episode.success for episode in metrics])),
+        "depth_mm": median_depth_mm(metrics),
         "episode_length_steps": float(np.mean([episode.steps for episode in metrics])),
         "force_n": float(np.mean([episode.force_mean for episode in metrics])),
         "force_max_n": float(np.max([episode.force_max for episode in metrics])),

@@ -104,7 +104,7 @@ def _read(path: Path) -> tuple[EpisodeInfo, bool, dict[str, Any] | None]:
     if info.operator != OPERATOR:
         raise EpisodeReadError(f"{path} is an episode of {info.operator}")
     for name, value in outcome.metrics.items():
-        if name != "target" and not isinstance(value, int | float):
+        if name not in ("target", "branch") and not isinstance(value, int | float):
             raise ValueError(f"the metric {shown(name)} is {shown(value)}")
     metrics = {name: value for name, value in outcome.metrics.items() if name not in TOTALS}
     if metrics:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv, NavigationTask, Phantom
-from cathsim.navigation import POTENTIAL_PER_METRE, STEP_COST, navigation_task
+from cathsim.goals.task import GoalTask
+from cathsim.navigation import POTENTIAL_PER_METRE, STEP_COST, Goal, navigation_task
 
 MakeEnv = Callable[..., NavigateEnv]
 FORWARD = np.array([1.0, 0.0])
@@ -19,7 +20,7 @@ FORWARD = np.array([1.0, 0.0])
 def aim_at(env: NavigateEnv, goal: np.ndarray, **task_fields: object) -> None:
     """Gives the environment another goal."""
     env.task = dataclasses.replace(env.task, **task_fields)
-    env._goal = goal
+    env._goal.position, env._goal._place = goal, env.phantom.depths.place(goal)
 
 
 def test_thesis_reward_is_minus_the_distance_in_metres(make_env: MakeEnv, type_1: Phantom) -> None:
@@ -193,5 +194,53 @@ def test_task_takes_fields_over_a_given_task() -> None:
     assert navigation_task(None, {"success_radius": 0.004}, base) == dataclasses.replace(base, success_radius=0.004)
     assert navigation_task("bca", {}, base) == dataclasses.replace(base, target="bca"), "a target that is named counts"
     assert navigation_task("lcca", {}) == NavigationTask(target="lcca")
-    with pytest.raises(ValueError, match="no argument speed; the task's are target, success_radius, max_steps"):
+    with pytest.raises(ValueError, match="no argument speed; the task's are target, success_radius, success, max_steps"):
         navigation_task("bca", {"speed": 1})
+
+
+def behind_ostium(phantom: Phantom, branch: str, depth: float) -> np.ndarray:
+    """The centreline's point (3,) m at a depth behind a branch's ostium."""
+    return phantom.tree[branch].point_at(phantom.tree.ostium_arc(branch) + depth)
+
+
+@pytest.mark.parametrize(
+    ("depth", "lumen"),
+    [(-0.002, False), (0.001, True), (0.009, True), (0.0155, False)],
+)
+def test_success_along_the_lumen_asks_for_the_branch_and_the_way(type_1: Phantom, depth: float, lumen: bool) -> None:
+    """A target 6 mm behind the ostium: a tip before the ostium has not reached it, however near it is."""
+    target = tuple(behind_ostium(type_1, "lsa", 0.006))
+    tip = behind_ostium(type_1, "lsa", depth)
+    radius = 0.009
+    arrival = Goal(NavigationTask(target=target, success_radius=radius), type_1).arrival(tip)
+    straight = Goal(NavigationTask(target=target, success_radius=radius, success="straight"), type_1).arrival(tip)
+    assert arrival.success == arrival.success_lumen == straight.success_lumen == lumen
+    assert straight.success == (np.linalg.norm(tip - target) <= radius)
+    assert arrival.place.branch == ("lsa" if depth > 0 else "aorta")
+    assert arrival.place.depth == pytest.approx(max(depth, 0.0), abs=1e-4)
+
+
+def test_a_tip_that_passes_the_ostium_ends_an_episode_by_the_straight_rule_alone(
+    make_env: MakeEnv, type_1: Phantom
+) -> None:
+    target = tuple(behind_ostium(type_1, "lsa", 0.004))
+    envs = [make_env(target=target, success_radius=0.025, success=rule) for rule in ("straight", "lumen")]
+    for env in envs:
+        env.reset(seed=0)
+    for _ in range(120):
+        (_, _, ended, _, info), (_, _, other, _, same) = (env.step(FORWARD) for env in envs)
+        assert info["branch"] == same["branch"] == "aorta"
+        assert info["depth"] == 0.0
+        assert not other
+        assert not info["success_lumen"]
+        if ended:
+            break
+    assert ended
+    assert info["success"]
+
+
+def test_a_rule_of_success_that_there_is_not_is_refused() -> None:
+    with pytest.raises(ValueError, match="success: input should be 'lumen' or 'straight', got 'near'"):
+        NavigationTask(success="near")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="success must be 'straight' in a goal-conditioned task"):
+        GoalTask(success="lumen")

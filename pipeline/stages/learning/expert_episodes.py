@@ -256,6 +256,7 @@ def task_of_log(log: Path, like: Task | None = None) -> LearningTask:
             f"{log} was recorded with a catheter that is no preset of this version, nor the one that was asked for: "
             "give task.catheter=… the file that it was recorded with, or record it again"
         )
+    rule, usual = recorded.get("success", "straight"), Task().success_in(info.phantom)
     task = Task(
         wire=preset[0],
         wire_length_mm=_MM * preset[1],
@@ -266,6 +267,7 @@ def task_of_log(log: Path, like: Task | None = None) -> LearningTask:
         image_size_px=recorded.get("image_size", size),
         max_steps=recorded["max_steps"],
         success_radius_mm=_MM * recorded["success_radius"],
+        success=None if rule == usual else rule,
         start_jitter_mm=_MM * recorded["start_jitter"],
         start_rotation_deg=math.degrees(recorded["start_rotation"]),
         entry=info.entry.partition(TOWARDS)[0],

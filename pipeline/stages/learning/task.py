@@ -61,7 +61,7 @@ class LearningTask:
             force_penalty=self.force_penalty if training else 0.0,
             path_penalty=self.path_penalty if training else 0.0,
             observe_every=observe_every,
-            **self.task.arguments(),
+            **self.task.arguments(self.phantom if self.file is None else None),
         )
 
     def factory(self, observation: str | Sequence[str], observe_every: int = 1) -> Callable[[], NavigateEnv]:

@@ -190,7 +190,7 @@ def scene_of(
     """
     phantom = phantom_of(anatomy)
     seen = _among_its_own(phantom, replace(arms, wire=task.wire), clutter)
-    arguments = {"reward": REWARD_OF_EVALUATION, "observe_every": observe_every, **task.arguments()}
+    arguments = {"reward": REWARD_OF_EVALUATION, "observe_every": observe_every, **task.arguments(phantom.name)}
     return Scene(c_arm_environment(phantom, target, seen, observation, **arguments), seen)
 
 

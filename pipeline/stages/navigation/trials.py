@@ -126,12 +126,14 @@ def count_failures(logs: Iterable[Path], phantom: Phantom) -> dict[str, int]:
 
 
 def summary(metrics: Sequence[EpisodeMetrics]) -> dict[str, Any]:
-    """Success in %, mean simulated time of the successful trials in s (None without), forces in N, number."""
+    """Success in %, median depth in mm, mean time of the successful trials in s (None without), forces in N, number."""
+    from cathsim.metrics import median_depth_mm
     from cathsim.simulation import CONTROL_STEP
 
     times = [CONTROL_STEP * one.steps for one in metrics if one.success]
     return {
         "success_pct": 100.0 * float(np.mean([one.success for one in metrics])),
+        "depth_mm": median_depth_mm(metrics),
         "time_s": float(np.mean(times)) if times else None,
         "force_n": float(np.mean([one.force_mean for one in metrics])),
         "force_max_n": float(np.max([one.force_max for one in metrics])),

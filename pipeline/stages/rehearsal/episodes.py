@@ -17,7 +17,8 @@ def play(job: RehearsalJob, report: Report) -> dict[str, Any]:
     """Logs an episode in each copy of a test, or several on the scan, whose log is not there yet.
 
     Returns:
-        Success of each episode in its first attempt and in any, and for each the contact forces of its steps, N.
+        Success of each episode in its first attempt and in any, its tip's depth at the end, m, and the contact forces
+        of its steps, N.
     """
     from enn.policy import Policy
     from enn.retrying import steps_of_attempts
@@ -29,7 +30,7 @@ def play(job: RehearsalJob, report: Report) -> dict[str, Any]:
     environment = copies_environment(replace(job, task=task), job.copies)
     policy = Policy.load(job.policy)
     kind = SCAN if job.copies == (0,) else COPIES
-    logs, success, first = [], [], []
+    logs, success, first, depths = [], [], [], []
     report(0.0, f"0/{len(job.copies)}")
     for case, copy in enumerate(job.copies):
         environment.reset(seed=0, options={"case": case})
@@ -47,6 +48,7 @@ def play(job: RehearsalJob, report: Report) -> dict[str, Any]:
         )
         success += [bool(one.success) for one in metrics]
         first += [bool(one.success and one.steps <= steps) for one in metrics]
+        depths += [one.depth for one in metrics]
         logs += [folder / f"{number:03d}.mcap" for number in range(count)]
         report((case + 1) / len(job.copies), f"{sum(success)}/{len(success)}")
     environment.close()
@@ -55,4 +57,5 @@ def play(job: RehearsalJob, report: Report) -> dict[str, Any]:
         with EpisodeReader(log) as episode:
             arrays = episode.load_arrays(pictures=False)
         forces.append(np.linalg.norm(arrays["resultant_force"][1:], axis=1).tolist())
-    return {"success": first, "within_attempts": success, "forces": forces, "logs": [str(log) for log in logs]}
+    ended = {"success": first, "within_attempts": success, "depths": depths}
+    return {**ended, "forces": forces, "logs": [str(log) for log in logs]}

@@ -199,7 +199,7 @@ def _outcomes_of(outcomes: dict[str, Any], tested: str, kind: str) -> list[dict[
 
 
 def row(outcomes: dict[str, Any], tested: str, kind: str) -> dict[str, Any]:
-    """A row of the table: success in the first attempt with Wilson's 95 % interval, in any, forces over all steps."""
+    """A row of the table: success in the first attempt with Wilson's 95 % interval, in any, depth, forces of steps."""
     from cathsim.metrics.episodes import wilson_interval
 
     parts = _outcomes_of(outcomes, tested, kind)
@@ -211,6 +211,7 @@ def row(outcomes: dict[str, Any], tested: str, kind: str) -> dict[str, Any]:
         "success_pct": 100.0 * float(np.mean(success)),
         "interval_pct": f"{100 * low:.0f} to {100 * high:.0f}",
         "within_attempts_pct": 100.0 * float(np.mean(within)),
+        "depth_mm": 1e3 * float(np.median([one for part in parts for one in part["depths"]])),
         "force_n": float(forces.mean()),
         "force_p95_n": float(np.percentile(forces, 95)),
         "force_max_n": float(forces.max()),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from annotated_types import Interval
 
@@ -30,13 +30,14 @@ PLACEHOLDER = "lcca"  # a target that every arch has, before an episode draws it
 
 @settings
 class ArchVarietyTask(NavigationTask):
-    """The tip within 5 mm of the target; the published reward.
+    """The tip within 5 mm of the target in a straight line; the published reward.
 
     The reward of a step is 1 at the target, plus 1 per metre of progress along the lumen, less 0.005, and less what
     `force_penalty` and `path_penalty` take, which are 0 by default.
     """
 
     success_radius: Annotated[float, Interval(gt=0, le=NEAR), Unit("m")] = 0.005
+    success: Literal["lumen", "straight"] = "straight"  # as published
     max_steps: Count = TEST_STEPS
 
     def step_reward(

@@ -20,7 +20,7 @@ from cathsim.devices.catheter import Catheter
 from cathsim.devices.choice import chosen_catheter, chosen_wire, simulation_of
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire
-from cathsim.navigation import NavigationTask, navigation_task, require_reach, straight_distance
+from cathsim.navigation import Arrival, Goal, NavigationTask, navigation_task, require_reach, straight_distance
 from cathsim.observations.fluoroscopes import wire_radius_of
 from cathsim.observations.scan import Scan
 from cathsim.observations.sensors import Sensors
@@ -119,14 +119,18 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     `start_rotation`; a catheter's tip lies there, too, turned by up to `start_rotation` by its own.
 
     ## Endings
-    Terminated when the tip is within `success_radius` of the target; truncated after `max_steps`, or when the
+    Terminated when the tip is in the target's branch within `success_radius` of the target along the lumen, or with
+    `success="straight"` within it in a straight line; truncated after `max_steps`, or when the
     simulation becomes invalid (`info["invalid"]`).
 
     ## Info
-    `tip` (3,) m, `distance` m, `insertion` m, `rotation` rad, `force` N (largest resultant of the step), `force_vector`
-    (3,) N, `success`, `invalid`; with `drive="robot"` also `driven`. With a catheter also `catheter_insertion` m,
-    `catheter_rotation` rad of its hub, `lead` m of the wire's tip before the catheter's, `feeder_forces` (2,) N, and
-    with the robot `catheter_driven`; `insertion`, `rotation` and `driven` are the wire's, or those of a catheter alone.
+    `tip` (3,) m, `distance` m to the target in a straight line, `branch` in which the tip is ("aorta" before every
+    ostium), `depth` m of the tip behind its ostium (0 in the aorta), `success_lumen` (whether the target is reached
+    along the lumen, whatever the task's rule), `insertion` m, `rotation` rad, `force` N (largest resultant of the
+    step), `force_vector` (3,) N, `success`, `invalid`; with `drive="robot"` also `driven`. With a catheter also
+    `catheter_insertion` m, `catheter_rotation` rad of its hub, `lead` m of the wire's tip before the catheter's,
+    `feeder_forces` (2,) N, and with the robot `catheter_driven`; `insertion`, `rotation` and `driven` are the wire's,
+    or those of a catheter alone.
     With `contact_info=True` also `contacts`, the number k of contacts of that moment, and `contact_points` (512, 3) m
     and `contact_forces` (512, 3) N, whose first k rows are those contacts and whose other rows are zero. Every key has
     the same type and shape in every step; `env.simulation.contacts()` gives the k contacts alone.
@@ -167,7 +171,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         observe_every: steps between two observations; in between, `step` returns the last one, for policies that hold
             an action for so many steps. At the reset and the episode's end there is always one, the same as with 1.
         task: the task, a `NavigationTask` or of a subclass with a reward of its own; its fields as further keywords
-            replace the task's: success_radius, max_steps, start_jitter, start_rotation, reward, force_penalty,
+            replace the task's: success_radius, success, max_steps, start_jitter, start_rotation, reward, force_penalty,
             force_threshold, path_penalty.
     """
 
@@ -273,10 +277,14 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     @property
     def goal(self) -> np.ndarray:
         """Position of the episode's target, m, world frame, where breathing has not moved it. Shape (3,)."""
-        return self._goal.copy()
+        return self._goal.position.copy()
+
+    def arrival(self, tip: np.ndarray, share: float = 1.0) -> Arrival:
+        """As `Goal.arrival` of the episode's target."""
+        return self._goal.arrival(tip, share)
 
     def _set_task(self, task: NavigationTask) -> None:
-        goal = task.goal(self.phantom)
+        goal = Goal(task, self.phantom)
         require_reach(task, self.simulation)
         self._task, self._goal, self._remaining = task, goal, 0.0
         self.roadmap.aim(task.target)
@@ -318,9 +326,9 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         tip, inside = self.simulation.tip, self.simulation.tip_in_vessel
         if self.task.reads_progress:
             self._remaining = self.task.remaining(self.phantom, inside)
-        self._display.show(self._goal)
+        self._display.show(self._goal.position)
         self._observed = self.observe()
-        return self._observed, self._info(tip, straight_distance(inside, self._goal), success=False, invalid=False)
+        return self._observed, self._info(tip, self._goal.arrival(inside), success=False, invalid=False)
 
     @exclusive
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -344,13 +352,13 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             simulation.reset()  # so that the last observation is at least finite
         self.sensors.advance(moves)
         tip = simulation.tip
-        distance = straight_distance(simulation.tip_in_vessel, self._goal)
-        success = distance <= task.success_radius and not invalid
-        info = self._info(tip, distance, success=success, invalid=invalid)
+        arrival = self._goal.arrival(simulation.tip_in_vessel)
+        success = arrival.success and not invalid
+        info = self._info(tip, arrival, success=success, invalid=invalid)
         reward = self._reward(before, action, info)
         truncated = not success and (invalid or self.steps >= task.max_steps)
         self.ended = success or truncated
-        self._display.show(self._goal)
+        self._display.show(self._goal.position)
         if self.ended or self.steps % self._observe_every == 0:
             self._observed = self.observe()
         return self._observed, reward, success, truncated, info
@@ -404,16 +412,19 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         """The observation of the moment."""
         return self.sensors.observe()
 
-    def _info(self, tip: np.ndarray, distance: float, *, success: bool, invalid: bool) -> dict[str, Any]:
+    def _info(self, tip: np.ndarray, arrival: Arrival, *, success: bool, invalid: bool) -> dict[str, Any]:
         simulation = self.simulation
         info: dict[str, Any] = {
             "tip": tip,
-            "distance": distance,
+            "distance": arrival.distance,
+            "branch": arrival.place.branch,
+            "depth": arrival.place.depth,
             "insertion": simulation.insertion,
             "rotation": simulation.rotation,
             "force": float(simulation.summary.force_max),
             "force_vector": simulation.force(),
             "success": success,
+            "success_lumen": arrival.success_lumen and not invalid,
             "invalid": invalid,
         }
         if isinstance(simulation, DualSimulation):
@@ -430,9 +441,9 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     def render(self) -> np.ndarray | None:
         """A picture as `render_mode` says, shape (height, width, 3), uint8; "human" shows it in the window instead."""
         if self.render_mode == "human":
-            self._display.show(self._goal)
+            self._display.show(self._goal.position)
             return None
-        return self._display.picture(self._goal)
+        return self._display.picture(self._goal.position)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_field": None}  # the phantom has it

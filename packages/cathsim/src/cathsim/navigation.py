@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Interval
 from pydantic import BeforeValidator
 
 from cathsim.anatomy import Phantom
+from cathsim.anatomy.branch_depth import Place
 from cathsim.anatomy.point_target import Point, TargetLike, as_target, target_name
 from cathsim.devices.arena import PROTRUSION
 from cathsim.devices.pair import DevicePair
@@ -47,7 +48,10 @@ class NavigationTask:
 
     Attributes:
         target: name of one of the phantom's targets, or a point in the lumen, m, world frame.
-        success_radius: the target is reached within this Euclidean distance of the tip, m.
+        success_radius: the target is reached within this distance of the tip, m.
+        success: "lumen": the tip is in the target's branch, or in one that leaves it further on, and the distance is
+            also measured along the centrelines; "straight": the Euclidean distance alone, the thesis's, which can be
+            reached through a wall.
         max_steps: an episode is truncated after this many control steps.
         start_jitter: the wire starts advanced by 0 to this much, uniformly, m.
         start_rotation: each feeder starts turned by up to this much either way, uniformly, rad.
@@ -65,6 +69,7 @@ class NavigationTask:
 
     target: Annotated[str | Point, BeforeValidator(as_target)] = "bca"
     success_radius: Annotated[float, Interval(gt=0, le=NEAR), Unit("m")] = 0.008
+    success: Literal["lumen", "straight"] = "lumen"
     max_steps: Count = 300
     start_jitter: Annotated[float, Interval(ge=0, le=NEAR), Unit("m")] = 0.001
     start_rotation: Turn = 0.0
@@ -177,6 +182,39 @@ class NavigationTask:
     def remaining(self, phantom: Phantom, tip: np.ndarray) -> float:
         """Distance along the lumen from the tip to the target, m."""
         return float(phantom.geodesic_distance(tip, self.target))
+
+
+class Arrival(NamedTuple):
+    """Where a tip is, seen from a task's target.
+
+    Attributes:
+        place: branch and depth of the tip.
+        distance: from the target in a straight line, m.
+        success_lumen: whether it has reached the target by the rule "lumen".
+        success: whether it has by the rule of the task.
+    """
+
+    place: Place
+    distance: float
+    success_lumen: bool
+    success: bool
+
+
+class Goal:
+    """The target of a task in a phantom."""
+
+    def __init__(self, task: NavigationTask, phantom: Phantom) -> None:
+        self.position = task.goal(phantom)
+        self._task, self._depths = task, phantom.depths
+        self._place = self._depths.place(self.position)
+
+    def arrival(self, tip: np.ndarray, share: float = 1.0) -> Arrival:
+        """Whether a tip (3,) m has arrived: within a share of the task's success radius."""
+        radius = share * self._task.success_radius
+        distance, place = straight_distance(tip, self.position), self._depths.place(tip)
+        near = distance <= radius
+        inside = near and self._depths.way(place, self._place) <= radius
+        return Arrival(place, distance, inside, inside if self._task.success == "lumen" else near)
 
 
 def reward_name(reward: str | OwnReward) -> str:

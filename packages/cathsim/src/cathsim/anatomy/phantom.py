@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cathsim.anatomy.branch_depth import BranchDepths
 from cathsim.anatomy.distance_grid import LatticeField, SignedDistanceGrid
 from cathsim.anatomy.entry import (
     END_SUFFIX,
@@ -132,6 +133,11 @@ class Phantom:
     @cached_property
     def _bounds(self) -> NDArray[np.float64]:
         return self.grid.coordinates(self.grid.inside_box())
+
+    @cached_property
+    def depths(self) -> BranchDepths:
+        """Branches in which points are, and their depths behind the ostia."""
+        return BranchDepths(self.tree)
 
     def target(self, wanted: TargetLike) -> Target:
         """The target of a name, or of a point (3,) m in the lumen, world frame.

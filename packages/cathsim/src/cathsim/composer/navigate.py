@@ -20,7 +20,7 @@ from cathsim.devices.catheter import Catheter
 from cathsim.devices.choice import chosen_catheter, chosen_wire, device_pair
 from cathsim.environment import ACTIONS, ROTATION_STEP, TRANSLATION_STEP
 from cathsim.guidewire import Guidewire
-from cathsim.navigation import NavigationTask, navigation_task
+from cathsim.navigation import Goal, NavigationTask, navigation_task
 from cathsim.observations.fluoroscopes import camera, outside_sheath
 from cathsim.presets import Accuracy
 from cathsim.simulation import CONTROL_STEP, SETTLE_STEPS, vessel_of
@@ -61,7 +61,8 @@ class NavigateTask(composer.Task):
         visual: bool = False,
     ) -> None:
         self.phantom, self.task = phantom, task
-        self.goal = task.goal(phantom)
+        self._goal = Goal(task, phantom)
+        self.goal = self._goal.position
         pair = device_pair(wire, catheter, torsion)
         if pair is not None and tip_motors:
             raise ValueError("two devices are simulated without tip motors: leave out the catheter for them")
@@ -212,18 +213,21 @@ class NavigateTask(composer.Task):
         self.steps += 1
         tip, before, moved_from = self._tip(physics), self._remaining, self._tip_before
         self._tip_before = tip
-        distance = float(np.linalg.norm(tip - self.goal))
-        self.success = distance <= self.task.success_radius
+        arrival = self._goal.arrival(tip)
+        self.success = arrival.success
         if self.task.reads_progress:
             self._remaining = self.task.remaining(self.phantom, tip)
         force = float(np.linalg.norm(self.force))
         moved = float(np.linalg.norm(tip - moved_from))
         info = {
             "tip": tip,
-            "distance": distance,
+            "distance": arrival.distance,
+            "branch": arrival.place.branch,
+            "depth": arrival.place.depth,
             "force": force,
             "force_vector": self.force.copy(),
             "success": self.success,
+            "success_lumen": arrival.success_lumen,
         }
         progress = before - self._remaining
         self._reward = self.task.reward_of(info, progress, moved, self._action, success=self.success)

@@ -141,7 +141,7 @@ def expert_score(task: Task, told: Callable[[dict[str, Any]], None] | None = Non
             told({"steps": len(forces)})
     expert.close()
     metrics = EpisodeMetrics.from_arrays(
-        np.array(tips), np.array(forces), np.array(rewards), bool(info["success"]), target=target
+        np.array(tips), np.array(forces), np.array(rewards), bool(info["success"]), target=target, ending=info
     )
     ending = {"success": bool(info["success"]), "gave_up": not over}
     return {**ending, "time_s": len(forces) * CONTROL_STEP, "metrics": asdict(metrics)}

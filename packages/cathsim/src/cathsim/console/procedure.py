@@ -83,6 +83,7 @@ class Procedure:
         self._tips: list[np.ndarray] = []
         self._forces: list[float] = []
         self._rewards: list[float] = []
+        self._ending: Mapping[str, Any] = {}
         _, info = environment.reset(seed=seed)
         self.samples: list[Sample] = []
         self._tips.append(info["tip"])
@@ -160,6 +161,7 @@ class Procedure:
         self._tips.append(info["tip"])
         self._forces.append(info["force"])
         self._rewards.append(reward)
+        self._ending = info
         self._sample(info)
         made = {**info, **_operation(xray, warned=warned)}
         self._record(
@@ -183,6 +185,7 @@ class Procedure:
             np.array(self._rewards),
             self.success,
             target=self.environment.task.target_name,
+            ending=self._ending,
         )
 
     def break_off(self) -> None:

@@ -18,7 +18,7 @@ from cathsim.anatomy.point_target import Point, TargetLike, as_target, points_be
 from cathsim.devices.arena import PROTRUSION
 from cathsim.environment import NavigateEnv
 from cathsim.goals.task import GoalTask, Infos
-from cathsim.navigation import NavigationTask, require_reach
+from cathsim.navigation import Arrival, NavigationTask, require_reach
 from cathsim.observations.observables import GUIDANCE
 from cathsim.registration.description import chosen, described
 from cathsim.vector import ThreadedVectorEnv
@@ -147,8 +147,8 @@ class NavigateGoalEnv(NavigateEnv):
         assert isinstance(reward, float)
         return reward
 
-    def _info(self, tip: np.ndarray, distance: float, *, success: bool, invalid: bool) -> dict[str, Any]:
-        info = super()._info(tip, distance, success=success, invalid=invalid)
+    def _info(self, tip: np.ndarray, arrival: Arrival, *, success: bool, invalid: bool) -> dict[str, Any]:
+        info = super()._info(tip, arrival, success=success, invalid=invalid)
         return {**info, "is_success": success}
 
 

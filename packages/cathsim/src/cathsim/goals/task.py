@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,13 +24,17 @@ class GoalTask(NavigationTask):
         reward: "sparse": 0 within `success_radius` of the goal, else -1; "dense": minus the Euclidean distance to it in
             metres; or a function of achieved and desired goals (..., 3), m, and info, which returns shape (...).
         force_penalty: subtracted per newton by which `info["force"]` exceeds `force_threshold`.
+        success: must be "straight", as a reward of two places knows no lumen.
         path_penalty: must be 0, as a goal does not say how far the tip has moved.
     """
 
+    success: Literal["lumen", "straight"] = "straight"
     reward: Reward = "sparse"
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.success != "straight":
+            raise ValueError(f"success must be 'straight' in a goal-conditioned task, got {self.success!r}")
         if self.path_penalty:
             raise ValueError("path_penalty must be 0 in a goal-conditioned task: its reward knows places, no path")
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 FORCE_LIMIT = 2.0  # N, at which a step counts as unsafe
+ENDING = ("branch", "depth", "success_lumen")  # fields that the last step's `info` has
 
 
 Z_95 = 1.959964  # two-sided 95 % of the normal distribution
@@ -105,6 +108,10 @@ class EpisodeMetrics:
     safety: float  # share of steps below the force limit, 0 to 1
     success: bool  # whether the target was reached in time
     reward: float  # sum over the steps
+    # of the last step; unknown of episodes that were logged without them
+    branch: str = ""  # in which the tip is
+    depth: float | None = None  # of the tip behind the branch's ostium, m
+    success_lumen: bool | None = None  # whether the target was reached along the lumen
 
     @classmethod
     def from_arrays(
@@ -116,6 +123,7 @@ class EpisodeMetrics:
         *,
         target: str = "",
         force_limit: float = FORCE_LIMIT,
+        ending: Mapping[str, Any] | None = None,
     ) -> EpisodeMetrics:
         """Metrics of an episode from what it recorded.
 
@@ -125,6 +133,7 @@ class EpisodeMetrics:
             rewards: (T,).
             success: whether the target was reached in time.
             force_limit: N, at which a step counts as unsafe.
+            ending: `info` of the last step, with `branch`, `depth` and `success_lumen`.
 
         Raises:
             ValueError: for arrays of unequal length, no step, or values that are not finite.
@@ -150,6 +159,7 @@ class EpisodeMetrics:
             safety=safety(magnitudes, limit=force_limit),
             success=bool(success),
             reward=float(earned.sum()),
+            **{name: ending[name] for name in ENDING if ending is not None and name in ending},
         )
 
 
@@ -181,11 +191,13 @@ class Summary:
     path_length_cm: Statistic  # cm
     episode_length_steps: Statistic  # steps
     safety_pct: Statistic  # %
-    success_pct: Statistic  # %
+    success_pct: Statistic  # %, by the rule of the task
+    success_lumen_pct: Statistic | None  # %, along the lumen; None where it is unknown of an episode
+    depth_mm: float | None  # median of the tip's depth behind an ostium at the end, mm; None likewise
     spl_pct: float  # %, one number for all episodes
     reward: Statistic  # sum over an episode
 
-    def as_dict(self) -> dict[str, list[float] | float | int]:
+    def as_dict(self) -> dict[str, list[float] | float | int | None]:
         """Columns by name, [mean, sd] each, as plain numbers for JSON."""
         return {
             name: [value.mean, value.sd] if isinstance(value, Statistic) else value
@@ -200,6 +212,17 @@ def shortest_successful_paths(episodes: Sequence[EpisodeMetrics]) -> dict[str, f
         if episode.success:
             shortest[episode.target] = min(episode.path_length, shortest.get(episode.target, np.inf))
     return shortest
+
+
+def _lumen_pct(episodes: Sequence[EpisodeMetrics]) -> Statistic | None:
+    reached = [episode.success_lumen for episode in episodes]
+    return None if None in reached else Statistic.of([100.0 * bool(one) for one in reached])
+
+
+def median_depth_mm(episodes: Sequence[EpisodeMetrics]) -> float | None:
+    """Median depth (mm) behind an ostium in which episodes ended; None where that is unknown of one."""
+    depths = [episode.depth for episode in episodes]
+    return None if None in depths else 1e3 * median(depths)  # type: ignore[type-var]
 
 
 def summarise(
@@ -240,6 +263,8 @@ def summarise(
         episode_length_steps=Statistic.of([episode.steps for episode in episodes]),
         safety_pct=Statistic.of([100 * episode.safety for episode in episodes]),
         success_pct=Statistic.of([100.0 * s for s in success]),
+        success_lumen_pct=_lumen_pct(episodes),
+        depth_mm=median_depth_mm(episodes),
         spl_pct=100 * spl(success, paths, optimal),
         reward=Statistic.of([episode.reward for episode in episodes]),
     )

@@ -197,8 +197,7 @@ class PlanTrials:
             copy.advance(pace.translation * translation, pace.rotation * rotation)
 
     def _reached(self, copy: Simulation) -> bool:
-        environment = self._environment
-        return bool(np.linalg.norm(copy.tip_in_vessel - environment.goal) < 0.9 * environment.task.success_radius)
+        return self._environment.arrival(copy.tip_in_vessel, 0.9).success
 
     def _remaining(self, copy: Simulation) -> float:
         return self._environment.task.remaining(self._environment.phantom, copy.tip_in_vessel)

@@ -436,6 +436,7 @@ const scoreRows = ({ time_s: time, metrics }) => ({
   ...(metrics && {
     "mean force": `${metrics.force_mean.toFixed(2)} N`, "peak force": `${metrics.force_max.toFixed(2)} N`,
     "steps below 2 N": `${(100 * metrics.safety).toFixed(0)} %`, "way of the tip": `${(100 * metrics.path_length).toFixed(1)} cm`,
+    ...(metrics.branch && { "tip ended": `${metrics.branch}, ${(1000 * metrics.depth).toFixed(0)} mm deep` }),
   }),
 });
 
