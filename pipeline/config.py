@@ -59,6 +59,7 @@ class OwnPhantom:
     names: BranchNames = None
     labels: VesselLabels = None
     transform: str | None = None  # of NIfTI files: sform or qform, which of their affines is taken
+    extend: bool | None = None  # whether branches that the file cuts short are extended; null: they are
     ct: PathText | None = None  # that the file was segmented from: shown by films and X-ray images
     entry: EntryPlace = None  # where wires come in; null: descending
 

@@ -31,6 +31,7 @@ class AnatomyFile:
         labels: of a label volume: pairs of a label and a vessel's name, or None.
         ct: path of the CT that it was segmented from.
         transform: of NIfTI files, the CT's too: "sform" or "qform".
+        extend: whether branches that the file cuts short are extended.
     """
 
     path: str
@@ -39,6 +40,7 @@ class AnatomyFile:
     labels: tuple[tuple[int | str, str | None], ...] | None = None
     ct: str | None = None
     transform: str | None = None
+    extend: bool = True
 
     @classmethod
     def of(
@@ -49,6 +51,7 @@ class AnatomyFile:
         labels: Mapping[str, str | None] | None = None,
         ct: str | None = None,
         transform: str | None = None,
+        extend: bool | None = None,
     ) -> AnatomyFile:
         """From a mapping or list of names, and a mapping of labels whose keys are text."""
         pairs = tuple(names.items()) if isinstance(names, Mapping) else names
@@ -64,6 +67,7 @@ class AnatomyFile:
             tuple((key(label), vessel) for label, vessel in labels.items()) if labels else None,
             ct,
             transform,
+            extend is not False,
         )
 
     @property
@@ -98,7 +102,7 @@ class AnatomyFile:
 
 def in_settings(text: object) -> str:
     """A refusal or a note of an import, whose arguments are named as the settings that a command line gives."""
-    return re.sub(r"(?<![\w.])(labels|names|transform|unit)=", r"phantom.\1=", str(text))
+    return re.sub(r"(?<![\w.])(extend|labels|names|transform|unit)=", r"phantom.\1=", str(text))
 
 
 @functools.lru_cache(maxsize=_KEPT)
@@ -114,6 +118,7 @@ def _imported(file: AnatomyFile, resolution: float) -> Phantom:
         labels=dict(file.labels) if file.labels else None,
         names=names,
         transform=file.transform,
+        extend=file.extend,
         resolution=resolution,
     )
     return replace(phantom, name=file.name)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
 RANDOM = "random"  # arches like those of most patients
-_OF_A_FILE = ("unit", "names", "labels", "transform", "ct")
+_OF_A_FILE = ("unit", "names", "labels", "transform", "extend", "ct")
 _Coordinates = Annotated[list[float], Len(3, 3)]
 
 
@@ -51,6 +51,7 @@ class FileSettings:
     names: BranchNames = None  # of its branches: a mapping from automatic names, or a list from the heart on
     labels: VesselLabels = None  # of a label volume: which label is which vessel
     transform: Annotated[str, one_of("sform", "qform")] | None = None  # of NIfTI files: which of their affines is taken
+    extend: bool | None = None  # whether branches that the file cuts short are extended; null: they are
     ct: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # that it was segmented from
     file_name: FolderName | None = None  # filled in, as the next: what its anatomy is called
     file_sha256: str | None = None
@@ -89,7 +90,7 @@ class FileSettings:
         """The file; None: there is none."""
         if self.file is None:
             return None
-        return AnatomyFile.of(self.file, self.unit, self.names, self.labels, self.ct, self.transform)
+        return AnatomyFile.of(self.file, self.unit, self.names, self.labels, self.ct, self.transform, self.extend)
 
 
 @validated()

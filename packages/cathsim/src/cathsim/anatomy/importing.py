@@ -31,6 +31,7 @@ def import_anatomy(
     labels: Labels = None,
     names: Names = None,
     transform: str | None = None,
+    extend: bool = True,
     resolution: float = 1e-3,
     cache_dir: Path | None = None,
 ) -> Phantom:
@@ -42,6 +43,7 @@ def import_anatomy(
         labels: which label of a volume is which vessel.
         names: names of the user's own, by automatic name or in order along the arch.
         transform: of a volume in NIfTI files, "sform" or "qform": which of their affines is taken.
+        extend: whether branches that the file cuts short are extended (see `import_mesh`).
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
 
@@ -60,11 +62,17 @@ def import_anatomy(
             raise MeshRefusedError(f"{Path(path).name} is no label volume, it takes no labels; give names instead.")
         if transform is not None:
             raise MeshRefusedError(f"{Path(path).name} is no label volume; leave transform={transform!r} out.")
-        return import_mesh(path, unit=unit, names=names, resolution=resolution, cache_dir=cache_dir)
+        return import_mesh(path, unit=unit, names=names, extend=extend, resolution=resolution, cache_dir=cache_dir)
     if unit is not None:
         raise MeshRefusedError(f"{Path(path).name} has its unit in its header and takes none; leave unit={unit!r} out.")
     return import_volume(
-        path, labels=labels, names=names, transform=transform, resolution=resolution, cache_dir=cache_dir
+        path,
+        labels=labels,
+        names=names,
+        transform=transform,
+        extend=extend,
+        resolution=resolution,
+        cache_dir=cache_dir,
     )
 
 
@@ -74,10 +82,10 @@ def import_digest(source: Mapping[str, Any], resolution: float) -> str:
     Args:
         source: what a phantom was imported with: path, unit, names and for a volume labels and transform.
     """
-    path, names = Path(source["path"]), _tuples(source["names"])
+    path, names, extend = Path(source["path"]), _tuples(source["names"]), source.get("extend", True)
     if is_volume_path(path):
-        return volume_digest(path, _tuples(source.get("labels")), names, resolution, source.get("transform"))
-    return mesh_digest(path, source["unit"], names, resolution)
+        return volume_digest(path, _tuples(source.get("labels")), names, resolution, source.get("transform"), extend)
+    return mesh_digest(path, source["unit"], names, resolution, extend)
 
 
 def import_again(source: Mapping[str, Any], resolution: float) -> Phantom:
@@ -89,6 +97,7 @@ def import_again(source: Mapping[str, Any], resolution: float) -> Phantom:
         labels=dict(labels) if labels else None,
         names=names_of(names),
         transform=source.get("transform"),
+        extend=source.get("extend", True),
         resolution=resolution,
     )
 

@@ -97,7 +97,7 @@ def load_phantom(
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
         parameters: measures of an arch of your own, or a `VarietyArch`.
-        of_file: unit, labels, names and transform of a file, as `import_anatomy` takes them.
+        of_file: unit, labels, names, transform and extend of a file, as `import_anatomy` takes them.
 
     Returns:
         The phantom; calls with the same arguments share one object.

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import vessels_named, with_picture_of_doubts
 from cathsim.anatomy.vessel_names import ACCESS, AORTA
 
-IMPORT_VERSION = 15  # raise it whenever the same file gives another phantom
+IMPORT_VERSION = 16  # raise it whenever the same file gives another phantom
 _MEASURED = 4  # parts whose width is measured for the unit
 
 
@@ -38,6 +39,7 @@ def import_mesh(
     *,
     unit: str | None = None,
     names: Names = None,
+    extend: bool = True,
     resolution: float = 1e-3,
     cache_dir: Path | None = None,
 ) -> Phantom:
@@ -47,6 +49,8 @@ def import_mesh(
         path: an STL, OBJ, PLY, OFF, VTP, VTK or GLB file, or a folder with one such file a vessel, named after it.
         unit: "m", "cm", "mm" or "inch"; detected from the vessels' width where it is left out.
         names: names of your own: a mapping from automatic names, or a list for the aorta's branches from the heart on.
+        extend: branches that end less than 35 mm behind their ostium, cut by the file, are extended to that by a
+            straight tube; False: they are left as they are.
         resolution: m between lattice points of the distance grid; half of it for a child's vessels.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
 
@@ -64,36 +68,48 @@ def import_mesh(
     directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
     chosen = hashable_names(names)
     with ONE_AT_A_TIME:
-        return _load(path, mesh_digest(path, unit, chosen, resolution), unit, chosen, resolution, directory)
+        digest = mesh_digest(path, unit, chosen, resolution, extend)
+        return _load(path, digest, unit, chosen, resolution, directory, extend)
 
 
-def mesh_digest(path: Path, unit: str | None, names: tuple | None, resolution: float) -> str:
+def mesh_digest(path: Path, unit: str | None, names: tuple | None, resolution: float, extend: bool = True) -> str:
     """The hash of the phantom that an import gives: of the content of its files and the settings.
 
     Raises:
         MeshRefusedError: a file is missing, too large, no regular file or not of the folder.
     """
-    settings = {"importer": IMPORT_VERSION, "unit": unit, "names": names, "resolution": resolution}
+    settings: dict[str, Any] = {
+        "importer": IMPORT_VERSION, "unit": unit, "names": names, "resolution": resolution, "extend": extend
+    }  # fmt: skip
     return content_digest(settings, surface_files(path), in_folder=path.is_dir())
 
 
 @lru_cache(maxsize=16)
 def _load(
-    path: Path, digest: str, unit: str | None, names: tuple | None, resolution: float, directory: Path
+    path: Path, digest: str, unit: str | None, names: tuple | None, resolution: float, directory: Path, extend: bool
 ) -> Phantom:
     cache = PhantomCache(directory)
     phantom = cache.read(path.stem, digest, None)
     if phantom is None:
         picture = directory / "refused" / f"{path.stem}-{digest[:12]}.png"
-        phantom = _build(path, digest, unit, names, resolution, picture)
+        phantom = _build(path, digest, unit, names, resolution, picture, extend)
         phantom = with_picture_of_doubts(phantom, directory / "imports" / picture.name)
         phantom = cache.write(phantom)
     return replace(
-        phantom, source={"path": str(path.resolve()), "unit": unit, "names": names, "resolution": resolution}
+        phantom,
+        source={
+            "path": str(path.resolve()),
+            "unit": unit,
+            "names": names,
+            "resolution": resolution,
+            "extend": extend,
+        },
     )
 
 
-def _build(path: Path, digest: str, unit: str | None, names: tuple | None, resolution: float, picture: Path) -> Phantom:
+def _build(
+    path: Path, digest: str, unit: str | None, names: tuple | None, resolution: float, picture: Path, extend: bool
+) -> Phantom:
     surface = read_parts(path)
     parts, notes = surface.parts, surface.notes
     chosen, reason = unit, "given"
@@ -120,6 +136,7 @@ def _build(path: Path, digest: str, unit: str | None, names: tuple | None, resol
             frame=surface.frame,
             label_of=label_of,
             names=names_of(names),
+            extend=extend,
             picture=picture,
         )
         return _with_note_of_lost_parts(phantom, {part.name for part in parts} - {"", *ACCESS})

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.entry import ENTRY_DEPTH, Entry
+from cathsim.anatomy.extension import DEPTH, LEAST_DEPTH
 from cathsim.anatomy.mesh.branches import RoughVessel, leaving
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.phantom import END_CLEARANCE, TARGET_DISTANCE, Target
@@ -21,7 +22,6 @@ from cathsim.anatomy.vessel_tree import VesselTree
 
 ARCH_YAW = 0.75  # rad between the arch's plane and the coronal plane
 SNAP_UP, SNAP_LEFT = math.radians(20), math.radians(30)  # nearer to a file's axis than this the axis is meant
-OTHER_DISTANCE = 0.030  # m beyond the ostium, in branches that the named phantoms do not have
 ENTRY_CHORD = 0.010  # m of centreline that give an entry its direction: a cut end is often flared or aslant
 _SPREAD_WEIGHT = 1.5  # of the ends' spread to one side, against the direction from limb to limb
 _BELOW_ARCH = 30e-3  # m, and 2.5 radii: how far below the arch's top a last branch to head and arms may leave the aorta
@@ -30,7 +30,6 @@ _WIDE_SPREAD = 20e-3  # m, deviation of the ends from their middle that shows th
 _MAIN = 0.4  # of the widest branch's radius: narrower ones are none to head and arms
 _DOWNWARD = 2e-3  # m: a vessel whose end lies further below its ostium goes downward
 _USUAL = 3  # branches that an arch usually has
-_LEAST = 3e-3  # m beyond the ostium: nearer than this a place is no target
 
 Array = NDArray[np.float64]
 
@@ -177,17 +176,17 @@ def propose_targets(tree: VesselTree) -> tuple[dict[str, Target], tuple[str, ...
     """Targets by name, one in every branch, and notes on those that were moved or left out."""
     targets, notes = {}, []
     for branch in tree.branches[1:]:
-        wanted = TARGET_DISTANCE.get(branch.name, OTHER_DISTANCE)
+        wanted = TARGET_DISTANCE.get(branch.name, DEPTH)
         try:
             ostium = tree.ostium_arc(branch.name)
         except ValueError:  # it never leaves its parent's lumen
             continue
         clearance = END_CLEARANCE if branch.open_end else 0.0
         distance = min(wanted, branch.length - clearance - ostium)
-        if distance < _LEAST:
+        if distance < LEAST_DEPTH:
             notes.append(f"no target in {branch.name}: it is only {1e3 * (branch.length - ostium):.0f} mm long")
             continue
-        if distance < wanted - 1e-9:
+        if distance < min(wanted, DEPTH) - 1e-9:
             notes.append(
                 f"target {branch.name} lies {1e3 * distance:.0f} mm up its branch instead of {1e3 * wanted:.0f}: "
                 "the branch is short"

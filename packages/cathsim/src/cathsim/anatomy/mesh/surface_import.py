@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.extension import extend_short_branches
 from cathsim.anatomy.mesh.arches.arch_naming import LabelOf, labelled_names, labelled_sides, name_vessels
 from cathsim.anatomy.mesh.branches import RoughVessel, turned
 from cathsim.anatomy.mesh.cavity import Cavity, find_cavity
@@ -69,6 +70,7 @@ def phantom_of_surface(
     frame: Array | None = None,
     label_of: LabelOf | None = None,
     names: Names = None,
+    extend: bool = True,
     picture: Path | None = None,
 ) -> Phantom:
     """Makes a phantom of the surface of a lumen, or of a thick-walled model of one.
@@ -84,12 +86,13 @@ def phantom_of_surface(
             left out vessels are named by their order along the arch.
         names: names of the user's own: a mapping from automatic names, or a list for the aorta's branches from the
             heart on.
+        extend: whether branches that are cut short are extended.
         picture: PNG file to draw where the surface is refused.
 
     Raises:
         MeshRefusedError: with the reason.
     """
-    build = SurfaceImport(facts, name, digest, resolution, frame, label_of, names)
+    build = SurfaceImport(facts, name, digest, resolution, frame, label_of, names, extend)
     try:
         return build.phantom(mesh)
     except MeshRefusedError as error:
@@ -127,6 +130,7 @@ class SurfaceImport:
     frame: Array | None = None
     label_of: LabelOf | None = None
     names: Names = None
+    extend: bool = True
     budget: Budget = field(default_factory=Budget)
     samples: SurfaceSamples | None = None
     cavity: Cavity | None = None
@@ -156,9 +160,13 @@ class SurfaceImport:
             distance_grid, surface, cavity, inside, ends, away, rotation=pose.rotation, offset=pose.offset
         )
         tree, grid, left_out = self._measured(aorta, final, grid_of, pose)
+        extended: tuple[str, ...] = ()
+        if self.extend:
+            tree, grid, extended = extend_short_branches(tree, grid)
         targets, shortened = propose_targets(tree)
         if not targets:
-            raise MeshRefusedError("no branch of this vessel is wide and long enough for a wire and a target.")
+            advice = "" if self.extend else "; import it with extend=True"
+            raise MeshRefusedError(f"no branch of this vessel is wide and long enough for a wire and a target{advice}.")
         entries = propose_entries(tree)
         phantom = Phantom(self.name, self.digest, None, tree, grid, targets, entries)
         report = ImportReport(
@@ -174,7 +182,7 @@ class SurfaceImport:
             axes_kept=pose.axes_kept,
             automatic_names={automatic[key]: name for key, name in final.items() if name in tree},
             way_length={name: round(phantom.way_length(name), 4) for name in phantom.targets},
-            notes=(*self.notes, *named, *left_out, *shortened),
+            notes=(*self.notes, *named, *left_out, *extended, *shortened),
         )
         for note in report.notes:
             logger.info("%s: %s.", self.facts.file, note)

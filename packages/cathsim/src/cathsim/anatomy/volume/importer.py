@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.anatomy.extension import extend_short_branches
 from cathsim.anatomy.mesh.naming import ordered_names, propose_entries, propose_targets, renamed
 from cathsim.anatomy.mesh.reading import Triangles
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
@@ -34,7 +35,7 @@ from cathsim.guarded_reading import UnreadableFileError, check_regular
 
 logger = logging.getLogger(__name__)
 
-VOLUME_VERSION = 14  # raise it whenever the same volume gives another phantom
+VOLUME_VERSION = 15  # raise it whenever the same volume gives another phantom
 _VOLUME_KEPT = 0.03  # share of a vessel's volume by which the phantom's may differ without a note
 _LEAST_ML = 1.0  # of a vessel whose volume is compared
 
@@ -49,6 +50,7 @@ def import_volume(
     labels: Labels = None,
     names: Names = None,
     transform: str | None = None,
+    extend: bool = True,
     resolution: float = 1e-3,
     cache_dir: Path | None = None,
 ) -> Phantom:
@@ -61,6 +63,7 @@ def import_volume(
             from the heart on.
         transform: of NIfTI files, "sform" or "qform": which of their affines is taken; None: the sform where there is
             one, with a note where the qform differs.
+        extend: as of `import_mesh`.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
 
@@ -80,13 +83,14 @@ def import_volume(
     chosen = hashable_names(names)
     chosen_labels = None if not labels else tuple(labels.items())
     with ONE_AT_A_TIME:
-        digest = volume_digest(path, chosen_labels, chosen, resolution, transform)
-        return _load(path, digest, chosen_labels, chosen, resolution, directory, transform)
+        digest = volume_digest(path, chosen_labels, chosen, resolution, transform, extend)
+        return _load(path, digest, chosen_labels, chosen, resolution, directory, transform, extend)
 
 
 def volume_digest(
-    path: Path, labels: tuple | None, names: tuple | None, resolution: float, transform: str | None = None
-) -> str:
+    path: Path, labels: tuple | None, names: tuple | None, resolution: float, transform: str | None = None,
+    extend: bool = True,
+) -> str:  # fmt: skip
     """The hash of the phantom that an import gives: of the files' content and the settings."""
     if path.is_dir():
         asked = {str(label) for label, _ in labels or ()}
@@ -101,6 +105,7 @@ def volume_digest(
     else:
         raise MeshRefusedError(f"there is no file {path}; give a file in {FORMATS} format, or a folder of them.")
     settings: dict[str, Any] = {"volume": VOLUME_VERSION, "labels": labels, "names": names, "resolution": resolution}
+    settings["extend"] = extend
     if transform is not None:
         settings["transform"] = transform
     if path.is_dir():
@@ -111,29 +116,31 @@ def volume_digest(
 @lru_cache(maxsize=16)
 def _load(
     path: Path, digest: str, labels: tuple | None, names: tuple | None, resolution: float, directory: Path,
-    transform: str | None,
+    transform: str | None, extend: bool,
 ) -> Phantom:  # fmt: skip
     cache = PhantomCache(directory)
     phantom = cache.read(file_stem(path), digest, None)
     if phantom is None:
         phantom = build_volume_phantom(
-            path, digest, dict(labels) if labels else None, names_of(names), resolution, transform
+            path, digest, dict(labels) if labels else None, names_of(names), resolution, transform, extend
         )
         picture = directory / "imports" / f"{file_stem(path)}-{digest[:12]}.png"
         phantom = with_picture_of_doubts(phantom, picture)
         phantom = cache.write(phantom)
-    source = {"path": str(path.resolve()), "unit": None, "names": names, "labels": labels, "transform": transform}
+    source = {"path": str(path.resolve()), "unit": None, "names": names, "labels": labels, "transform": transform,
+              "extend": extend}  # fmt: skip
     return replace(phantom, source=source)
 
 
 def build_volume_phantom(
-    path: Path, digest: str, labels: Labels, names: Names, resolution: float, transform: str | None = None
-) -> Phantom:
+    path: Path, digest: str, labels: Labels, names: Names, resolution: float, transform: str | None = None,
+    extend: bool = True,
+) -> Phantom:  # fmt: skip
     """Builds the phantom of a volume without any cache."""
     volume = join_repeated(read_labels(path, labels, transform))
     volume = replace(volume, notes=(*volume.notes, *check_labels(volume)))
     if not volume.named:
-        return _of_one_piece(volume, file_stem(path), digest, names, resolution)
+        return _of_one_piece(volume, file_stem(path), digest, names, resolution, extend)
     lumen = LabelledLumen(volume, resolution)
     grid, aorta, found, volumes = lumen.build()
     own = names if names is None or isinstance(names, Mapping) else None
@@ -148,6 +155,9 @@ def build_volume_phantom(
             f"the aorta of {volume.file} narrows to {narrowest * 1e3:.2f} mm of radius, too narrow for a wire "
             f"({least * 1e3:.2f} mm at this resolution); check the labels and the size of the voxels."
         )
+    extended: tuple[str, ...] = ()
+    if extend:
+        tree, grid, extended = extend_short_branches(tree, grid)
     targets, shortened = propose_targets(tree)
     if not targets:
         raise MeshRefusedError(
@@ -169,7 +179,7 @@ def build_volume_phantom(
         axes_kept=True,
         automatic_names={found[key]: name for key, name in final.items() if name in tree},
         way_length={name: round(phantom.way_length(name), 4) for name in phantom.targets},
-        notes=(*volume.notes, *lumen.notes, *left_out, *shortened, *_volume_notes(volumes)),
+        notes=(*volume.notes, *lumen.notes, *left_out, *extended, *shortened, *_volume_notes(volumes)),
         volumes_ml={name: (round(1e6 * a, 3), round(1e6 * b, 3)) for name, (a, b) in volumes.items()},
     )
     for note in report.notes:
@@ -188,14 +198,16 @@ def _volume_notes(volumes: Mapping[str, tuple[float, float]]) -> list[str]:
     return notes
 
 
-def _of_one_piece(volume: LabelVolume, name: str, digest: str, names: Names, resolution: float) -> Phantom:
+def _of_one_piece(
+    volume: LabelVolume, name: str, digest: str, names: Names, resolution: float, extend: bool
+) -> Phantom:
     """A phantom of a lumen whose vessels have no names: they are found by its shape."""
     mesh, notes = lumen_surface_of(volume)
     facts = SurfaceFacts(
         volume.file, volume.unit, "the file's header", len(mesh.faces), volume.metres, (*volume.notes, *notes)
     )
     phantom = phantom_of_surface(
-        mesh, facts, name=name, digest=digest, resolution=resolution, frame=volume.frame, names=names
+        mesh, facts, name=name, digest=digest, resolution=resolution, frame=volume.frame, names=names, extend=extend
     )
     assert phantom.imported is not None
     return replace(phantom, imported=replace(phantom.imported, kind=f"labels ({volume.scheme})"))
