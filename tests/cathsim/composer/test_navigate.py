@@ -169,7 +169,9 @@ def test_the_mask_can_be_switched_on(make_composer: MakeComposer) -> None:
 
 
 def test_reaching_the_target_ends_with_reward_ten(make_composer: MakeComposer) -> None:
-    env = make_composer(success_radius=0.17, success="straight")  # from the start the target is nearer than that after a few steps
+    env = make_composer(
+        success_radius=0.17, success="straight"
+    )  # from the start the target is nearer than that after a few steps
     env.reset()
     timestep = env.step(FORWARD)
     while timestep.mid():

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.anatomy.cross_section import across_frames
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.phantom import END_CLEARANCE
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
@@ -23,6 +24,9 @@ _OVERLAP = 2e-3  # m before that, where the tube begins within the vessel
 _WIDEST = 1.4  # of the tube's radius: no cross section is wider
 _ROUND = 6e-3  # m from there over which it becomes round
 _APART = 2e-3  # m of wall between the tube and other vessels
+_OWN = 0.6  # m a metre of the tube, by which its own vessel, cut aslant, falls behind
+_RAYS = 12
+_LEAST = 3e-3  # m: a shorter tube is of no use
 _STEP = 1e-3  # m between centreline points
 _PADDING = 8  # nodes around the tube, a block's edge
 
@@ -32,7 +36,7 @@ Array = NDArray[np.float64]
 def extend_short_branches(
     tree: VesselTree, grid: SignedDistanceGrid
 ) -> tuple[VesselTree, SignedDistanceGrid, tuple[str, ...]]:
-    """Extends branches that end open and less than `DEPTH` (and `END_CLEARANCE`) behind their ostium, to that depth.
+    """Extends branches that end open less than `DEPTH` behind their ostium, to `END_CLEARANCE` beyond that depth.
 
     Returns:
         The tree, the grid, and a note on each branch that was extended, or that another vessel keeps from it.
@@ -45,13 +49,14 @@ def extend_short_branches(
             depth = branch.length - tree.ostium_arc(branch.name)
         except ValueError:  # it never leaves its parent's lumen
             continue
-        lacking = DEPTH + END_CLEARANCE - depth
-        if lacking <= 0:
+        if depth >= DEPTH:
             continue
         tube = _Tube.of(branch, grid)
-        free = tube.free_length(grid, np.ceil(lacking / _STEP) * _STEP)
-        if depth + free < LEAST_DEPTH + END_CLEARANCE:
-            notes.append(f"{branch.name} ends {1e3 * depth:.0f} mm behind its ostium: another vessel is in the way")
+        free = tube.free_length(grid, np.ceil((DEPTH + END_CLEARANCE - depth) / _STEP) * _STEP)
+        if free < _LEAST or depth + free < LEAST_DEPTH + END_CLEARANCE:
+            notes.append(
+                f"{branch.name} ends {1e3 * depth:.0f} mm behind its ostium: another vessel is in the way of more"
+            )
             continue
         branches[number], grid = tube.joined(branch, free), tube.drawn(grid, free)
         notes.append(
@@ -87,17 +92,17 @@ class _Tube:
 
     def free_length(self, grid: SignedDistanceGrid, length: float) -> float:
         """How far (m) the tube can go on, `length` at most, before it comes near to another vessel."""
-        arc = np.arange(_STEP, length + self.radius, _STEP)
-        outside = -grid.sample(self.end + arc[:, None] * self.direction)
-        outside = np.where(self._beyond(grid, arc), np.inf, outside)  # the grid ends: nothing is there
-        near = np.flatnonzero(outside < np.minimum(0.8 * arc - _STEP, self.radius + _APART))
-        return float(min(length, arc[near[0]] - self.radius)) if len(near) else float(length)
-
-    def _beyond(self, grid: SignedDistanceGrid, arc: Array) -> NDArray[np.bool_]:
+        arc = np.arange(_STEP, length + _APART, _STEP)
+        angle = np.arange(_RAYS) * 2 * np.pi / _RAYS
+        first, second = (axis[0] for axis in across_frames(self.direction[None]))
+        ring = np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
+        across = self.radius * np.concatenate([np.zeros((1, 3)), 0.5 * ring, ring])
+        places = self.end + arc[:, None, None] * self.direction + across
         low, high = grid.bounds
-        places = self.end + arc[:, None] * self.direction
-        beyond: NDArray[np.bool_] = ((places < low) | (places > high)).any(axis=1)
-        return beyond
+        beyond = ((places < low) | (places > high)).any(axis=2)  # the grid ends: nothing is there
+        outside = np.where(beyond, np.inf, -grid.sample(places)).min(axis=1)
+        near = np.flatnonzero(outside < np.minimum(_OWN * arc - _STEP, _APART))
+        return float(max(min(length, arc[near[0]] - _APART), 0.0)) if len(near) else float(length)
 
     def joined(self, branch: Branch, length: float) -> Branch:
         """The branch with the tube's centreline."""

@@ -221,8 +221,8 @@ def _lumen_pct(episodes: Sequence[EpisodeMetrics]) -> Statistic | None:
 
 def median_depth_mm(episodes: Sequence[EpisodeMetrics]) -> float | None:
     """Median depth (mm) behind an ostium in which episodes ended; None where that is unknown of one."""
-    depths = [episode.depth for episode in episodes]
-    return None if None in depths else 1e3 * median(depths)  # type: ignore[type-var]
+    depths = [episode.depth for episode in episodes if episode.depth is not None]
+    return None if len(depths) < len(episodes) else 1e3 * median(depths)
 
 
 def summarise(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import LumenPaths, Voxels
+from cathsim.anatomy.mesh.aortic_ends import aortic_ends
 from cathsim.anatomy.mesh.branches import RoughVessel, build_vessels
 from cathsim.anatomy.mesh.cavity import Cavity, largest_part
 from cathsim.anatomy.mesh.ends import (
@@ -30,7 +31,6 @@ _SHORT_OF = 4e-3  # m before an opening at which an end that was found otherwise
 _BESIDE = 1.6  # radii from the middle of an end: a way that leads further off leads elsewhere
 _AS_WIDE, _NEAR_TIP = 0.7, 3.0  # of the wide part's radius: what its ends have at least, how near its tips they lie
 _NARROW = 0.35  # of a wide vessel's radius: one that may be cut off for the wide one's end
-_AORTIC = 0.6  # of the wider one's radius, which the aorta's narrower end has at least
 _NARROWER = 0.7  # of a wide vessel's radius: the end of a short one beside it is not wider
 
 Array = NDArray[np.float64]
@@ -205,9 +205,14 @@ def _is_beside(end: VesselEnd, tip: Array) -> bool:
 
 
 def find_vessels(
-    cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd], *, rings: bool = False
-) -> RoughVessel:
-    """The aorta with its branches, from its descending end on; vessels of a ring lead to where they meet.
+    cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd], *, rings: bool = False, scale: float = 1.0
+) -> tuple[RoughVessel, tuple[str, ...]]:
+    """The aorta with its branches, from its descending end on, and a note on each end that may be the aorta's, too.
+
+    Vessels of a ring lead to where they meet.
+
+    Args:
+        scale: m per unit of the file, for the notes.
 
     Raises:
         MeshRefusedError: the ends are not of one lumen, or the aorta has no branch.
@@ -226,7 +231,6 @@ def find_vessels(
                 "it, or cut the mesh to the arch and its branches."
             )
         places.append(lumen[nearest])
-    by_radius = sorted(range(len(ends)), key=lambda n: -ends[n].radius)
 
     def vessels(first: int, last: int) -> RoughVessel:
         others = [n for n in range(len(ends)) if n != first]
@@ -245,17 +249,20 @@ def find_vessels(
                 vessel.end = -vessel.end
         return aorta
 
-    first, last = by_radius[1], by_radius[0]
-    if ends[first].radius < _AORTIC * ends[last].radius:  # the aorta goes on into the iliac arteries
-        others = [n for n in range(len(ends)) if n != last]
-        ways = paths.ways(places[last], np.array([places[n] for n in others]))
-        first = others[int(np.argmax([(paths.depth[tuple(way.T)] ** 3).sum() for way in ways]))]
+    ways = paths.ways(places[0], np.array(places[1:]))
+    first, last, unsure = aortic_ends([paths.points(way) for way in ways], [paths.depth[tuple(way.T)] for way in ways])
+    first, last = sorted((first, last), key=lambda n: ends[n].radius)
     aorta = vessels(first, last)
     if ascending_score(aorta, ends[first].radius, ends[last].radius) < 0:
         aorta = vessels(last, first)
     if not aorta.children:
         raise MeshRefusedError("the aorta has no branch to steer into; expected an aortic arch with its branches.")
-    return aorta
+    notes = tuple(
+        "the aorta may end elsewhere: a vessel as wide as it ends at "
+        f"({', '.join(f'{x / scale:.4g}' for x in ends[n].centre)}) of the file"
+        for n in unsure
+    )
+    return aorta, notes
 
 
 def _coarse(cavity: Cavity, inside: NDArray[np.bool_]) -> LumenPaths:

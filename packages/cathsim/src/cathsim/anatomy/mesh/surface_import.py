@@ -152,7 +152,8 @@ class SurfaceImport:
         away = voxels_away(inside)
         surface = lumen_samples(samples, cavity, inside, ends, away)
         self.budget.check_time("finding its vessels")
-        aorta = find_vessels(cavity, inside, ends, rings=rings > 0)
+        aorta, unsure = find_vessels(cavity, inside, ends, rings=rings > 0, scale=self.facts.scale)
+        self.notes += unsure
         pose = self._pose(aorta, cavity.origin + np.argwhere(inside) * cavity.spacing)
         aorta = turned(aorta, pose.rotation, pose.offset)
         automatic, final, named = self._named(aorta, pose)

@@ -19,7 +19,7 @@ from cathsim.anatomy.mesh.arches.arch_types import (
 )
 from cathsim.anatomy.mesh.arches.subtrees import RIGHT, Subtree, rebuilt, subtree
 from cathsim.anatomy.mesh.branches import RoughVessel, leaving, led_into, parted
-from cathsim.anatomy.mesh.naming import arch_branches
+from cathsim.anatomy.mesh.naming import arch_branches, has_arch
 from cathsim.anatomy.vessel_names import AORTA
 
 _RIGHT_SIDE, _LEFT_SIDE = ("bca", "rsa", "rcca"), ("lcca", "lsa")
@@ -48,7 +48,9 @@ def name_vessels(aorta: RoughVessel, *, sides_known: bool = False) -> NamesAndNo
     notes: list[str] = []
     for child in aorta.children:  # the way of a wide branch parts from the aorta's long before it leaves its lumen
         child.clear = min(leaving(child, aorta), len(child.points) - 2)
-    parts = {id(child): subtree(child) for child in arch_branches(aorta)}
+    parts = {id(child): subtree(child) for child in arch_branches(aorta)} if has_arch(aorta) else {}
+    if not has_arch(aorta):
+        notes.append("there is no arch of the aorta: its branches have numbers, and no names")
     readings = read_arch(list(parts.values()), sides_known=sides_known)
     if readings:
         best = readings[0]
