@@ -27,6 +27,12 @@ def _in_file(phantom: Phantom, points: np.ndarray) -> np.ndarray:
     return (points - np.array(report.offset)) @ np.array(report.rotation)
 
 
+def _led_on(branch: Branch) -> Branch:
+    """A branch that goes straight on, as its extension does."""
+    points = np.concatenate([branch.points, branch.points[-1:] + 0.05 * branch.tangents[-1:]])
+    return Branch(branch.name, points, np.append(branch.radius, branch.radius[-1]), branch.parent, branch.parent_arc)
+
+
 def test_short_branches_are_kept_and_the_aorta_is_whole(tmp_path: Path):
     mesh = arch_mesh(STUB)
     mesh.apply_scale(1000)
@@ -38,9 +44,14 @@ def test_short_branches_are_kept_and_the_aorta_is_whole(tmp_path: Path):
     for name in ("bca", "lcca", "lsa"):
         target = found.targets[name].position
         assert found.grid.sample(target) > 0.5 * drawn[name].radius[0], name
-        _, _, aside = nearest_on_branch(drawn[name], _in_file(found, target))
-        assert aside[0] < 1.5e-3, name
+        _, _, aside = nearest_on_branch(_led_on(drawn[name]), _in_file(found, target))
+        assert aside[0] < 2.5e-3, name
+        assert found.depths.place(target).depth == pytest.approx(0.030, abs=2e-3)
+    assert found.imported is not None
+    assert sum("extended by" in note for note in found.imported.notes) == 3
     assert check_lumen(found).problems == ()
+    with pytest.raises(MeshRefusedError, match="long enough for a wire and a target; import it with extend=True"):
+        import_mesh(tmp_path / "short.stl", extend=False, resolution=COARSE, cache_dir=tmp_path)
 
 
 def test_a_wide_branch_that_is_cut_soon_after_it_leaves_the_ascending_limb_is_the_first(tmp_path: Path):
@@ -58,7 +69,7 @@ def test_a_wide_branch_that_is_cut_soon_after_it_leaves_the_ascending_limb_is_th
     mesh.export(tmp_path / "stump.stl")
     found = import_mesh(tmp_path / "stump.stl", resolution=COARSE, cache_dir=tmp_path)
     assert found.tree.names == ("aorta", "bca", "lcca", "lsa")
-    _, _, aside = nearest_on_branch(bca, _in_file(found, found.targets["bca"].position))
+    _, _, aside = nearest_on_branch(_led_on(bca), _in_file(found, found.targets["bca"].position))
     assert aside[0] < 2e-3
 
 
@@ -85,7 +96,7 @@ def test_coronary_arteries_do_not_hide_the_aortas_end(tmp_path: Path):
     found = import_mesh(tmp_path / "coronaries.stl", resolution=1e-3, cache_dir=tmp_path)
     assert found.tree.root.length > 0.93 * drawn.root.length
     for name in ("bca", "lcca", "lsa"):
-        _, _, aside = nearest_on_branch(drawn[name], _in_file(found, found.targets[name].position))
+        _, _, aside = nearest_on_branch(_led_on(drawn[name]), _in_file(found, found.targets[name].position))
         assert aside[0] < 1.5e-3, name
 
 
@@ -125,3 +136,4 @@ def test_real_arches_with_short_branches(name: str, unit: str, tmp_path: Path):
     assert arcs == sorted(arcs, reverse=True)  # from the heart on
     for target in ("bca", "lcca", "lsa"):
         assert found.grid.sample(found.targets[target].position) > 1.5e-3, target
+        assert found.depths.place(found.targets[target].position).depth == pytest.approx(0.030, abs=1e-3)
