@@ -57,6 +57,15 @@ def test_ways_lead_along_the_branch_and_those_that_leave_it_further_on(depths: B
     assert depths.way(depths.place((0.0, 0.0, 0.1)), near) == math.inf
 
 
+def test_where_a_trunk_forks_is_the_trunk_and_its_daughters_leave_it_further_on(type_1: Phantom) -> None:
+    trunk, daughter = type_1.tree["bca"], type_1.tree["rcca"]
+    fork = type_1.depths.place(trunk.points[-1])
+    assert (fork.branch, fork.arc) == ("bca", pytest.approx(trunk.length, abs=1e-6))
+    tip = type_1.depths.place(daughter.point_at(0.004))
+    assert tip.branch == "rcca"
+    assert type_1.depths.way(tip, fork) == pytest.approx(0.004, abs=1e-4)
+
+
 def test_targets_of_an_arch_have_the_depth_that_they_are_placed_at(type_1: Phantom) -> None:
     for name, depth in {"bca": 0.030, "lcca": 0.040, "lsa": 0.040, "rcca": 0.020, "rsa": 0.020}.items():
         place = type_1.depths.place(type_1.targets[name].position)

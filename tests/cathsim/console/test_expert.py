@@ -25,7 +25,8 @@ def test_a_score_has_the_metrics_of_a_procedure() -> None:
 
 def test_the_task_s_radius_and_force_limit_are_the_experts_too() -> None:
     told: list[dict[str, Any]] = []
-    assert expert_score({**TASK, "max_steps": 30, "success_radius": 0.18}, told.append)["success"]
+    wide = {"max_steps": 30, "success_radius": 0.18, "success": "straight"}
+    assert expert_score({**TASK, **wide}, told.append)["success"]
     assert [one["steps"] for one in told] == list(range(1, len(told) + 1))
     stopped = expert_score({**TASK, "max_steps": 60, "most_force": 1e-6})
     assert stopped["metrics"]["steps"] < 60

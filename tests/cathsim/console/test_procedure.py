@@ -43,7 +43,7 @@ def test_it_is_the_environments_episode(make_env: MakeEnv, memory: Any) -> None:
 
 
 def test_reaching_the_target_ends_it_with_success(make_env: MakeEnv, memory: Any) -> None:
-    procedure = Procedure(make_env(success_radius=0.15, max_steps=50), memory, seed=0)
+    procedure = Procedure(make_env(success_radius=0.15, success="straight", max_steps=50), memory, seed=0)
     while procedure.state != ENDED:
         procedure.step(1.0, 0.0)
     assert procedure.success

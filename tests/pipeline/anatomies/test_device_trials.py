@@ -42,7 +42,7 @@ def copies(**changed: Any) -> NavigateCopiesEnv:
 
 
 def test_an_episode_in_each_copy_is_counted_as_it_went() -> None:
-    near = copies(max_steps=120, success_radius=0.05)  # half way is enough
+    near = copies(max_steps=120, success_radius=0.05, success="straight")  # half way is enough
     policy, done = Straight(1.0), list[float]()
     trials = try_in_copies(policy, near, 7, cases=range(3), tick=done.append)  # type: ignore[arg-type]
     tried = Tried.of(trials)

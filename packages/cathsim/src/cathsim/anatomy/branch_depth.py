@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 
 from cathsim.anatomy.vessel_tree import VesselTree
 
+_SAME = 1e-6  # m: branches of a fork leave at the same place
+
 
 class Place(NamedTuple):
     """A place in a vessel tree.
@@ -52,7 +54,7 @@ class BranchDepths:
         nearest = int(scores.argmin())
         number = self._owner[nearest]
         arc = self._along(nearest, x, y, z)
-        while arc < self._ostia[number]:
+        while number and arc <= self._ostia[number]:
             number = self._parents[number]
             first, last = self._spans[number]
             arc = self._along(first + int(scores[first:last].argmin()), x, y, z)
@@ -76,7 +78,7 @@ class BranchDepths:
         way = 0.0
         while name != goal.branch:
             branch = self._tree[name]
-            if branch.parent is None or (branch.parent == goal.branch and branch.parent_arc < goal.arc):
+            if branch.parent is None or (branch.parent == goal.branch and branch.parent_arc < goal.arc - _SAME):
                 return math.inf
             way, name, arc = way + arc, branch.parent, branch.parent_arc
         return way + abs(arc - goal.arc)
