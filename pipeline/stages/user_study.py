@@ -94,6 +94,7 @@ def _read(path: Path) -> tuple[EpisodeInfo, bool, dict[str, Any] | None]:
     from cathsim.console.questionnaire import check_answers
     from cathsim.console.recorder import OPERATOR, TOTALS
     from cathsim.metrics import EpisodeMetrics
+    from cathsim.metrics.episodes import ENDING
     from pipeline.episodes import EpisodeReader, EpisodeReadError
     from pipeline.episodes.annotate import read_annotation
     from pipeline.recording.human import QUESTIONNAIRE
@@ -104,7 +105,8 @@ def _read(path: Path) -> tuple[EpisodeInfo, bool, dict[str, Any] | None]:
     if info.operator != OPERATOR:
         raise EpisodeReadError(f"{path} is an episode of {info.operator}")
     for name, value in outcome.metrics.items():
-        if name not in ("target", "branch") and not isinstance(value, int | float):
+        unknown = value is None and name in ENDING
+        if name not in ("target", "branch") and not unknown and not isinstance(value, int | float):
             raise ValueError(f"the metric {shown(name)} is {shown(value)}")
     metrics = {name: value for name, value in outcome.metrics.items() if name not in TOTALS}
     if metrics:

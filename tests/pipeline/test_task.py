@@ -78,8 +78,11 @@ def test_arguments_are_in_metres_and_radians() -> None:
     assert arguments.pop("wire").length == pytest.approx(0.312)
     assert arguments == {
         "actions": "feeder", "pace": "usual", "image_size": 80, "max_steps": 300, "success_radius": 0.008,
-        "start_jitter": 0.001, "start_rotation": pytest.approx(3.141592653589793, abs=0), "entry": "descending",
+        "success": "lumen", "start_jitter": 0.001, "start_rotation": pytest.approx(3.141592653589793, abs=0),
+        "entry": "descending",
     }  # fmt: skip
+    assert Task().arguments("type_1")["success"] == "straight"  # of the thesis's phantoms
+    assert Task(success="lumen").arguments("type_1")["success"] == "lumen"
     assert Task(entry="0.01, -0.02, 0.03").rules()["entry"] == (0.01, -0.02, 0.03)
 
 

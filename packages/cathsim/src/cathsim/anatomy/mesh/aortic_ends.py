@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length
 
-_CALIBRE = 0.5  # of a way's mean radius: narrower parts of it are no part of the tube
-_UNSURE = 0.7  # of the tube's volume that another pair of ends has, and of its radius that the other's own part has
+_CALIBRE = 0.6  # of a way's mean radius: narrower parts of it are no part of the tube
+_UNSURE = 0.7  # of the tube's size that another pair of ends has, and of its radius that the other's own part has
 
 Array = NDArray[np.float64]
 
@@ -37,10 +37,10 @@ class _Part:
         return float(self.steps @ self.depth) / length if length else 0.0
 
     @property
-    def volume(self) -> float:
-        """Length times radius squared, m^3, where it is of the way's calibre."""
+    def size(self) -> float:
+        """Volume times radius, m^4 over pi, where it is of the way's calibre: a long artery has volume, too."""
         wide = self.depth >= _CALIBRE * self.radius
-        return float(self.steps[wide] @ self.depth[wide] ** 2)
+        return float(self.steps[wide] @ self.depth[wide] ** 3)
 
 
 def aortic_ends(points: Sequence[Array], depths: Sequence[Array]) -> tuple[int, int, tuple[int, ...]]:
@@ -70,26 +70,23 @@ def aortic_ends(points: Sequence[Array], depths: Sequence[Array]) -> tuple[int, 
         return first + second
 
     pairs = list(itertools.combinations(range(len(points) + 1), 2))
-    volumes = {pair: tube(*pair).volume for pair in pairs}
-    best = max(pairs, key=lambda pair: volumes[pair])
+    sizes = {pair: tube(*pair).size for pair in pairs}
+    best = max(pairs, key=lambda pair: sizes[pair])
     aorta = tube(*best)
     unsure = []
     for other in set(range(len(points) + 1)) - set(best):
         for kept, left in (best, best[::-1]):
-            # what the way to the other end has of its own, beside that from one of the aorta's ends to the other
-            own = _own_part(tube(kept, other), aorta, tube(left, other))
-            large = volumes[tuple(sorted((kept, other)))] >= _UNSURE * volumes[best]  # type: ignore[index]
-            if large and own >= _UNSURE * aorta.radius:
+            to_other, between = tube(kept, other), tube(left, other)
+            own, shared = _common(to_other, between, aorta), _common(to_other, aorta, between)
+            large = sizes[tuple(sorted((kept, other)))] >= _UNSURE * sizes[best]  # type: ignore[index]
+            if large and own >= _UNSURE * shared:
                 unsure.append(other)
     return *best, tuple(sorted(set(unsure)))
 
 
-def _own_part(to_other: _Part, aorta: _Part, between: _Part) -> float:
-    """Mean radius, m, of the part of two ways to one end that the aorta does not have.
-
-    Of three ways between three ends each part lies on two of them: half the sum of two less the third is one part.
-    """
-    lengths = [float(part.steps.sum()) for part in (to_other, between, aorta)]
-    areas = [float(part.steps @ part.depth) for part in (to_other, between, aorta)]
-    length, area = (0.5 * (one + two - three) for one, two, three in (lengths, areas))
+def _common(one: _Part, two: _Part, third: _Part) -> float:
+    """Mean radius, m, of what two of the three ways between three ends have in common; 0 where that has no length."""
+    lengths = [float(part.steps.sum()) for part in (one, two, third)]
+    areas = [float(part.steps @ part.depth) for part in (one, two, third)]
+    length, area = (0.5 * (a + b - c) for a, b, c in (lengths, areas))
     return area / length if length > 0 else 0.0
