@@ -67,6 +67,7 @@ def tables(settings: NavigationSettings, context: StageContext, outcomes: dict[s
             low, high = wilson_interval(round(one["success_pct"] / 100 * n), n)
             cells[f"{target}_success_pct"] = one["success_pct"]
             cells[f"{target}_interval_pct"] = f"{100 * low:.0f} to {100 * high:.0f}"
+            cells[f"{target}_depth_mm"] = one["depth_mm"]
             cells[f"{target}_time_s"] = one["time_s"]
             cells[f"{target}_force_max_n"] = one["force_max_n"]
             cells |= {f"{target}_{mode}": one[mode] for mode in (*FAILURES, "out_of_view")}
