@@ -62,7 +62,7 @@ def test_the_roadmap_is_the_scans_in_its_wrong_pose(type_1: Phantom) -> None:
     assert roadmap.walls(place, scan.directions(roadmap.frame()))[0] == pytest.approx(walked, abs=1e-3)
     assert roadmap.read()[21] == pytest.approx(roadmap.way(place)[1] / 0.2, rel=1e-5)
     # success is measured in the patient
-    assert env.current._info(tip, 0.0, success=False, invalid=False)["tip"] is tip
+    assert env.current._info(tip, env.current.arrival(tip), success=False, invalid=False)["tip"] is tip
     assert env.phantom.name == "type_1_copy1"
 
 

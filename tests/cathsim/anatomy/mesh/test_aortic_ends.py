@@ -90,7 +90,8 @@ def test_a_vessel_that_is_nearly_as_large_as_the_aorta_beyond_a_fork_is_told(
         way(("stem", 0.06, 0.012), ("other", other, 0.011)),
         way(("stem", 0.06, 0.012), ("twig", 0.15, 0.004)),
     ]
-    first, last, doubted = aortic_ends([points for points, _ in ways], [depths for _, depths in ways])
+    radii = [0.012, 0.011, 0.011, 0.004]
+    first, last, doubted = aortic_ends([points for points, _ in ways], [depths for _, depths in ways], radii)
     assert ({first, last}, doubted) == ({0, 1}, unsure)
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.centreline import arc_length
 
 _CALIBRE = 0.6  # of a way's mean radius: narrower parts of it are no part of the tube
+_AS_LARGE = 0.97  # of the largest tube's size
 _UNSURE = 0.7  # of the tube's size that another pair of ends has, and of its radius that the other's own part has
 
 Array = NDArray[np.float64]
@@ -43,12 +44,15 @@ class _Part:
         return float(self.steps[wide] @ self.depth[wide] ** 3)
 
 
-def aortic_ends(points: Sequence[Array], depths: Sequence[Array]) -> tuple[int, int, tuple[int, ...]]:
-    """Chooses two ends by the ways from the first end.
+def aortic_ends(
+    points: Sequence[Array], depths: Sequence[Array], radii: Sequence[float]
+) -> tuple[int, int, tuple[int, ...]]:
+    """Chooses two ends by the ways from the first end; of tubes that are as large, the one with the wider ends.
 
     Args:
         points: (n, 3) m of each way, from end 0 to end 1, 2 and so on; ways are shared until they part.
         depths: (n,) m, distances to the wall along them.
+        radii: m, of all ends.
 
     Returns:
         Numbers of both ends, and of others that could be one of them.
@@ -71,7 +75,8 @@ def aortic_ends(points: Sequence[Array], depths: Sequence[Array]) -> tuple[int, 
 
     pairs = list(itertools.combinations(range(len(points) + 1), 2))
     sizes = {pair: tube(*pair).size for pair in pairs}
-    best = max(pairs, key=lambda pair: sizes[pair])
+    largest = max(sizes.values())  # a coronary artery leaves the aorta next to its end
+    best = max((pair for pair in pairs if sizes[pair] >= _AS_LARGE * largest), key=lambda p: radii[p[0]] + radii[p[1]])
     aorta = tube(*best)
     unsure = []
     for other in set(range(len(points) + 1)) - set(best):

@@ -250,7 +250,8 @@ def find_vessels(
         return aorta
 
     ways = paths.ways(places[0], np.array(places[1:]))
-    first, last, unsure = aortic_ends([paths.points(way) for way in ways], [paths.depth[tuple(way.T)] for way in ways])
+    depths = [paths.depth[tuple(way.T)] for way in ways]
+    first, last, unsure = aortic_ends([paths.points(way) for way in ways], depths, [end.radius for end in ends])
     first, last = sorted((first, last), key=lambda n: ends[n].radius)
     aorta = vessels(first, last)
     if ascending_score(aorta, ends[first].radius, ends[last].radius) < 0:
