@@ -18,14 +18,7 @@ _LARGEST_PX = 1024  # of the images of random fluoroscopy
 
 
 def require_clutter_fits(image_size_px: int, setting: str) -> None:
-    """Refuses images that are larger than those of random fluoroscopy, whose clutter is to be laid over them.
-
-    Args:
-        setting: that the size is of.
-
-    Raises:
-        ConfigurationError: saying what to do.
-    """
+    """Refuses images, as of a setting, that are larger than those of random fluoroscopy, whose clutter they get."""
     if image_size_px > _LARGEST_PX:
         raise ConfigurationError(
             f"clutter is drawn in images of at most {_LARGEST_PX} px, got {setting}={image_size_px}: make them "
@@ -34,11 +27,7 @@ def require_clutter_fits(image_size_px: int, setting: str) -> None:
 
 
 def clutter_of(amount: float) -> DrawClutter | None:
-    """Draws the clutter of an episode; None where there is to be none.
-
-    Args:
-        amount: factor of the number of things, 1 as in the images that networks learn from; 0: none.
-    """
+    """Draws an episode's clutter: `amount` times as much as in the images that networks learn from; None for 0."""
     if not amount:
         return None
     from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy

@@ -46,8 +46,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _USAGE
     if "MUJOCO_GL" not in os.environ and (backend := gl_backend()):
         os.environ["MUJOCO_GL"] = backend
+    command, further = _COMMANDS[words[0]], words[1:]
+    if words[0] in ("stages", "chain"):
+        further = further or ["--help"]
     try:
-        return _COMMANDS[words[0]](words[1:])
+        return int((importlib.import_module(command).main if isinstance(command, str) else command)(further))
     except KeyboardInterrupt:
         return _INTERRUPTED
     except ModuleNotFoundError as error:
@@ -55,24 +58,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say(f"endonav {words[0]}: {error}" if known else f"endonav {words[0]} needs the module {error.name}: "
             f"{installing('make setup')}", error=True)  # fmt: skip
         return _USAGE
-
-
-def _stages(arguments: list[str]) -> int:
-    from pipeline.launch import main as launch
-
-    return launch(arguments or ["--help"])
-
-
-def _chain(arguments: list[str]) -> int:
-    from pipeline.chain.command import main as chain
-
-    return chain(arguments or ["--help"])
-
-
-def _episodes(arguments: list[str]) -> int:
-    from pipeline.episodes.__main__ import main as episodes
-
-    return episodes(arguments)
 
 
 def _models(arguments: list[str]) -> int:
@@ -96,12 +81,6 @@ def _models(arguments: list[str]) -> int:
     return _FINE
 
 
-def _demo(arguments: list[str]) -> int:
-    from pipeline.demo.command import main as demo
-
-    return demo(arguments)
-
-
 def _info(arguments: list[str]) -> int:
     from pipeline.system_info import report
 
@@ -112,21 +91,11 @@ def _info(arguments: list[str]) -> int:
     return _FINE
 
 
-def _console(arguments: list[str]) -> int:
-    from pipeline.console import main as console
-
-    return console(arguments)
-
-
-_COMMANDS: dict[str, Callable[[list[str]], int]] = {
-    "stages": _stages,
-    "chain": _chain,
-    "episodes": _episodes,
-    "models": _models,
-    "demo": _demo,
-    "console": _console,
-    "info": _info,
-}
+# A function, or the module whose `main` takes the arguments.
+_COMMANDS: dict[str, Callable[[list[str]], int] | str] = {
+    "stages": "pipeline.launch", "chain": "pipeline.chain", "episodes": "pipeline.episodes.__main__",
+    "models": _models, "demo": "pipeline.demo.__main__", "console": "pipeline.console", "info": _info,
+}  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -17,17 +17,7 @@ from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
 from pipeline.jobs.engines.settings import LOCAL, SETTINGS
-from pipeline.settings.checks import shown, validated
-from pipeline.settings.kinds import (
-    BranchNames,
-    EntryPlace,
-    FolderName,
-    PathText,
-    Seed,
-    VesselLabels,
-    folder_name,
-    path_text,
-)
+from pipeline.settings import kinds
 from pipeline.stages import available_stages, settings_of
 from pipeline.stages.guide3d.settings import Guide3dSource
 from pipeline.store.errors import ConfigurationError
@@ -47,24 +37,24 @@ CHOICES = {
 }
 
 
-@validated("phantom.")
+@kinds.validated("phantom.")
 class OwnPhantom:
     """The only anatomy: a file's by ``phantom.file=PATH``, or one of the library by ``phantom.name=NAME``."""
 
-    name: FolderName | None = None  # a named anatomy, random_7, or random with a seed
-    seed: Seed | None = None
-    file: PathText | None = None  # any that cathsim imports: surface, label volume, folder
-    mesh: PathText | None = None  # the same
+    name: kinds.FolderName | None = None  # a named anatomy, random_7, or random with a seed
+    seed: kinds.Seed | None = None
+    file: kinds.PathText | None = None  # any that cathsim imports: surface, label volume, folder
+    mesh: kinds.PathText | None = None  # the same
     unit: str | None = None  # of a surface: m, cm, mm or inch; detected when left out
-    names: BranchNames = None
-    labels: VesselLabels = None
+    names: kinds.BranchNames = None
+    labels: kinds.VesselLabels = None
     transform: str | None = None  # of NIfTI files: sform or qform, which of their affines is taken
     extend: bool | None = None  # whether branches that the file cuts short are extended; null: they are
-    ct: PathText | None = None  # that the file was segmented from: shown by films and X-ray images
-    entry: EntryPlace = None  # where wires come in; null: descending
+    ct: kinds.PathText | None = None  # that the file was segmented from: shown by films and X-ray images
+    entry: kinds.EntryPlace = None  # where wires come in; null: descending
 
 
-@validated("")
+@kinds.validated("")
 class RunConfig:
     """One run of one stage."""
 
@@ -72,12 +62,12 @@ class RunConfig:
     phantom: OwnPhantom = field(default_factory=OwnPhantom)
     guide3d: Guide3dSource = field(default_factory=Guide3dSource)  # a bi-planar data set of one's own
     task: Task = field(default_factory=Task)  # that stages take over as stage.task
-    target: FolderName | None = None  # the only target of the learning stages: made for sweeps, target=bca,lcca
-    modality: FolderName | None = None  # the only modality set of the stage enn: modality=I,V,I+V+M
+    target: kinds.FolderName | None = None  # the only target of the learning stages: made for sweeps, target=bca,lcca
+    modality: kinds.FolderName | None = None  # the only modality set of the stage enn: modality=I,V,I+V+M
     budget: dict[str, Any] = field(default_factory=dict)  # conf/budget/*.yaml
-    name: FolderName = "${budget.name}"  # the run folder below runs_dir
-    runs_dir: PathText = "runs"
-    seed: Seed = 0
+    name: kinds.FolderName = "${budget.name}"  # the run folder below runs_dir
+    runs_dir: kinds.PathText = "runs"
+    seed: kinds.Seed = 0
     engine: Any = None  # where jobs run: settings of pipeline.jobs.engines.settings; null: on this machine
     force: bool = False  # run even when the results are up to date
 
@@ -91,12 +81,6 @@ def register_schemas(stages: Iterable[str] | None = None) -> None:
     """Makes the dataclasses known to Hydra, so that a wrong key or type is refused when the configuration is composed.
 
     The stages' schemas sit in a group of their own: in ``stage`` they would show up as stages a user can choose.
-
-    Args:
-        stages: whose settings are needed; they are imported. All when None.
-
-    Raises:
-        StageError: a stage needs a package that is not installed.
     """
     # Hydra makes its folder of these names before the values are checked.
     OmegaConf.register_new_resolver("hydra_folder", _hydra_folder, replace=True)
@@ -121,8 +105,8 @@ def _own_file(_root_: DictConfig) -> str | None:
 
 
 def _hydra_folder(runs_dir: str, name: str, stage: str) -> str:
-    for setting, value, check in (("runs_dir", runs_dir, path_text), ("name", name, folder_name),
-                                  ("stage.name", stage, folder_name)):  # fmt: skip
+    for setting, value, check in (("runs_dir", runs_dir, kinds.path_text), ("name", name, kinds.folder_name),
+                                  ("stage.name", stage, kinds.folder_name)):  # fmt: skip
         try:
             check(str(value))
         except ValueError as error:
@@ -131,14 +115,7 @@ def _hydra_folder(runs_dir: str, name: str, stage: str) -> str:
 
 
 def run_config(composed: DictConfig) -> RunConfig:
-    """Turns Hydra's composed configuration into checked dataclasses.
-
-    Args:
-        composed: the configuration as Hydra hands it over, without its own ``hydra`` node.
-
-    Raises:
-        ConfigurationError: when a value fails a check; the message is one sentence.
-    """
+    """Turns the configuration that Hydra composed, without its own ``hydra`` node, into checked dataclasses."""
     OmegaConf.to_object(composed.phantom)  # first, for the stages take its values over under other names
     config = OmegaConf.to_object(composed)
     if not isinstance(config, RunConfig):
@@ -146,7 +123,7 @@ def run_config(composed: DictConfig) -> RunConfig:
             "the configuration was composed without its schema: keep `- schema` in conf/config.yaml"
         )
     if config.stage.name != type(config.stage).name:
-        raise ConfigurationError(f"stage.name cannot be {shown(config.stage.name)}: choose a stage by stage=NAME")
+        raise ConfigurationError(f"stage.name cannot be {kinds.shown(config.stage.name)}: choose a stage by stage=NAME")
     # `+key=value` adds keys past the schema: refused here, or a misspelt setting would pass unnoticed.
     _refuse_unknown("", composed, config)
     return config
@@ -169,12 +146,7 @@ def choices(group: str) -> Sequence[str]:
 
 
 def settings_beside(key: str, chosen: Mapping[str, str]) -> list[str]:
-    """The settings that stand where a key stands, as the user writes them.
-
-    Args:
-        key: such as ``stage.task.wire``; it need not exist.
-        chosen: group to choice, as far as it is known: the stage, and the engine.
-    """
+    """The settings beside a key such as ``stage.task.wire``, real or not; `chosen`: group to choice, if known."""
     owner, stage = key.rpartition(".")[0], chosen.get("stage", "")
     if owner.rpartition(".")[2] in ("task", "arch_task"):
         return [f"{owner}.{item.name}" for item in dataclasses.fields(Task)]

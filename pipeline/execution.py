@@ -12,11 +12,11 @@ from typing import Any
 
 from enn.reinforcement.free_memory import available_bytes
 from pipeline.config import RunConfig, anatomy_not_taken
-from pipeline.jobs.engines.choice import chosen_engine
+from pipeline.jobs.engines.cluster import end_earlier_jobs
 from pipeline.jobs.engines.settings import LOCAL
-from pipeline.jobs.engines.shared_files import end_earlier_jobs
 from pipeline.jobs.gpus import CPU, check_device
-from pipeline.settings.checks import settings_that_matter
+from pipeline.jobs.pool import chosen_engine
+from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages import Stage, StageContext, load_stage, missing_module
 from pipeline.store.costs import OWN_PROCESS, CostMeter, keep_cost
 from pipeline.store.errors import StageError
@@ -37,12 +37,7 @@ class Outcome(enum.Enum):
 
 
 def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool = False) -> Outcome:
-    """Runs one stage, or finds that its results are up to date.
-
-    Args:
-        overrides: that it was composed with, of the command line or of the sweep's job.
-        in_sweep: whether it is a job of a sweep, which gets a folder named after its overrides.
-    """
+    """Runs one stage, or finds it up to date; a sweep's job has a folder named after its overrides."""
     stage = load_stage(config.stage.name)
     stage.prepare(config.stage)
     stage.check(config.stage)

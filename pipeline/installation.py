@@ -25,11 +25,7 @@ CUDA_DISTRIBUTIONS = ("nvidia-", "cuda-", "triton")
 
 
 def missing_for_build() -> list[str]:
-    """Lists what keeps the packages from being built.
-
-    Returns:
-        One sentence a missing thing, saying how to get it; empty when all is there.
-    """
+    """Lists what keeps the packages from being built: a sentence a thing, saying how to get it."""
     missing = []
     if sys.version_info < OLDEST_PYTHON:
         wanted, have = ".".join(map(str, OLDEST_PYTHON)), ".".join(map(str, sys.version_info[:3]))
@@ -45,11 +41,7 @@ def missing_for_build() -> list[str]:
 
 
 def gl_backend() -> str | None:
-    """Finds a library that MuJoCo can render with when there is no screen.
-
-    Returns:
-        The value for ``MUJOCO_GL``, or None when there is no such library.
-    """
+    """Finds a library that MuJoCo can render with when there is no screen: the value for ``MUJOCO_GL``, or None."""
     for backend, library in GL_LIBRARIES.items():
         name = ctypes.util.find_library(library)
         if name is None:
@@ -75,11 +67,7 @@ def install_gl() -> None:
 
 
 def size_note(sizes: Mapping[str, int]) -> str:
-    """Says how large an environment is, and how to get a smaller one where torch came with CUDA.
-
-    Args:
-        sizes: bytes of each installed distribution.
-    """
+    """Says how large an environment is, by bytes of distributions, and how to get one without CUDA."""
     cuda = [name for name in sizes if name.lower().startswith(CUDA_DISTRIBUTIONS)]
     note = f"installed: {sum(sizes.values()) / 1e9:.1f} GB"
     if not cuda:
@@ -100,11 +88,7 @@ def installed_sizes() -> dict[str, int]:
 
 
 def main(arguments: list[str]) -> int:
-    """Runs the command line.
-
-    Args:
-        arguments: ``before`` or ``after`` an installation, or ``gl``.
-    """
+    """Runs the command line: ``before`` or ``after`` an installation, or ``gl``."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "when", choices=["before", "after", "gl"], help="the installation; gl prints the renderer to use"

@@ -31,15 +31,7 @@ class SeedRange:
         return range(self.first, self.first + self.width * self.parts)
 
     def part(self, seed: int, count: int, *, skip: int = 0) -> range:
-        """Some seeds of a part.
-
-        Args:
-            seed: of the run or training, which names the part.
-            skip: how many of the part come before them.
-
-        Raises:
-            ConfigurationError: there is no such part, or it has not so many seeds.
-        """
+        """So many seeds of the part of a run or training, but the first `skip`."""
         if not 0 <= seed < self.parts:
             raise ConfigurationError(
                 f"seed {seed} has no {self.of} of its own, only seeds 0 to {self.parts - 1} have: choose a "
@@ -117,15 +109,7 @@ def force_seed(seed: int, episode: int) -> int:
 
 
 def navigation_episode_seeds(run_seed: int, number: int, course: int, count: int) -> range:
-    """Seeds of the advised episodes of a round and course of a navigator.
-
-    Args:
-        number: of the round, from 0.
-        course: its number, from 0.
-
-    Raises:
-        ConfigurationError: more courses, or episodes of one, than there are seeds.
-    """
+    """Seeds of the advised episodes of a round and a course, from 0, of a navigator."""
     if count > _COURSE or course >= _ROUND // _COURSE:
         raise ConfigurationError(
             f"a round has up to {_ROUND // _COURSE} courses of up to {_COURSE} episodes, got {count} in number "
@@ -135,14 +119,7 @@ def navigation_episode_seeds(run_seed: int, number: int, course: int, count: int
 
 
 def unseen_episode_seeds(run_seed: int, number: int, count: int) -> range:
-    """Seeds of the advised episodes of a round of an image policy.
-
-    Args:
-        number: of the round, from 0.
-
-    Raises:
-        ConfigurationError: more episodes than there are seeds.
-    """
+    """Seeds of the advised episodes of a round, from 0, of an image policy."""
     if count > _UNSEEN_ROUND:
         raise ConfigurationError(f"a round has up to {_UNSEEN_ROUND} episodes, got {count}: choose fewer")
     return EPISODES["unseen, advised"].part(run_seed, count, skip=number * _UNSEEN_ROUND)
@@ -154,12 +131,7 @@ def arch_demonstration_seed(run_seed: int) -> int:
 
 
 def rehearsal_demonstration_seed(training_seed: int, number: int, case: int) -> int:
-    """Seed of a demonstration in a copy of a rehearsal's training.
-
-    Args:
-        number: of the round, from 0.
-        case: the copy's number among those of the training, from 0.
-    """
+    """Seed of a demonstration in a round, in a copy by its number among those of the training, both from 0."""
     return EPISODES["rehearsal, demonstrations"].part(training_seed, 1, skip=number * _COPIES + case)[0]
 
 

@@ -13,6 +13,7 @@ from cathsim.anatomy.phantom_cache import default_cache_directory
 from pipeline.installation import GL_LIBRARIES
 from pipeline.jobs.gpus import find_gpus
 from pipeline.store.errors import StageError
+from pipeline.store.provenance import machine
 
 OURS = ("endonav", "endonav-cathsim", "endonav-enn", "endonav-guide3d", "endonav-splineformer")
 THEIRS = (
@@ -30,7 +31,7 @@ def report() -> str:
         *((name, version(name)) for name in (*OURS, *THEIRS)),
         ("python", f"{platform.python_version()}, {sys.executable}"),
         ("system", f"{platform.platform()}, {_libc()}"),
-        ("processor", f"{_processor()}, {os.cpu_count()} cores"),
+        ("processor", f"{machine()['processor']}, {os.cpu_count()} cores"),
         ("memory", f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 1e9:.0f} GB"),
         ("rendering", _rendering() + (f" (MUJOCO_GL={backend})" if backend else "")),
         ("GPUs", _gpus()),
@@ -59,16 +60,6 @@ def _addresses() -> list[str]:
 
 def _libc() -> str:
     return " ".join(platform.libc_ver()).strip() or "C library unknown"
-
-
-def _processor() -> str:
-    """The processor's name, where the system says it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.machine()
 
 
 def _rendering() -> str:

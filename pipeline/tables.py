@@ -51,25 +51,15 @@ class Figure:
 
 @dataclass(frozen=True)
 class Results:
-    """What a stage measured and drew.
+    """What a stage measured and drew."""
 
-    Attributes:
-        tables: measured cells: table -> row -> column -> cell.
-        figures: in the order they are shown; their files are in the stage's folder. None: the stage draws none.
-        notes: table -> how its rows were made.
-    """
-
-    tables: Mapping[str, Any]
+    tables: Mapping[str, Any]  # measured cells: table -> row -> column -> cell
+    # in the order they are shown; their files are in the stage's folder. None: the stage draws none.
     figures: Sequence[Figure] | None = None
-    notes: Mapping[str, str] = field(default_factory=dict)
+    notes: Mapping[str, str] = field(default_factory=dict)  # table -> how its rows were made
 
     def write(self, folder: Path) -> None:
-        """Leaves them in the stage's folder.
-
-        Raises:
-            ValueError: when something is not a cell; the message names table, row and column.
-            FileNotFoundError: when a figure's file is not in the folder.
-        """
+        """Leaves them in the stage's folder; errors name what is no cell, and a figure without file."""
         write_results(folder, self.tables)
         if self.notes:
             write_json(folder / NOTES, self.notes)
@@ -85,11 +75,7 @@ def _read(path: Path, otherwise: Any) -> Any:
 
 
 def write_results(folder: Path, tables: Mapping[str, Any]) -> None:
-    """Writes a stage's measured cells: table -> row -> column -> cell, as the module describes.
-
-    Raises:
-        ValueError: when something is not a cell; the message names table, row and column.
-    """
+    """Writes measured cells: table -> row -> column -> cell; a ValueError names what is no cell."""
     for table, rows in tables.items():
         for row, columns in rows.items():
             for column, cell in columns.items():
@@ -103,11 +89,7 @@ def read_notes(folder: Path) -> dict[str, str]:
 
 
 def write_figures(folder: Path, figures: Sequence[Figure]) -> None:
-    """Writes a stage's list of figures, in the order they are shown.
-
-    Raises:
-        FileNotFoundError: when a figure's file is not in the folder.
-    """
+    """Writes a stage's list of figures, in the order they are shown; each must have its file in the folder."""
     for figure in figures:
         if not (folder / figure.file).is_file():
             raise FileNotFoundError(f"figure {figure.title!r} names {figure.file}, which is not in {folder}")
@@ -126,14 +108,7 @@ def read_figures(folder: Path) -> list[Figure]:
 
 
 def check_cell(cell: Any, place: str) -> None:
-    """Refuses what is neither a finite number, nor a pair of such, nor text, nor None.
-
-    Args:
-        place: table, row and column, for the message.
-
-    Raises:
-        ValueError: it is something else, or not finite.
-    """
+    """Refuses, with its place, what is neither a finite number, nor a pair of such, nor text, nor None."""
     numbers = cell if isinstance(cell, list | tuple) else [] if cell is None or isinstance(cell, str) else [cell]
     is_pair = not isinstance(cell, list | tuple) or len(cell) == 2
     if not is_pair or not all(isinstance(x, int | float) and math.isfinite(x) for x in numbers):
@@ -141,11 +116,7 @@ def check_cell(cell: Any, place: str) -> None:
 
 
 def mean_of(cell: Cell) -> float:
-    """The number of a cell, or the mean of its pair.
-
-    Raises:
-        TypeError: it is text, or nothing.
-    """
+    """The number of a cell, or the mean of its pair; a TypeError for text, or nothing."""
     if isinstance(cell, str) or cell is None:
         raise TypeError(f"expected a number or a pair, got {cell!r}")
     return float(cell[0] if isinstance(cell, list) else cell)
@@ -178,9 +149,6 @@ def pool(cells: list[tuple[Cell, int | None]]) -> tuple[Cell, int | None]:
 
     Numbers become mean and standard deviation over the jobs, unless they are one setting that all share. Pairs with
     known sample counts are pooled as if their samples lay in one list; without counts every job weighs the same.
-
-    Args:
-        cells: cell and its number of samples, a job each; at least one.
     """
     known = [(cell, n) for cell, n in cells if cell is not None]
     if len(known) <= 1:

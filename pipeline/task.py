@@ -14,18 +14,7 @@ from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from pipeline.settings.checks import validated
-from pipeline.settings.kinds import (
-    Count,
-    FolderName,
-    ImageSize,
-    PathText,
-    StartJitter,
-    StartRotation,
-    SuccessRadius,
-    WireLength,
-    one_of,
-)
+from pipeline.settings import kinds
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.provenance import hash_file
 
@@ -40,32 +29,34 @@ DESCENDING = "descending"  # the usual entry: from the groin
 NO_WIRE = "none"  # in place of a wire: the catheter alone
 _MM = 1e3
 _DECISION_S = 0.3  # as of enn's DESK_SAC
-Torsion = Annotated[str, one_of("elastic", "rigid")]
+Torsion = Annotated[str, kinds.one_of("elastic", "rigid")]
 USUAL_PACE = "usual"
 _JOINTS, _FEEDER_STATE = ("joints", "internal"), "feeder"  # observations
 _SAME = 1e-9  # relative: lengths come back from logs in metres
 
 
-@validated("task.")
+@kinds.validated("task.")
 class Task:
     """What an episode asks for, whatever the anatomy and the target; treated as immutable once it is made."""
 
-    wire: FolderName = "default"  # preset of the guidewire, or "none"; checked by `require_known_task`
-    wire_length_mm: WireLength = 0.0  # to which it is scaled; 0: as long as the preset
-    catheter: PathText | None = None  # preset of the catheter over the wire, or its YAML file; null: the wire alone
+    wire: kinds.FolderName = "default"  # preset of the guidewire, or "none"; checked by `require_known_task`
+    wire_length_mm: kinds.WireLength = 0.0  # to which it is scaled; 0: as long as the preset
+    # preset of the catheter over the wire, or its YAML file; null: the wire alone
+    catheter: kinds.PathText | None = None
     torsion: Torsion = "elastic"  # of wire and catheter, where there is one
     # "feeder" (translation and rotation, of the wire, then of the catheter) or "tip_motors" (the thesis's twenty-one)
-    actions: Annotated[str, one_of(FEEDER, TIP_MOTORS)] = FEEDER
+    actions: Annotated[str, kinds.one_of(FEEDER, TIP_MOTORS)] = FEEDER
     # how often decisions are taken and how far full actions move: "usual" (10 a second) or "arch_variety" (7.5)
-    pace: Annotated[str, one_of(USUAL_PACE, "arch_variety")] = USUAL_PACE
-    image_size_px: ImageSize = 80  # side of the images
-    max_steps: Count = 300  # of 0.1 s at the usual pace, after which an episode is cut off
-    success_radius_mm: SuccessRadius = 8.0  # the target is reached within this distance of the tip
+    pace: Annotated[str, kinds.one_of(USUAL_PACE, "arch_variety")] = USUAL_PACE
+    image_size_px: kinds.ImageSize = 80  # side of the images
+    max_steps: kinds.Count = 300  # of 0.1 s at the usual pace, after which an episode is cut off
+    success_radius_mm: kinds.SuccessRadius = 8.0  # the target is reached within this distance of the tip
     # "lumen" (in the target's branch) or "straight"; null: straight in learning stages on named phantoms, as the thesis
-    success: Annotated[str, one_of("lumen", "straight")] | None = None
-    start_jitter_mm: StartJitter = 1.0  # the wire starts advanced by up to this much
-    start_rotation_deg: StartRotation = 180.0  # ... and turned by up to this much either way
-    entry: PathText = DESCENDING  # where the sheath ends: a name of the anatomy's, or coordinates in m, world frame
+    success: Annotated[str, kinds.one_of("lumen", "straight")] | None = None
+    start_jitter_mm: kinds.StartJitter = 1.0  # the wire starts advanced by up to this much
+    start_rotation_deg: kinds.StartRotation = 180.0  # ... and turned by up to this much either way
+    # where the sheath ends: a name of the anatomy's, or coordinates in m, world frame
+    entry: kinds.PathText = DESCENDING
 
     def __post_init__(self) -> None:
         """Refuses neither wire nor catheter, and a catheter that motors are to steer."""
@@ -120,11 +111,7 @@ class Task:
         return None if self.wire == NO_WIRE else self.guidewire()
 
     def pair(self) -> DevicePair:
-        """Wire and catheter, either of which may be absent.
-
-        Raises:
-            ValueError: the wire does not pass the catheter.
-        """
+        """Wire and catheter, either of which may be absent; a ValueError where the wire does not pass the catheter."""
         from cathsim.devices.pair import DevicePair
 
         return DevicePair(self._wire(), self.guiding_catheter())
@@ -181,13 +168,13 @@ def number_of_actions(task: Task) -> int:
     return 2 * min(wire.motor_joints, wire.joints) + 1
 
 
-@validated()
+@kinds.validated()
 class DeviceSettings:
     """The task of a stage that steers the feeder, and its devices as settings of the stage itself."""
 
     task: Task = field(default_factory=Task)
-    wire: FolderName | None = None  # stage.wire=… is stage.task.wire=…
-    catheter: PathText | None = None  # stage.catheter=… is stage.task.catheter=…
+    wire: kinds.FolderName | None = None  # stage.wire=… is stage.task.wire=…
+    catheter: kinds.PathText | None = None  # stage.catheter=… is stage.task.catheter=…
     torsion: Torsion | None = None  # stage.torsion=… is stage.task.torsion=…
 
     def __post_init__(self) -> None:
@@ -210,14 +197,7 @@ def task_in_random_arches() -> Task:
 
 
 def task_from(values: Any) -> Task | None:
-    """The task that a policy's metadata tells of.
-
-    Args:
-        values: as `dataclasses.asdict` gave them.
-
-    Returns:
-        None: there is none, or it is of another version.
-    """
+    """The task that `dataclasses.asdict` left in a policy's metadata; None: there is none, or of another version."""
     try:
         return Task(**values)
     except (TypeError, ValueError, ConfigurationError):
@@ -225,11 +205,7 @@ def task_from(values: Any) -> Task | None:
 
 
 def require_known_task(task: Task) -> None:
-    """Refuses a wire or catheter that there is not, and a catheter that the wire does not pass.
-
-    Raises:
-        ConfigurationError: listing what there is.
-    """
+    """Refuses a wire or catheter that there is not, and a catheter that the wire does not pass."""
     from cathsim import GUIDEWIRES
 
     if task.wire not in (*GUIDEWIRES, NO_WIRE):
@@ -242,13 +218,7 @@ def require_known_task(task: Task) -> None:
 
 
 def observed(task: Task, keys: Sequence[str]) -> tuple[str, ...]:
-    """What a policy sees of a task: with a catheter, joints come with the feeders' state.
-
-    Joints are those of the rod in which both devices lie: they do not tell how far either is in.
-
-    Args:
-        keys: observations that the policy sees with the wire alone.
-    """
+    """What a policy sees of a task: with a catheter, joints of the rod of both devices and the feeders' state."""
     inside = task.two_devices and any(key in _JOINTS for key in keys) and _FEEDER_STATE not in keys
     return (*keys, _FEEDER_STATE) if inside else tuple(keys)
 
@@ -267,11 +237,7 @@ def device_files(task: Task) -> dict[str, str]:
 
 
 def require_feeder(task: Task, stage: str) -> None:
-    """Refuses the tip motors where only the feeder is steered.
-
-    Raises:
-        ConfigurationError: naming the stage.
-    """
+    """Refuses the tip motors where only the feeder is steered."""
     if task.actions != FEEDER:
         raise ConfigurationError(
             f"stage {stage} steers the feeder, got {TASK}.actions={task.actions}: leave it at {FEEDER}"
@@ -307,14 +273,7 @@ def _same(one: Any, other: Any) -> bool:
 def require_same_task(
     stage: str, wanted: Task, found: Task, whose: str, maker: str, parts: Sequence[str] = PARTS
 ) -> None:
-    """Refuses what an earlier stage made for another task.
-
-    Args:
-        whose: what that is, e.g. "the expert policy of type_1/bca".
-
-    Raises:
-        StageError: names every difference.
-    """
+    """Refuses what an earlier stage made for another task; `whose`: e.g. "the expert policy of type_1/bca"."""
     differing = differences(wanted, found, parts)
     if not differing:
         return

@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.chain.command import main as run_chain
-from pipeline.chain.steps import chosen_value
+from pipeline.chain import chosen_value
+from pipeline.chain import main as run_chain
 from pipeline.stages import available_stages
 from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.costs import OK, OWN_PROCESS, kept_costs
@@ -33,11 +33,7 @@ Row = tuple[str, str, str, float | None, float | None, float | None, float | Non
 
 
 def main(overrides: Sequence[str]) -> int:
-    """Runs the check, prints its table, and writes it into the run's folder.
-
-    Returns:
-        0, or the exit code of the stage that failed.
-    """
+    """Runs the check, prints its table, and writes it into the run's folder; gives the exit code of a failure, or 0."""
     command = ["python", "-m", "pipeline.thesis_check", *overrides]
     code = run_chain(["all", "--", "budget=thesis", f"experiment={EXPERIMENT}", *overrides])
     run = Path(chosen_value(overrides, "runs_dir", "runs")) / chosen_value(overrides, "name", EXPERIMENT)

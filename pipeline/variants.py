@@ -28,14 +28,7 @@ _LOGGER = logging.getLogger(__name__)
 
 
 def variant_of(overrides: Sequence[str]) -> str:
-    """Names a sweep job after its overrides, so that no two jobs share a folder.
-
-    Args:
-        overrides: the job's task overrides, e.g. ``["stage=phantoms", "seed=1"]``.
-
-    Returns:
-        For example ``seed=1``; empty when no override distinguishes the job. Long ones are cut and hashed.
-    """
+    """Names a sweep job after its overrides, e.g. ``seed=1``: no two share a folder; long ones are cut and hashed."""
     full = ",".join(effective_overrides(overrides))
     readable = re.sub(r"[^A-Za-z0-9_.=,+-]", "_", full)
     if readable == full and len(full) <= _LONGEST_VARIANT:
@@ -61,20 +54,13 @@ class RunRequest:
     budget: str = "desk"
 
     def variant(self, *, seeded: bool) -> list[str]:
-        """The overrides that the folder of its results is named after.
-
-        Args:
-            seeded: whether the stage's results depend on the seed.
-        """
+        """The overrides that the folder of its results is named after, by whether results depend on the seed."""
         if self.in_sweep:
             return effective_overrides(self.overrides)
         return [f"seed={self.seed}"] if seeded and self.seed else []
 
     def fit(self, variant: Sequence[str]) -> tuple[int, int] | None:
         """How well a variant of another stage fits.
-
-        Args:
-            variant: the overrides that its folder is named after; those of its own settings (``stage.…``) do not count.
 
         Returns:
             How many of its overrides were asked for, and minus how many are merely so by default, to be compared;
@@ -89,12 +75,7 @@ class RunRequest:
 
 
 def require_input(run_path: Path, stage: str, reader: str, request: RunRequest | None = None) -> tuple[Path, Manifest]:
-    """Finds the finished results of an earlier stage and checks that they are as it left them.
-
-    Raises:
-        StageError: it has not finished, several variants fit equally well, or a file was changed; the message names
-            the command to run.
-    """
+    """Finds the finished results of an earlier stage and checks that they are as it left them."""
     request = request or RunRequest()
     found = _variants(run_path, stage)
     fits = {folder: fit for folder, manifest in found.items() if (fit := request.fit(manifest.variant)) is not None}
@@ -160,11 +141,7 @@ def _with_inputs(stage: str, run_path: Path, request: RunRequest) -> str:
 
 
 def command(stage: str, run_path: Path, overrides: Sequence[str], *, in_sweep: bool) -> str:
-    """The command that runs a stage, in backquotes.
-
-    Args:
-        overrides: beside stage, name and runs_dir.
-    """
+    """The command, in backquotes, that runs a stage with overrides beside stage, name and runs_dir."""
     words = [f"stage={stage}", f"name={run_path.name}", *overrides, *_place(run_path)]
     return f"`{written('stages')} {'-m ' if in_sweep else ''}{shlex.join(words)}`"
 

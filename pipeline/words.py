@@ -31,11 +31,7 @@ _KINDS = {"tab": "table", "fig": "figure"}
 
 
 def row_words(key: str, labels: Mapping[str, str]) -> str:
-    """Words a row's key: its label, or that of its beginning with the rest behind a comma, or the key in words.
-
-    Args:
-        labels: of the table's rows.
-    """
+    """Words a row's key: its label in the table, or its beginning's and the rest behind a comma, or the key."""
     if key in labels:
         return labels[key]
     for pattern, words in _ROWS:
@@ -50,12 +46,7 @@ def row_words(key: str, labels: Mapping[str, str]) -> str:
 
 
 def group_words(group: str, groups: Mapping[str, str], labels: Mapping[str, str]) -> str:
-    """Words a group of rows, whose parts are joined by slashes.
-
-    Args:
-        groups: names of phantoms, targets and others.
-        labels: of the table's rows.
-    """
+    """Words a group of rows, parts joined by slashes, by names of phantoms and targets, and the table's labels."""
     return ", ".join(groups[part] if part in groups else row_words(part, labels) for part in group.split("/") if part)
 
 

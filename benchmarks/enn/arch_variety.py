@@ -46,7 +46,7 @@ from enn.device_trials import TRIALS, Tried, best_devices, try_in_copies
 from enn.policy import Policy
 from enn.retrying import RetryingController
 from enn.shipped import read_policy
-from pipeline.anatomies.take_offs import CATHETER_BETTER_MM, SHARE, set_back_mm
+from pipeline.anatomies.devices import CATHETER_BETTER_MM, SHARE, set_back_mm
 from pipeline.task import TASK, task_in_random_arches
 
 FIRST_TRIAL = 1_000_000  # seed of the trials with --among, beyond those of the episodes

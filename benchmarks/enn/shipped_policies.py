@@ -53,8 +53,8 @@ from enn.policy import Policy
 from enn.retrying import RetryingController, steps_of_attempts
 from enn.shipped import read_policy
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
-from pipeline.anatomies.known import GENERATED_TARGETS, TARGETS
-from pipeline.anatomies.take_offs import best_in_copies, catheter_better_mm, set_back_mm
+from pipeline.anatomies.devices import best_in_copies, catheter_better_mm, set_back_mm
+from pipeline.anatomies.settings import GENERATED_TARGETS, TARGETS
 from pipeline.clutter import clutter_of
 from pipeline.stages.unseen.task import STEEP, TEST_PHANTOM, TRUNK, UnseenTask, arch_of_test
 from pipeline.task import TASK, task_in_random_arches

@@ -10,7 +10,7 @@ network the seconds of an image (shape networks: of a clip of three), forward, b
 On a CPU the times are CPU time, and networks are given one image. With `--device cuda` they are wall time up to the
 end of the GPU's work; networks get the thesis's batch in mixed precision and in float32 (`float32_s`), with a step of
 the optimiser, as in a training. Of both the memory that torch reserved at most (gpu_gb) is given, with the context
-(measured) added, beside what `pipeline.stages.gpu_memory` expects (expected_gb).
+(measured) added, beside what `pipeline.stages.job_memory` expects (expected_gb).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from enn.networks.features import MultimodalExtractor, modality_keys
 from enn.reinforcement.training.settings import THESIS_PPO, THESIS_SAC
 from guide3d.learning.build import SEGMENTER_SIZES, SEGMENTERS, SHAPE_SIZES, build_segmenter, build_shape_network
 from guide3d.learning.recipes import segmentation_recipe, shape_recipe
-from pipeline.stages.gpu_memory import network_gb, policy_gb
+from pipeline.stages.job_memory import network_gb, policy_gb
 from splineformer.build import build, size_of
 from splineformer.learning.recipes import recipe_of
 

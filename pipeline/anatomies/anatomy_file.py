@@ -23,24 +23,17 @@ _MM = 1e3
 
 @dataclass(frozen=True)
 class AnatomyFile:
-    """A file or folder with an anatomy, and what is said of it beside its content.
-
-    Attributes:
-        unit: of a surface.
-        names: of branches: pairs of an automatic name and one's own, or names from the heart on.
-        labels: of a label volume: pairs of a label and a vessel's name, or None.
-        ct: path of the CT that it was segmented from.
-        transform: of NIfTI files, the CT's too: "sform" or "qform".
-        extend: whether branches that the file cuts short are extended.
-    """
+    """A file or folder with an anatomy, and what is said of it beside its content."""
 
     path: str
-    unit: str | None = None
+    unit: str | None = None  # of a surface
+    # of branches: pairs of an automatic name and one's own, or names from the heart on
     names: tuple[Any, ...] | None = None
+    # of a label volume: pairs of a label and a vessel's name, or None
     labels: tuple[tuple[int | str, str | None], ...] | None = None
-    ct: str | None = None
-    transform: str | None = None
-    extend: bool = True
+    ct: str | None = None  # path of the CT that it was segmented from
+    transform: str | None = None  # of NIfTI files, the CT's too: "sform" or "qform"
+    extend: bool = True  # whether branches that the file cuts short are extended
 
     @classmethod
     def of(
@@ -81,22 +74,11 @@ class AnatomyFile:
         return f"{name}_file" if name in PHANTOMS or seed_in_name(name)[1] is not None else name
 
     def load(self, resolution: float = RESOLUTION) -> Phantom:
-        """Its phantom, from the cache where it was imported before.
-
-        Args:
-            resolution: m between the nodes of its grid.
-
-        Raises:
-            ValueError: the file cannot be imported, or not so.
-        """
+        """Its phantom, grid nodes `resolution` m apart; a ValueError says why it cannot be imported."""
         return _imported(replace(self, ct=None), resolution)
 
     def room(self) -> XRayScene | None:
-        """What X-ray images show around its vessels: its CT; None where there is none.
-
-        Raises:
-            ValueError: the file cannot be imported, or the CT is not that of the anatomy.
-        """
+        """Its CT, which X-ray images show around its vessels, or None; a ValueError if it is not the anatomy's."""
         return None if self.ct is None else _room(self)
 
 
@@ -133,23 +115,14 @@ def _room(file: AnatomyFile) -> XRayScene:
 
 
 def load_anatomy(anatomy: str | AnatomyFile) -> Phantom:
-    """The phantom of a name, or of a file.
-
-    Raises:
-        ValueError: there is none such, or the file cannot be imported.
-    """
+    """The phantom of a name, or of a file; a ValueError where there is none such, or it cannot be imported."""
     from cathsim.anatomy import load_phantom
 
     return load_phantom(anatomy) if isinstance(anatomy, str) else anatomy.load()
 
 
 def world_point(phantom: Phantom, point_mm: Sequence[float]) -> tuple[float, float, float]:
-    """A point in m in the world frame.
-
-    Args:
-        point_mm: (3,) mm, in the axes of the file that the phantom was imported from; of another phantom in the world
-            frame.
-    """
+    """A point, m in the world frame, of one in mm in the axes of a phantom's file; without a file in the world's."""
     place = np.asarray(point_mm, np.float64) / _MM
     if phantom.imported is not None:
         place = np.array(phantom.imported.rotation) @ place + np.array(phantom.imported.offset)

@@ -1,7 +1,8 @@
 """Settings that choose anatomies and targets: by name, a file of one's own, a random arch; a point, an entry.
 
 They are declared here once. Stages inherit them, ``conf/anatomy/`` gives them the values of the command line
-(``phantom.file=PATH``, ``phantom.name=…``, ``target=…``), and `settle` fills in what only the file tells.
+(``phantom.file=PATH``, ``phantom.name=…``, ``target=…``), and `settle` fills in what only the file tells. Names that
+there are not are refused.
 """
 
 from __future__ import annotations
@@ -14,19 +15,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from annotated_types import Len
 
 from pipeline.anatomies.anatomy_file import AnatomyFile, in_settings, world_point
-from pipeline.anatomies.fitting import fitted_task
-from pipeline.anatomies.known import require_known_entry, require_known_phantoms, require_known_targets
-from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
-from pipeline.settings.kinds import (
-    BranchNames,
-    EntryPlace,
-    FolderName,
-    FolderNames,
-    PathText,
-    Seed,
-    VesselLabels,
-    one_of,
-)
+from pipeline.anatomies.devices import fitted_task
+from pipeline.settings import kinds
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_anatomy
 from pipeline.task import DESCENDING, Task, entry_place
@@ -34,26 +24,83 @@ from pipeline.task import DESCENDING, Task, entry_place
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
+
+TARGETS = ("bca", "lcca", "lsa")  # that stages navigate to by themselves
+GENERATED_TARGETS = (*TARGETS, "rsa", "rcca")  # that every generated arch has
+
+
+def require_known_phantoms(names: Sequence[str], *, hint: str = "") -> None:
+    """Refuses unknown names and lists the valid ones, then the hint; random arches hold their seeds: random_7."""
+    from cathsim.anatomy import PHANTOMS
+    from cathsim.anatomy.generator.recipe import RANDOM
+    from cathsim.anatomy.library import seed_in_name
+
+    for name in names:
+        if name in RANDOM:
+            raise ConfigurationError(
+                f"phantom {name!r} needs a seed: write {name}_7, or phantom.name={name} phantom.seed=7"
+            )
+    unknown = [name for name in names if name not in PHANTOMS and seed_in_name(name)[1] is None]
+    if unknown:
+        raise ConfigurationError(
+            f"unknown phantom {', '.join(map(repr, unknown))}: choose from {', '.join(PHANTOMS)}, random_7{hint}"
+        )
+
+
+def require_known_targets(names: Sequence[str], phantoms: Sequence[str] = ()) -> None:
+    """Refuses names that are no target's with a ConfigurationError that lists the valid ones.
+
+    Args:
+        phantoms: in which they are to be; then any target of theirs is taken, and any point as `target_name` writes it:
+            point_27.0_-2.0_70.0_mm. Without, only those of every generated arch.
+    """
+    unknown = [name for name in names if name not in (TARGETS if phantoms else GENERATED_TARGETS)]
+    for phantom in phantoms if unknown else ():
+        from cathsim import load_phantom
+
+        try:
+            for name in unknown:
+                load_phantom(phantom).target(name)
+        except ValueError as error:
+            raise ConfigurationError(str(error)) from error
+    if unknown and not phantoms:
+        raise ConfigurationError(
+            f"unknown target {', '.join(map(repr, unknown))}: choose from {', '.join(GENERATED_TARGETS)}"
+        )
+
+
+def require_known_entry(entry: str, phantoms: Sequence[str]) -> None:
+    """Refuses an entry that one of the phantoms does not have, with a ConfigurationError that lists the valid ones."""
+    from cathsim import load_phantom
+
+    try:
+        for phantom in phantoms:
+            load_phantom(phantom).entry(entry)
+    except ValueError as error:
+        raise ConfigurationError(str(error)) from error
+
+
 RANDOM = "random"  # arches like those of most patients
 _OF_A_FILE = ("unit", "names", "labels", "transform", "extend", "ct")
 _Coordinates = Annotated[list[float], Len(3, 3)]
 
 
-@validated()
+@kinds.validated()
 class FileSettings:
     """A file with an anatomy of one's own; results depend on what is in it, not on where it lies."""
 
     # of the stage, by which its films, pictures or X-ray images show a CT; None: nothing does
     shows_ct: ClassVar[str | None] = None
 
-    file: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # as cathsim imports it
+    file: kinds.PathText | None = field(default=None, metadata=kinds.NO_EFFECT_ON_RESULTS)  # as cathsim imports it
     unit: str | None = None  # of a surface
-    names: BranchNames = None  # of its branches: a mapping from automatic names, or a list from the heart on
-    labels: VesselLabels = None  # of a label volume: which label is which vessel
-    transform: Annotated[str, one_of("sform", "qform")] | None = None  # of NIfTI files: which of their affines is taken
+    names: kinds.BranchNames = None  # of its branches: a mapping from automatic names, or a list from the heart on
+    labels: kinds.VesselLabels = None  # of a label volume: which label is which vessel
+    # of NIfTI files: which of their affines is taken
+    transform: Annotated[str, kinds.one_of("sform", "qform")] | None = None
     extend: bool | None = None  # whether branches that the file cuts short are extended; null: they are
-    ct: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # that it was segmented from
-    file_name: FolderName | None = None  # filled in, as the next: what its anatomy is called
+    ct: kinds.PathText | None = field(default=None, metadata=kinds.NO_EFFECT_ON_RESULTS)  # that it was segmented from
+    file_name: kinds.FolderName | None = None  # filled in, as the next: what its anatomy is called
     file_sha256: str | None = None
     ct_sha256: str | None = None
 
@@ -93,19 +140,19 @@ class FileSettings:
         return AnatomyFile.of(self.file, self.unit, self.names, self.labels, self.ct, self.transform, self.extend)
 
 
-@validated()
+@kinds.validated()
 class ChosenAnatomies(FileSettings):
     """Anatomies and targets of a stage, or the only one of each that the command line names."""
 
     needs_anatomy: ClassVar[bool] = True  # whether there must be one
 
-    phantoms: FolderNames = field(default_factory=lambda: ["type_1", "type_2"])
-    targets: FolderNames = field(default_factory=lambda: ["bca", "lcca"])
-    phantom: FolderName | None = None  # phantom.name=…: the only one
-    phantom_seed: Seed | None = None  # phantom.seed=…: of phantom.name=random, which may be left out
-    target: FolderName | None = None  # target=…: the only one
+    phantoms: kinds.FolderNames = field(default_factory=lambda: ["type_1", "type_2"])
+    targets: kinds.FolderNames = field(default_factory=lambda: ["bca", "lcca"])
+    phantom: kinds.FolderName | None = None  # phantom.name=…: the only one
+    phantom_seed: kinds.Seed | None = None  # phantom.seed=…: of phantom.name=random, which may be left out
+    target: kinds.FolderName | None = None  # target=…: the only one
     point_mm: _Coordinates | None = None  # the only target is a point: in the file's axes, else in the world frame
-    entry: EntryPlace = None  # phantom.entry=…: its name, or a point as `point_mm`
+    entry: kinds.EntryPlace = None  # phantom.entry=…: its name, or a point as `point_mm`
     task: Task = field(default_factory=Task)
 
     def __post_init__(self) -> None:
@@ -169,12 +216,7 @@ class ChosenAnatomies(FileSettings):
 
 
 def settle(settings: ChosenAnatomies) -> None:
-    """Fills in what only the file tells: its points in the world frame, and the length of the wire.
-
-    Raises:
-        ConfigurationError: the file cannot be imported, or has no such target or entry; the message lists those that
-            there are.
-    """
+    """Fills in what only the file tells: its points in the world frame, and the length of the wire."""
     from cathsim.anatomy.entry import entry_name
 
     file = settings.anatomy_file
@@ -201,11 +243,7 @@ def settle(settings: ChosenAnatomies) -> None:
 
 
 def check_anatomies(settings: ChosenAnatomies) -> None:
-    """Refuses unknown names of anatomies, targets and entries; those of a file are checked by `settle`.
-
-    Raises:
-        ConfigurationError: listing the valid names.
-    """
+    """Refuses unknown names of anatomies, targets and entries; those of a file are checked by `settle`."""
     if settings.file is not None:
         return
     require_known_phantoms(settings.phantoms)

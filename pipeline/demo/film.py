@@ -32,11 +32,7 @@ _LOGGER = logging.getLogger(__name__)
 
 
 class DemoFilm(Film):
-    """Three panels: an X-ray view with what the policy reads, a second one, and the vessel in 3-D.
-
-    Attributes:
-        curves: of the episode, a value a step: distance of tip and target, mm, and contact force, N.
-    """
+    """Three panels: X-ray with what the policy reads, a second view, the vessel in 3-D; `curves`: a value a step."""
 
     def __init__(self, scene: Scene) -> None:
         super().__init__()

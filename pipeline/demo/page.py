@@ -27,17 +27,7 @@ def write_page(
     curves: Mapping[str, Sequence[float]],
     files: Mapping[str, str],
 ) -> Path:
-    """Writes the page.
-
-    Args:
-        folder: of the film and the log.
-        metrics: of the episode, as `cathsim.metrics.EpisodeMetrics` names them.
-        curves: a value a step: `distance_mm` and `force_n`.
-        files: `mp4`, `gif` and `log`, names in the folder.
-
-    Returns:
-        Its path.
-    """
+    """Writes an episode's page beside its files (`mp4`, `gif`, `log`), gives its path; `curves`: a value a step."""
     from enn import shipped
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
-from pipeline.anatomies.known import TARGETS
-from pipeline.anatomies.take_offs import WITH_POLICIES, best_in_copies, catheter_better_mm, set_back_mm, softened
+from pipeline.anatomies.devices import WITH_POLICIES, best_in_copies, catheter_better_mm, set_back_mm, softened
+from pipeline.anatomies.settings import TARGETS
 from pipeline.seeds import ARCHES, held_out_seeds, unseen_arches
 from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
 from pipeline.store.errors import ConfigurationError
@@ -28,17 +28,11 @@ _FIRST_TRIAL = 6_000_000_000  # seed of trials of devices, beyond those of all e
 
 @dataclass(frozen=True)
 class ImageReading:
-    """What a policy of images goes by at a moment; places are columns and rows as shares of the image's side.
+    """What a policy of images goes by at a moment; places are columns and rows as shares of the image's side."""
 
-    Attributes:
-        wire: from the tip on. Shape (n, 2).
-        way: ahead of the tip. Shape (m, 2).
-        lumen: probability of the vessel. Shape (size, size).
-    """
-
-    wire: np.ndarray
-    way: np.ndarray
-    lumen: np.ndarray
+    wire: np.ndarray  # from the tip on. Shape (n, 2).
+    way: np.ndarray  # ahead of the tip. Shape (m, 2).
+    lumen: np.ndarray  # probability of the vessel. Shape (size, size).
 
 
 class WatchedEnvironment:
@@ -183,11 +177,6 @@ def open_scene(
             catheter over the wire, too, if there is one; in a file's anatomy with a model by a roadmap, what trials in
             copies of it say (`enn.device_trials`).
         ct: path of the CT that the anatomy was segmented from, which X-ray images then show around the vessels.
-
-    Raises:
-        ConfigurationError: there is no such file or target, a CT without an anatomy, or the model says nothing of
-            its task.
-        ValueError: there is no such model, the file cannot be imported, or the CT is not that of the anatomy.
     """
     import enn
     from enn.retrying import steps_of_attempts
@@ -229,11 +218,7 @@ def open_scene(
 def _best_model(
     names: list[str], place: int | AnatomyFile, target: str
 ) -> tuple[str, Policy | ImagePolicy, Task | None]:
-    """The policy among those of the wire alone and of catheters over it, the usual catheter first.
-
-    Returns:
-        Its name, the policy, and its task with the devices that trials chose; None: as it was trained.
-    """
+    """Name, policy, task (None: as trained) of the best of wire alone and catheters over it, the usual one first."""
     import enn
     from enn.policy import Policy
 

@@ -4,9 +4,16 @@ from pipeline.episodes.camera import Camera
 from pipeline.episodes.check import CheckReport, check
 from pipeline.episodes.encoding.scene import PhantomMesh
 from pipeline.episodes.encoding.schema import SCHEMA_VERSION
-from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError, ViewerError
 from pipeline.episodes.reader import EpisodeReader
-from pipeline.episodes.records import DeviceRecord, EpisodeInfo, EpisodeOutcome, StepRecord
+from pipeline.episodes.records import (
+    DeviceRecord,
+    EpisodeInfo,
+    EpisodeOutcome,
+    EpisodeReadError,
+    EpisodeWriteError,
+    StepRecord,
+    ViewerError,
+)
 from pipeline.episodes.recover import RecoveryReport, recover
 from pipeline.episodes.writer import EpisodeWriter
 

@@ -16,20 +16,16 @@ from pathlib import Path
 
 from pipeline.episodes.check import check
 from pipeline.episodes.encoding.schema import DEVICE_MASKS
-from pipeline.episodes.errors import EpisodeReadError, EpisodeWriteError, ViewerError
 from pipeline.episodes.reader import EpisodeReader
+from pipeline.episodes.records import EpisodeReadError, EpisodeWriteError, ViewerError
 from pipeline.episodes.recover import recover
-from pipeline.printing import Parser, visible, written
+from pipeline.printing import Parser, say, visible, written
 
 FINE, DAMAGED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
 
-def _complain(message: object) -> None:
-    print(visible(str(message)), file=sys.stderr)
-
-
-def _tell(message: object) -> None:
-    print(visible(str(message)))
+def _say(message: object, *, error: bool = False) -> None:
+    say(visible(str(message)), error=error)
 
 
 def _show_info(path: Path) -> int:
@@ -60,20 +56,20 @@ def _show_info(path: Path) -> int:
         rows += [(f"version {name}", value) for name, value in sorted(info.versions.items())]
         rows.append(("configuration", json.dumps(info.configuration, sort_keys=True)))
     width = max(len(key) for key, _ in rows)
-    _tell(path)
+    _say(path)
     for key, value in rows:
-        _tell(f"  {key:<{width}}  {value}")
+        _say(f"  {key:<{width}}  {value}")
     return FINE
 
 
 def _show_check(path: Path) -> int:
     report = check(path)
     for problem in report.problems:
-        _complain(problem if str(path) in problem else f"{path} is damaged: {problem}")
+        _say(problem if str(path) in problem else f"{path} is damaged: {problem}", error=True)
     if report.problems:
         return DAMAGED
     notes = f" ({'; '.join(report.notes)})" if report.notes else ""
-    _tell(f"{path} is fine: {report.records} records, {report.pictures} pictures{notes}")
+    _say(f"{path} is fine: {report.records} records, {report.pictures} pictures{notes}")
     return FINE
 
 
@@ -87,7 +83,7 @@ def _run_recover(source: Path, destination: Path | None, overwrite: bool) -> int
     report = recover(source, destination or _default_destination(source), overwrite=overwrite)
     outcome = "the outcome is kept" if report.outcome_kept else "the outcome is lost: marked as interrupted"
     missing = f", {len(report.missing_steps)} known to be missing" if report.missing_steps else ""
-    _tell(
+    _say(
         f"{report.destination}: {report.steps_kept} records kept{missing}; "
         f"{report.bytes_dropped} damaged bytes dropped; {outcome}"
     )
@@ -100,7 +96,7 @@ def _run_view(source: Path, destination: Path | None) -> int:
     if destination is None:
         show_episode(source)
     else:
-        _tell(save_recording(source, destination))
+        _say(save_recording(source, destination))
     return FINE
 
 
@@ -108,9 +104,9 @@ def _run_film(source: Path, destination: Path | None) -> int:
     from pipeline.recording.replay import ReplayError, film_of
 
     try:
-        _tell(film_of(source, destination or source.with_suffix(".gif")))
+        _say(film_of(source, destination or source.with_suffix(".gif")))
     except ReplayError as error:
-        _complain(error)
+        _say(error, error=True)
         return DAMAGED
     return FINE
 
@@ -130,15 +126,15 @@ def _run_export(arguments: argparse.Namespace) -> int:
             overwrite=arguments.overwrite,
         )
     except ExportError as error:
-        _complain(error)
+        _say(error, error=True)
         return USAGE
     except EpisodeReadError as error:
-        _complain(error)
+        _say(error, error=True)
         return DAMAGED
     except KeyboardInterrupt:
-        _complain(f"interrupted: nothing was left at {arguments.output}")
+        _say(f"interrupted: nothing was left at {arguments.output}", error=True)
         return INTERRUPTED
-    _tell(f"{report.destination}: {report.episodes} episodes, {report.steps} steps; open it with {report.hint}")
+    _say(f"{report.destination}: {report.episodes} episodes, {report.steps} steps; open it with {report.hint}")
     return FINE
 
 
@@ -199,10 +195,10 @@ def _parser() -> argparse.ArgumentParser:
 def _run(arguments: argparse.Namespace, path: Path) -> int:
     try:
         if not path.is_file():
-            _complain(f"{path} is no file: give the path of an episode log")
+            _say(f"{path} is no file: give the path of an episode log", error=True)
             return USAGE
         if not os.access(path, os.R_OK):
-            _complain(f"{path} may not be read: check its permissions")
+            _say(f"{path} may not be read: check its permissions", error=True)
             return USAGE
         if arguments.command == "info":
             return _show_info(path)
@@ -214,15 +210,13 @@ def _run(arguments: argparse.Namespace, path: Path) -> int:
             return _run_film(path, arguments.out)
         return _run_recover(path, arguments.out, arguments.overwrite)
     except EpisodeReadError as error:
-        _complain(error)
+        _say(error, error=True)
         return DAMAGED
     except (EpisodeWriteError, ViewerError) as error:
-        _complain(error)
+        _say(error, error=True)
         return USAGE
-    except BrokenPipeError:
-        raise
     except OSError as error:
-        _complain(f"cannot read {path}: {error.strerror or error}; check its permissions")
+        _say(f"cannot read {path}: {error.strerror or error}; check its permissions", error=True)
         return USAGE
 
 
@@ -234,14 +228,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.command == "export":
         return _run_export(arguments)
     files = arguments.files if hasattr(arguments, "files") else [arguments.file]
-    try:
-        code = max(_run(arguments, path) for path in files)
-        sys.stdout.flush()
-        return code
-    except BrokenPipeError:
-        # The reader of our output went away (e.g. `| head`): leave quietly, and keep Python from complaining at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FINE
+    return max(_run(arguments, path) for path in files)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.episodes.encoding.schema import DEVICE_FIELDS, DEVICE_MASKS, STEP_FIELDS, STEP_TOPIC
-from pipeline.episodes.errors import damaged
+from pipeline.episodes.records import damaged
 
 _MOST_POINTS = 1 << 26  # of a ragged field stacked over an episode: 1.5 GB
 _RAGGED = {

@@ -13,7 +13,7 @@ from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from numpy.typing import NDArray
 
 from pipeline.episodes.encoding.schema import WORLD_FRAME
-from pipeline.settings.checks import shown
+from pipeline.settings.kinds import shown
 
 FloatArray = NDArray[np.float64]
 
@@ -37,14 +37,10 @@ def camera_frame(name: str) -> str:
 class Camera:
     """A pinhole camera with P ~ K [R t]: world points in metres to pixels."""
 
-    P: FloatArray
-    """(3, 4), px, up to scale"""
-    K: FloatArray
-    """(3, 3), px"""
-    R: FloatArray
-    """(3, 3), world to camera"""
-    t: FloatArray
-    """(3,), m: the world's origin in the camera frame"""
+    P: FloatArray  # (3, 4), px, up to scale
+    K: FloatArray  # (3, 3), px
+    R: FloatArray  # (3, 3), world to camera
+    t: FloatArray  # (3,), m: the world's origin in the camera frame
     width: int
     height: int
 
@@ -66,42 +62,8 @@ class Camera:
         if not np.allclose(given * np.sign(np.sum(given * product)), product, atol=1e-6):
             raise ValueError(f"P must be K [R t] up to scale, got {given.tolist()} and {product.tolist()}")
 
-    @classmethod
-    def from_projection(cls, P: FloatArray, width: int, height: int) -> Camera:
-        """Make a camera of its projection matrix alone.
-
-        Args:
-            P: (3, 4), world in metres to pixels, up to scale; its left 3x3 block is not singular.
-            width: px.
-            height: px.
-
-        Returns:
-            The camera with K's diagonal positive and det R = +1, by an RQ decomposition.
-
-        Raises:
-            ValueError: P is not 3x4, or is no finite camera.
-        """
-        P = np.asarray(P, dtype=np.float64)
-        if P.shape != (3, 4):
-            raise ValueError(f"P must have shape (3, 4), got {P.shape}")
-        determinant = np.linalg.det(P[:, :3])
-        if not abs(determinant) > 1e-12 * np.linalg.norm(P[:, :3]) ** 3:
-            raise ValueError(f"P's left 3x3 block must not be singular, got determinant {determinant}")
-        M = P * np.sign(determinant)
-        # RQ by QR of the row-reversed transpose.
-        q, r = np.linalg.qr(M[::-1, :3].T)
-        K, R = r.T[::-1, ::-1], q.T[::-1]
-        signs = np.sign(np.diag(K))
-        K, R = K * signs, R * signs[:, None]
-        t = np.linalg.solve(K, M[:, 3])
-        return cls(P=P, K=K / K[2, 2], R=R, t=t, width=width, height=height)
-
     def calibration(self, name: str, time_ns: int) -> bytes:
-        """Serialise as `foxglove.CameraCalibration`.
-
-        Returns:
-            Protobuf bytes. P is [K 0] there, as that message means it; the pose is in `transform`.
-        """
+        """Serialise as `foxglove.CameraCalibration`; P is [K 0] there, and the pose is in `transform`."""
         message = CameraCalibration(frame_id=camera_frame(name), width=self.width, height=self.height)
         message.timestamp.FromNanoseconds(time_ns)
         message.K.extend(self.K.ravel().tolist())
@@ -110,11 +72,7 @@ class Camera:
         return bytes(message.SerializeToString())
 
     def transform(self, name: str, time_ns: int) -> FrameTransform:
-        """Give the camera's pose in the world as `foxglove.FrameTransform`.
-
-        Returns:
-            The message: source position in m, rotation camera to world as a unit quaternion.
-        """
+        """Give the pose as `foxglove.FrameTransform`: source in m, rotation camera to world as a unit quaternion."""
         message = FrameTransform(parent_frame_id=WORLD_FRAME, child_frame_id=camera_frame(name))
         message.timestamp.FromNanoseconds(time_ns)
         x, y, z = (-self.R.T @ self.t).tolist()

@@ -19,26 +19,11 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, MessageIndex, Schema
 
 from pipeline.episodes.camera import Camera, camera_frame
+from pipeline.episodes.encoding import schema
 from pipeline.episodes.encoding.scan import MessageSpan, check_magic, messages, open_chunk, parse_record, walk
-from pipeline.episodes.encoding.schema import (
-    CATHETER_POINTS_TOPIC,
-    CATHETER_TOPIC,
-    DEVICE_FIELDS,
-    DEVICE_MASKS,
-    DEVICES_TOPIC,
-    PHANTOM_TOPIC,
-    STEP_FIELDS,
-    STEP_TOPIC,
-    TRANSFORM_TOPIC,
-    WIRE_POINTS_TOPIC,
-    WIRE_TOPIC,
-    camera_topic,
-    topic_messages,
-)
 from pipeline.episodes.encoding.step_codec import decode_devices, decode_with_norm
-from pipeline.episodes.errors import ContainerError, EpisodeReadError, damaged
 from pipeline.episodes.reader import EpisodeReader
-from pipeline.episodes.records import DeviceRecord, StepRecord
+from pipeline.episodes.records import ContainerError, DeviceRecord, EpisodeReadError, StepRecord, damaged
 from pipeline.episodes.recover import mapped
 
 _MAGIC_BYTES = 8
@@ -53,10 +38,8 @@ class CheckReport:
     path: Path
     records: int = 0
     pictures: int = 0
-    problems: list[str] = field(default_factory=list)
-    """one sentence each; empty if the log is fine"""
-    notes: list[str] = field(default_factory=list)
-    """what is known to be incomplete without being damaged"""
+    problems: list[str] = field(default_factory=list)  # one sentence each; empty if the log is fine
+    notes: list[str] = field(default_factory=list)  # what is known to be incomplete without being damaged
 
 
 @dataclass
@@ -65,8 +48,7 @@ class _DataSection:
 
     chunks: set[int] = field(default_factory=set)
     metadata: int = 0
-    declared: list[Any] = field(default_factory=list)
-    """schemas and channels, each as often as it stands there"""
+    declared: list[Any] = field(default_factory=list)  # schemas and channels, each as often as it stands there
 
 
 def check(path: Path) -> CheckReport:
@@ -159,7 +141,7 @@ def _check_steps(log: EpisodeReader, report: CheckReport) -> list[StepRecord]:
     missing = set(log.outcome.missing_steps)
     expected, shapes = 0, None
     records = []
-    for time_ns, payload in log.payloads(STEP_TOPIC):
+    for time_ns, payload in log.payloads(schema.STEP_TOPIC):
         try:
             record, norm = decode_with_norm(payload)
         except ValueError as error:
@@ -173,7 +155,7 @@ def _check_steps(log: EpisodeReader, report: CheckReport) -> list[StepRecord]:
         expected = record.step + 1
         if time_ns != log.info.time_ns(record.step):
             _add(report, f"step {record.step} has log time {time_ns}, expected {log.info.time_ns(record.step)}")
-        for name in STEP_FIELDS:
+        for name in schema.STEP_FIELDS:
             if not np.isfinite(getattr(record, name)).all():
                 _add(report, f"step {record.step} has a non-finite number in {name}")
         for key, value in record.extra.items():
@@ -196,14 +178,18 @@ def _check_steps(log: EpisodeReader, report: CheckReport) -> list[StepRecord]:
 
 def _check_times(log: EpisodeReader, steps: Sequence[int], report: CheckReport) -> None:
     """Verify that every topic has a message for each record, or one at the start, and that the index counts them."""
-    once = {PHANTOM_TOPIC, TRANSFORM_TOPIC, *(camera_topic(name, "calibration") for name in log.cameras)}
+    once = {
+        schema.PHANTOM_TOPIC,
+        schema.TRANSFORM_TOPIC,
+        *(schema.camera_topic(name, "calibration") for name in log.cameras),
+    }
     every_step = [log.info.time_ns(step) for step in steps]
     counts = log.summary.statistics.channel_message_counts if log.summary.statistics else None
     for channel in log.summary.channels.values():
         found = [time_ns for time_ns, _ in log.payloads(channel.topic)] if log.holds(channel.topic) else []
         if counts is not None and counts.get(channel.id, 0) != len(found):
             _add(report, f"the index counts {counts.get(channel.id, 0)} messages on {channel.topic}, not {len(found)}")
-        if channel.topic not in topic_messages(log.cameras, devices=log.info.has_catheter):
+        if channel.topic not in schema.topic_messages(log.cameras, devices=log.info.has_catheter):
             report.notes.append(f"the topic {channel.topic}, which this version does not know")
         elif found:
             wanted = [log.info.start_time_ns] if channel.topic in once else every_step
@@ -219,8 +205,12 @@ def _check_shown(log: EpisodeReader, records: Sequence[StepRecord], report: Chec
     if log.info.has_catheter:
         devices = _check_devices(log, report)
     wires = [one.wire_points for one in (devices or records)]
-    shown = [(WIRE_TOPIC, WIRE_POINTS_TOPIC, wires)]
-    shown += [(CATHETER_TOPIC, CATHETER_POINTS_TOPIC, [one.catheter_points for one in devices])] if devices else []
+    shown = [(schema.WIRE_TOPIC, schema.WIRE_POINTS_TOPIC, wires)]
+    shown += (
+        [(schema.CATHETER_TOPIC, schema.CATHETER_POINTS_TOPIC, [one.catheter_points for one in devices])]
+        if devices
+        else []
+    )
     try:
         for line_topic, cloud_topic, curves in shown:
             for topic, points_of in ((line_topic, _line_points), (cloud_topic, _cloud_points)):
@@ -255,12 +245,12 @@ def _cloud_points(payload: bytes, time_ns: int) -> Any:
 
 def _check_camera(log: EpisodeReader, name: str, camera: Camera, report: CheckReport) -> None:
     """Verify that the messages of a camera say what its matrix does."""
-    start, topic = log.info.start_time_ns, camera_topic(name, "calibration")
+    start, topic = log.info.start_time_ns, schema.camera_topic(name, "calibration")
     wanted = CameraCalibration.FromString(camera.calibration(name, start))
     if log.holds(topic) and any(CameraCalibration.FromString(one) != wanted for _, one in log.payloads(topic)):
         _add(report, f"{topic} is another calibration than the metadata's")
     pose = camera.transform(name, start)
-    for _, payload in log.payloads(TRANSFORM_TOPIC) if log.holds(TRANSFORM_TOPIC) else ():
+    for _, payload in log.payloads(schema.TRANSFORM_TOPIC) if log.holds(schema.TRANSFORM_TOPIC) else ():
         found = [
             one for one in FrameTransforms.FromString(payload).transforms if one.child_frame_id == camera_frame(name)
         ]
@@ -271,13 +261,13 @@ def _check_camera(log: EpisodeReader, name: str, camera: Camera, report: CheckRe
         )
         same = same and bool(np.allclose(moved[0], moved[1], atol=_TOLERANCE))
         if not same or not np.isclose(abs(np.dot(turned[0], turned[1])), 1.0, atol=_TOLERANCE):
-            _add(report, f"{TRANSFORM_TOPIC} gives camera {name} another pose than the metadata")
+            _add(report, f"{schema.TRANSFORM_TOPIC} gives camera {name} another pose than the metadata")
 
 
 def _check_devices(log: EpisodeReader, report: CheckReport) -> list[DeviceRecord]:
     """Verify that every record has both devices, at its time and with finite numbers."""
     found: list[DeviceRecord] = []
-    for time_ns, payload in log.payloads(DEVICES_TOPIC):
+    for time_ns, payload in log.payloads(schema.DEVICES_TOPIC):
         try:
             step, devices = decode_devices(payload)
         except ValueError as error:
@@ -286,7 +276,7 @@ def _check_devices(log: EpisodeReader, report: CheckReport) -> list[DeviceRecord
         if time_ns != log.info.time_ns(step):
             _add(report, f"the devices of step {step} have log time {time_ns}, expected {log.info.time_ns(step)}")
         there = np.array([len(devices.wire_points), len(devices.catheter_points)]) > 0
-        for name in DEVICE_FIELDS:
+        for name in schema.DEVICE_FIELDS:
             value = np.asarray(getattr(devices, name, step))
             if not np.isfinite(value[there] if name == "tip_rotations" else value).all():
                 _add(report, f"step {step} has a non-finite number in {name} of its devices")
@@ -297,7 +287,7 @@ def _check_devices(log: EpisodeReader, report: CheckReport) -> list[DeviceRecord
 def _check_pictures(log: EpisodeReader, report: CheckReport) -> None:
     """Verify that every picture can be decoded, and is of the size, camera and time that it should be."""
     for name in log.cameras:
-        for stream in ("image", "mask", *(DEVICE_MASKS if log.info.has_catheter else ())):
+        for stream in ("image", "mask", *(schema.DEVICE_MASKS if log.info.has_catheter else ())):
             if log.has(name, stream):
                 report.pictures += sum(1 for _ in log.pictures(name, stream))
             else:

@@ -11,9 +11,8 @@ from pydantic_core import from_json
 
 from pipeline.episodes.camera import Camera, require_name
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, SCHEMA_VERSION
-from pipeline.episodes.errors import ContainerError
-from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, as_json
-from pipeline.settings.checks import sentence, shown
+from pipeline.episodes.records import ContainerError, EpisodeInfo, EpisodeOutcome, as_json
+from pipeline.settings.kinds import sentence, shown
 
 _LONGEST_REASON = 200
 
@@ -33,12 +32,7 @@ def seal(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def unseal(record: Mapping[str, str]) -> dict[str, Any]:
-    """Read the values of a metadata record.
-
-    Raises:
-        ContainerError: it is damaged.
-        VersionError: its schema version is missing or too new.
-    """
+    """Read the values of a metadata record; a VersionError where its schema version is missing or too new."""
     if "schema_version" not in record:
         raise VersionError("it has no schema version, so it was not written as an episode log")
     schema_version = record["schema_version"]
@@ -67,11 +61,7 @@ def seal_episode(info: EpisodeInfo, cameras: Mapping[str, Camera]) -> dict[str, 
 
 
 def open_episode(record: Mapping[str, str]) -> tuple[EpisodeInfo, dict[str, Camera]]:
-    """Read the content of the record `endonav.episode`.
-
-    Returns:
-        The information, and the cameras by name in the order in which they were declared; raises as `unseal` does.
-    """
+    """Read the record `endonav.episode`: information, and cameras by name in their order; raises as `unseal` does."""
     values = unseal(record)
     try:
         cameras: dict[str, Camera] = {}

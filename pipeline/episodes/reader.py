@@ -20,16 +20,8 @@ from numpy.typing import NDArray
 
 from pipeline.episodes.arrays import stacked
 from pipeline.episodes.camera import Camera, camera_frame
+from pipeline.episodes.encoding import scan
 from pipeline.episodes.encoding.png import decode_image, decode_mask
-from pipeline.episodes.encoding.scan import (
-    MessageSpan,
-    Summary,
-    messages,
-    open_log,
-    read_chunk,
-    read_metadata,
-    read_summary,
-)
 from pipeline.episodes.encoding.scene import PhantomMesh, decode_phantom
 from pipeline.episodes.encoding.schema import (
     DEVICES_TOPIC,
@@ -41,10 +33,9 @@ from pipeline.episodes.encoding.schema import (
     topic_messages,
 )
 from pipeline.episodes.encoding.step_codec import decode_step
-from pipeline.episodes.errors import ContainerError, EpisodeReadError, damaged
 from pipeline.episodes.metadata import VersionError, open_episode, open_outcome
-from pipeline.episodes.records import MOST_STEPS, EpisodeOutcome, StepRecord
-from pipeline.settings.checks import shown
+from pipeline.episodes.records import MOST_STEPS, ContainerError, EpisodeOutcome, EpisodeReadError, StepRecord, damaged
+from pipeline.settings.kinds import shown
 
 _Decoded = TypeVar("_Decoded")
 
@@ -61,15 +52,11 @@ class EpisodeReader:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        """Open a log.
-
-        Raises:
-            EpisodeReadError: it is missing, damaged, unfinished, no episode log, or newer than this reader.
-        """
+        """Open a log; an EpisodeReadError says that it is missing, damaged, unfinished, no episode log, or too new."""
         self.path = Path(path)
-        self._fd = open_log(self.path)
+        self._fd = scan.open_log(self.path)
         try:
-            self._summary = read_summary(self._fd)
+            self._summary = scan.read_summary(self._fd)
             self.info, self._cameras = self._metadata(EPISODE_METADATA, open_episode)
             self.outcome: EpisodeOutcome = self._metadata(OUTCOME_METADATA, open_outcome)
             self._topics = self._channels()
@@ -89,7 +76,7 @@ class EpisodeReader:
         if not all(-1 <= end <= MOST_STEPS for end in ends):
             self.close()
             raise damaged(self.path, f"the times of its steps do not fit its start, {self.info.start_time_ns} ns")
-        self._cached: tuple[int, bytes, dict[tuple[int, int], MessageSpan]] = (-1, b"", {})
+        self._cached: tuple[int, bytes, dict[tuple[int, int], scan.MessageSpan]] = (-1, b"", {})
 
     def _metadata(self, name: str, parse: Callable[[dict[str, str]], _Decoded]) -> _Decoded:
         """Read the intact metadata records of a name, which must all say the same."""
@@ -100,7 +87,7 @@ class EpisodeReader:
         for index in self._summary.metadata_indexes:
             if index.name == name:
                 try:
-                    record = read_metadata(self._fd, index).metadata
+                    record = scan.read_metadata(self._fd, index).metadata
                     found.append((record, parse(record)))
                 except ContainerError as error:
                     failure = error
@@ -128,7 +115,7 @@ class EpisodeReader:
     # -- chunks and messages ------------------------------------------------------------------------------------------
 
     @property
-    def summary(self) -> Summary:
+    def summary(self) -> scan.Summary:
         """The container's index."""
         return self._summary
 
@@ -139,14 +126,14 @@ class EpisodeReader:
             raise EpisodeReadError(f"{self.path} holds nothing on {topic}; it holds {held or 'no messages'}")
         return channel_id
 
-    def _spans(self, index: ChunkIndex) -> tuple[bytes, dict[tuple[int, int], MessageSpan]]:
+    def _spans(self, index: ChunkIndex) -> tuple[bytes, dict[tuple[int, int], scan.MessageSpan]]:
         """Read a chunk, or take it from the one-chunk cache, and find its messages by channel and time."""
         offset, chunk, spans = self._cached
         where = f"the chunk at byte {index.chunk_start_offset}"
         if offset != index.chunk_start_offset:
             try:
-                chunk = read_chunk(self._fd, index)
-                found = list(messages(chunk))
+                chunk = scan.read_chunk(self._fd, index)
+                found = list(scan.messages(chunk))
                 spans = {(span.channel_id, span.log_time_ns): span for span in found}
                 if len(spans) < len(found):
                     raise ContainerError(f"{where} has two messages of one topic and time")
@@ -161,14 +148,7 @@ class EpisodeReader:
         return chunk, spans
 
     def payloads(self, topic: str) -> Iterator[tuple[int, bytes]]:
-        """Stream the messages of a topic by their times, of which no two may be the same.
-
-        Args:
-            topic: e.g. `/step`.
-
-        Yields:
-            Log time in nanoseconds, and the serialised message.
-        """
+        """Stream log time (ns) and bytes of the messages of a topic, e.g. `/step`, by their times, all different."""
         channel_id, last_ns = self._channel(topic), -1
         chunks, waiting = self._chunks[channel_id], list[tuple[int, bytes]]()
         for index, following in zip_longest(chunks, chunks[1:]):
@@ -273,11 +253,7 @@ class EpisodeReader:
         return self._picture(camera, "image", step)
 
     def mask(self, camera: str, step: int, device: str | None = None) -> NDArray[np.bool_]:
-        """Read one mask at random, (H, W) bool.
-
-        Args:
-            device: "wire" or "catheter", in a log with a catheter; None: of all devices.
-        """
+        """Read one mask at random, (H, W) bool, of "wire" or "catheter" where there is one; None: of all devices."""
         return self._picture(camera, _mask_stream(device), step)
 
     def images(self, camera: str) -> Iterator[NDArray[np.uint8]]:
@@ -289,11 +265,7 @@ class EpisodeReader:
         return (picture for _, picture in self.pictures(camera, _mask_stream(device)))
 
     def pictures(self, camera: str, stream: str) -> Iterator[tuple[int, NDArray[Any]]]:
-        """Stream the pictures of a camera with the indices of their steps.
-
-        Args:
-            stream: "image", "mask", "mask_wire" or "mask_catheter".
-        """
+        """Stream step and picture of a camera's "image", "mask", "mask_wire" or "mask_catheter"."""
         for step, payload in self._steps(self._stream(camera, stream)):
             yield step, self._picture(camera, stream, step, payload)
 
@@ -321,11 +293,7 @@ class EpisodeReader:
         return bool(self._chunks.get(self._topics.get(topic, 0)))
 
     def has(self, camera: str, stream: str) -> bool:
-        """Say whether a camera's stream holds pictures.
-
-        Args:
-            stream: "image", "mask", "mask_wire" or "mask_catheter".
-        """
+        """Say whether a camera's stream, as of `pictures`, holds any."""
         return self.holds(camera_topic(camera, stream))
 
     def phantom_mesh(self) -> PhantomMesh | None:

@@ -1,4 +1,4 @@
-"""What an episode log holds, as dataclasses: a step, the episode's information and its outcome."""
+"""What an episode log holds, as dataclasses: a step, the episode's information and its outcome; and its errors."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -15,6 +16,36 @@ from annotated_types import Ge, Le, Lt
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, ConfigDict
 from pydantic.dataclasses import dataclass as validated
+
+from pipeline.printing import written
+from pipeline.store.errors import PipelineError
+
+
+class EpisodeWriteError(PipelineError, OSError):
+    """A log cannot be written; what was flushed before is safe in its partial file."""
+
+
+class EpisodeReadError(PipelineError, ValueError):
+    """A log cannot be read, because it is damaged, foreign or too new."""
+
+
+class ViewerError(PipelineError, RuntimeError):
+    """A log cannot be shown: the viewer's package is missing, or its file cannot be written."""
+
+
+class ContainerError(ValueError):
+    """A part of an MCAP file is damaged; the message is the reason alone, without file name or advice."""
+
+
+def damaged(path: Path, reason: object) -> EpisodeReadError:
+    """Make the error of a damaged log."""
+    return EpisodeReadError(f"{path} is damaged: {reason}; run '{recover_command(path)}' to save what is intact")
+
+
+def recover_command(path: Path) -> str:
+    """Give the command line that recovers a log."""
+    return f"{written('episodes')} recover {path}"
+
 
 FloatArray = NDArray[np.float64]
 
@@ -48,22 +79,14 @@ def _points(name: str, value: Any) -> FloatArray:
 class DeviceRecord:
     """Wire and catheter in a step; pairs are wire, then catheter. Arrays are copied."""
 
-    wire_points: FloatArray
-    """(n, 3), m, world, from the wire's tip; (0, 3) where there is none"""
-    catheter_points: FloatArray
-    """(m, 3), m, world, from the catheter's tip"""
-    insertions: FloatArray
-    """(2,), m"""
-    hub_rotations: FloatArray
-    """(2,), rad"""
-    tip_rotations: FloatArray
-    """(2,), rad; NaN of a wire that there is not"""
-    lead: float
-    """m, of the wire's tip before the catheter's; negative: drawn back into it"""
-    feeder_forces: FloatArray
-    """(2,), N, what the feeders push with"""
-    hub_torques: FloatArray
-    """(2,), N m, by which the hubs are held"""
+    wire_points: FloatArray  # (n, 3), m, world, from the wire's tip; (0, 3) where there is none
+    catheter_points: FloatArray  # (m, 3), m, world, from the catheter's tip
+    insertions: FloatArray  # (2,), m
+    hub_rotations: FloatArray  # (2,), rad
+    tip_rotations: FloatArray  # (2,), rad; NaN of a wire that there is not
+    lead: float  # m, of the wire's tip before the catheter's; negative: drawn back into it
+    feeder_forces: FloatArray  # (2,), N, what the feeders push with
+    hub_torques: FloatArray  # (2,), N m, by which the hubs are held
 
     def __post_init__(self) -> None:
         for name in _PAIRS:
@@ -82,33 +105,21 @@ class StepRecord:
     """
 
     step: int
-    action: FloatArray
-    """(a,), as given to the environment"""
+    action: FloatArray  # (a,), as given to the environment
     reward: float
     terminated: bool
     truncated: bool
-    joint_positions: FloatArray
-    """(q,), m or rad"""
-    joint_velocities: FloatArray
-    """(v,), m/s or rad/s"""
-    wire_points: FloatArray
-    """(n, 3), m, world, tip first; with a catheter, of the rod that both devices are"""
-    tip: FloatArray
-    """(3,), m, world"""
-    contact_positions: FloatArray
-    """(k, 3), m, world"""
-    contact_forces: FloatArray
-    """(k, 3), N, world"""
-    resultant_force: FloatArray
-    """(3,), N, world: the largest resultant of the contact forces over the step"""
-    insertion: float
-    """m"""
-    rotation: float
-    """rad"""
-    extra: Mapping[str, float] = field(default_factory=dict)
-    """further scalars, unit in the name"""
-    devices: DeviceRecord | None = None
-    """both devices; None in a log of the wire without a catheter"""
+    joint_positions: FloatArray  # (q,), m or rad
+    joint_velocities: FloatArray  # (v,), m/s or rad/s
+    wire_points: FloatArray  # (n, 3), m, world, tip first; with a catheter, of the rod that both devices are
+    tip: FloatArray  # (3,), m, world
+    contact_positions: FloatArray  # (k, 3), m, world
+    contact_forces: FloatArray  # (k, 3), N, world
+    resultant_force: FloatArray  # (3,), N, world: the largest resultant of the contact forces over the step
+    insertion: float  # m
+    rotation: float  # rad
+    extra: Mapping[str, float] = field(default_factory=dict)  # further scalars, unit in the name
+    devices: DeviceRecord | None = None  # both devices; None in a log of the wire without a catheter
 
     def __post_init__(self) -> None:
         if not 0 <= self.step <= MOST_STEPS:
@@ -151,11 +162,7 @@ def _finite(value: Any) -> Any:
 
 
 def as_json(value: Any) -> str:
-    """Serialise plain values as strict JSON.
-
-    Args:
-        value: numbers, strings, sequences and mappings; numpy values become lists, non-finite numbers null.
-    """
+    """Serialise plain values as strict JSON; numpy values become lists, non-finite numbers null."""
     plain = json.loads(json.dumps(value, default=_plain))
     return json.dumps(_finite(plain), sort_keys=True, allow_nan=False)
 
@@ -169,15 +176,11 @@ class EpisodeInfo:
     target: str
     entry: str
     seed: int
-    operator: str
-    """who steered: a policy's name, "sampling_expert", "human", ..."""
-    control_dt: Annotated[float, Ge(1e-9), Le(3600)]
-    """s, from one step to the next"""
-    start_time_ns: Annotated[int, Ge(0), Lt(2**62)] = field(default_factory=time.time_ns)
-    """nanoseconds since the epoch"""
+    operator: str  # who steered: a policy's name, "sampling_expert", "human", ...
+    control_dt: Annotated[float, Ge(1e-9), Le(3600)]  # s, from one step to the next
+    start_time_ns: Annotated[int, Ge(0), Lt(2**62)] = field(default_factory=time.time_ns)  # nanoseconds since the epoch
     configuration: Mapping[str, Any] = field(default_factory=dict)
-    versions: Mapping[str, Any] = field(default_factory=dict)
-    """software -> version"""
+    versions: Mapping[str, Any] = field(default_factory=dict)  # software -> version
 
     def __post_init__(self) -> None:
         # What is kept is what a reader will give back: plain JSON values.
@@ -215,16 +218,13 @@ OUTCOME_STATES = ("finished", "interrupted")
 class EpisodeOutcome:
     """How an episode ended."""
 
-    success: _Truth | None
-    """None: not known"""
-    steps: _Step
-    """actions taken: one less than the records, as record 0 is the state after reset"""
+    success: _Truth | None  # None: not known
+    steps: _Step  # actions taken: one less than the records, as record 0 is the state after reset
+    # numbers, strings or None; a non-finite number becomes None
     metrics: Mapping[str, Any] = field(default_factory=dict)
-    """numbers, strings or None; a non-finite number becomes None"""
-    status: str = "finished"
-    """"finished", or "interrupted" for a log whose writer was stopped"""
+    status: str = "finished"  # "finished", or "interrupted" for a log whose writer was stopped
+    # steps that a recovery found missing between the first and the last one, rising
     missing_steps: tuple[_Step, ...] = ()
-    """steps that a recovery found missing between the first and the last one, rising"""
 
     def __post_init__(self) -> None:
         if self.status not in OUTCOME_STATES:

@@ -1,36 +1,45 @@
-"""Recovery of a damaged or unfinished log: all intact chunks, streamed into a valid log under a new name."""
+"""New logs from others: recovery, all intact chunks of a damaged log under a new name; annotations of a finished one.
+
+An annotation is what becomes known only after an episode, such as a questionnaire.
+"""
 
 from __future__ import annotations
 
 import logging
 import mmap
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema
 
 from pipeline.episodes.camera import Camera
+from pipeline.episodes.encoding import scan
 from pipeline.episodes.encoding.container import McapFile, replacing
-from pipeline.episodes.encoding.scan import (
-    likely_records,
-    messages,
-    open_chunk,
-    open_log,
-    parse_record,
-    read_summary,
-    require_proportion,
-    unpacked_bytes,
-    walk,
-)
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE, STEP_TOPIC, topic_messages
-from pipeline.episodes.errors import ContainerError, EpisodeReadError, EpisodeWriteError
-from pipeline.episodes.metadata import VersionError, open_episode, open_outcome, seal_episode, seal_outcome
-from pipeline.episodes.records import MOST_STEPS, EpisodeInfo, EpisodeOutcome
+from pipeline.episodes.metadata import (
+    VersionError,
+    open_episode,
+    open_outcome,
+    seal,
+    seal_episode,
+    seal_outcome,
+    unseal,
+)
+from pipeline.episodes.reader import EpisodeReader
+from pipeline.episodes.records import (
+    MOST_STEPS,
+    ContainerError,
+    EpisodeInfo,
+    EpisodeOutcome,
+    EpisodeReadError,
+    EpisodeWriteError,
+    damaged,
+)
 from pipeline.episodes.writer import schema_data
 
 logger = logging.getLogger(__name__)
@@ -47,12 +56,10 @@ class RecoveryReport:
     source: Path
     destination: Path
     steps_kept: int
+    # steps known to be lost; a killed writer's last few steps leave no trace and are not counted
     missing_steps: tuple[int, ...]
-    """steps known to be lost; a killed writer's last few steps leave no trace and are not counted"""
-    bytes_dropped: int
-    """bytes of the source from the last verified record before damage to the next one behind it"""
-    outcome_kept: bool
-    """whether the outcome was intact; otherwise the log says "interrupted" """
+    bytes_dropped: int  # bytes of the source from the last verified record before damage to the next one behind it
+    outcome_kept: bool  # whether the outcome was intact; otherwise the log says "interrupted"
 
 
 @dataclass
@@ -63,25 +70,16 @@ class _Findings:
     outcome: EpisodeOutcome | None = None
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[tuple[int, int]] = field(default_factory=list)
-    """where each intact chunk's content begins and ends"""
+    chunks: list[tuple[int, int]] = field(default_factory=list)  # where each intact chunk's content begins and ends
     bytes_dropped: int = 0
-    unpacked: int = 0
-    """bytes of all intact chunks"""
+    unpacked: int = 0  # bytes of all intact chunks
     refusal: VersionError | None = None
 
 
 @contextmanager
 def mapped(path: Path) -> Iterator[tuple[int, Any]]:
-    """Map a file into memory, which reads what is used and nothing else.
-
-    Yields:
-        File descriptor and memory map.
-
-    Raises:
-        EpisodeReadError: it cannot be opened, or is empty.
-    """
-    fd = open_log(path)
+    """Map a file into memory, which reads what is used and nothing else; gives descriptor and map."""
+    fd = scan.open_log(path)
     try:
         if os.fstat(fd).st_size == 0:
             raise EpisodeReadError(f"{path} is empty: there is nothing to recover")
@@ -97,33 +95,30 @@ def _examine(data: Any, likely: Iterator[int]) -> _Findings:
     Most records have no checksum of their own, and a wrong length may swallow what follows: after damage the search
     goes back to the end of the last record whose checksum was right. What is read in vain is limited, as every record
     of a forged log can reach over all that follow.
-
-    Raises:
-        ContainerError: it unpacks to far more than a log of its size.
     """
     findings, position, verified = _Findings(), _MAGIC_BYTES, _MAGIC_BYTES
     in_vain = since_verified = 0
     while position < len(data) and in_vain <= _MOST_IN_VAIN + _TIMES_IN_VAIN * len(data):
         try:
-            for opcode, start, end in walk(data, position):
+            for opcode, start, end in scan.walk(data, position):
                 position = start - 9
                 since_verified += _RECORD_COST
                 if opcode == Opcode.CHUNK:
                     content = data[start:end]
-                    since_verified += len(content) + unpacked_bytes(content)
-                    findings.unpacked += len(open_chunk(content, position))
-                    require_proportion(findings.unpacked, len(data))
+                    since_verified += len(content) + scan.unpacked_bytes(content)
+                    findings.unpacked += len(scan.open_chunk(content, position))
+                    scan.require_proportion(findings.unpacked, len(data))
                     findings.chunks.append((start, end))
                     verified, since_verified = end, 0
                 elif opcode == Opcode.METADATA:
                     since_verified += end - start
-                    if _keep_metadata(findings, parse_record(Metadata, data[start:end])):
+                    if _keep_metadata(findings, scan.parse_record(Metadata, data[start:end])):
                         verified, since_verified = end, 0
                 elif opcode == Opcode.SCHEMA:
-                    schema = parse_record(Schema, data[start:end])
+                    schema = scan.parse_record(Schema, data[start:end])
                     findings.schemas.setdefault(schema.id, schema)
                 elif opcode == Opcode.CHANNEL:
-                    channel = parse_record(Channel, data[start:end])
+                    channel = scan.parse_record(Channel, data[start:end])
                     findings.channels.setdefault(channel.id, channel)
                 elif opcode == Opcode.FOOTER and end == len(data) - _MAGIC_BYTES:
                     return findings
@@ -131,7 +126,7 @@ def _examine(data: Any, likely: Iterator[int]) -> _Findings:
                     raise ContainerError(f"the record at byte {position} is of no known kind")
                 position = end
         except ContainerError as error:
-            require_proportion(findings.unpacked, len(data))
+            scan.require_proportion(findings.unpacked, len(data))
             if isinstance(error, VersionError):
                 findings.refusal = error
             in_vain, since_verified = in_vain + since_verified, 0
@@ -190,13 +185,13 @@ def recover(
     source, destination = Path(source), Path(destination)
     if destination.exists() and (not overwrite or destination.samefile(source)):
         raise EpisodeWriteError(f"{destination} exists already: name another file to recover {source} into")
-    with mapped(source) as (fd, data), closing(likely_records(data)) as likely:
+    with mapped(source) as (fd, data), closing(scan.likely_records(data)) as likely:
         try:
             findings = _examine(data, likely)
         except ContainerError as error:
             raise EpisodeReadError(f"{source} cannot be recovered: {error}") from error
         try:
-            summary = read_summary(fd)
+            summary = scan.read_summary(fd)
             findings.schemas, findings.channels = summary.schemas, summary.channels
         except ContainerError:
             pass  # no index: the records in the data section must do
@@ -238,8 +233,8 @@ def _copy(data: Any, findings: _Findings, out: McapFile, info: EpisodeInfo, came
     steps: list[int] = []
     copied: set[tuple[int, int]] = set()
     for start, end in findings.chunks:
-        chunk = open_chunk(data[start:end], start - 9)
-        for span in messages(chunk):
+        chunk = scan.open_chunk(data[start:end], start - 9)
+        for span in scan.messages(chunk):
             channel_id = renumbered.get(span.channel_id)
             if channel_id is None:
                 continue
@@ -264,3 +259,80 @@ def _outcome(outcome: EpisodeOutcome | None, steps: list[int]) -> EpisodeOutcome
         return EpisodeOutcome(success=None, steps=max(kept), status="interrupted", missing_steps=missing)
     missing = tuple(step for step in range(outcome.steps + 1) if step not in kept)
     return replace(outcome, missing_steps=missing)
+
+
+def annotation_name(key: str) -> str:
+    """The metadata record of an annotation, e.g. `endonav.questionnaire`; a ValueError if the key is no free word."""
+    name = f"endonav.{key}"
+    if not key.isidentifier() or name in (EPISODE_METADATA, OUTCOME_METADATA):
+        raise ValueError(f"an annotation's key must be a word other than episode and outcome, got {key!r}")
+    return name
+
+
+def annotate(path: str | os.PathLike[str], key: str, values: Mapping[str, Any]) -> None:
+    """Add an annotation to a finished log, or replace the one of that key; the log is exchanged in one instant.
+
+    Raises:
+        ValueError: the key is no word.
+        EpisodeReadError: there is no such log, or it is damaged; it stays as it is.
+        EpisodeWriteError: the new log cannot be written; the old one stays as it is.
+    """
+    path, name = Path(path), annotation_name(key)
+    with EpisodeReader(path):
+        pass  # an episode log, whole and not newer than this software
+    try:
+        with replacing(path, PROFILE, ".annotating") as out:
+            _copy_annotated(path, out, leave_out=name)
+            out.add_metadata(name, seal(values))
+    except OSError as error:
+        raise EpisodeWriteError(f"cannot add to {path}: {error.strerror}; the log is as it was") from error
+    except ContainerError as error:
+        raise damaged(path, error) from error
+
+
+def _copy_annotated(path: Path, out: McapFile, *, leave_out: str) -> None:
+    """Copy chunks and metadata in their order."""
+    fd = scan.open_log(path)
+    try:
+        summary = scan.read_summary(fd)
+        counts = dict.fromkeys(summary.channels, 0)
+        renumbered = {}
+        for channel in summary.channels.values():
+            schema = summary.schemas.get(channel.schema_id)
+            if schema is None:
+                raise ContainerError(f"the schema of {channel.topic} is missing")
+            renumbered[channel.id] = out.register(channel.topic, schema.name, schema.data, schema.encoding)
+        parts: list[ChunkIndex | MetadataIndex] = list(summary.chunk_indexes)
+        parts += [index for index in summary.metadata_indexes if index.name != leave_out]
+        for part in sorted(parts, key=_offset):
+            if isinstance(part, MetadataIndex):
+                out.add_metadata(part.name, scan.read_metadata(fd, part).metadata)
+                continue
+            chunk = scan.read_chunk(fd, part)
+            for span in scan.messages(chunk):
+                if span.channel_id not in renumbered:
+                    raise ContainerError(f"a message is of channel {span.channel_id}, which is not declared")
+                # sequence numbers count up along a topic, as the writer's steps do
+                sequence = counts[span.channel_id]
+                counts[span.channel_id] += 1
+                out.add(renumbered[span.channel_id], span.log_time_ns, sequence, chunk[span.start : span.end])
+            out.flush()
+    finally:
+        os.close(fd)
+
+
+def _offset(part: ChunkIndex | MetadataIndex) -> int:
+    return part.chunk_start_offset if isinstance(part, ChunkIndex) else part.offset
+
+
+def read_annotation(path: str | os.PathLike[str], key: str) -> dict[str, Any] | None:
+    """Read an annotation of a log: its values, or None when the log has none of that key."""
+    name = annotation_name(key)
+    fd = scan.open_log(path)
+    try:
+        found = [index for index in scan.read_summary(fd).metadata_indexes if index.name == name]
+        return unseal(scan.read_metadata(fd, found[-1]).metadata) if found else None
+    except ContainerError as error:
+        raise damaged(Path(path), error) from error
+    finally:
+        os.close(fd)

@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.episodes.encoding.png import encode_image
-from pipeline.episodes.errors import ViewerError
 from pipeline.episodes.reader import EpisodeReader
-from pipeline.episodes.records import DeviceRecord
+from pipeline.episodes.records import DeviceRecord, ViewerError
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
@@ -51,11 +50,7 @@ _MASK, _FRUSTUM = (230, 60, 40), (150, 150, 160)
 
 
 def rerun_module() -> ModuleType:
-    """The Rerun package.
-
-    Raises:
-        ViewerError: it is not installed.
-    """
+    """The Rerun package; a ViewerError where it is not installed."""
     try:
         import rerun
     except ModuleNotFoundError as error:
@@ -193,11 +188,7 @@ def _set_step(log: EpisodeReader, recording: RecordingStream, step: int) -> None
 
 
 def layout(cameras: tuple[str, ...], *, devices: bool = False) -> Any:
-    """The arrangement of views: the scene, the cameras' pictures, and the curves.
-
-    Args:
-        devices: of a log with a catheter, which has curves of its own.
-    """
+    """The arrangement of views: the scene, the cameras' pictures, and the curves, also of two devices."""
     rerun_module()
     import rerun.blueprint as rrb
 
@@ -215,14 +206,7 @@ def layout(cameras: tuple[str, ...], *, devices: bool = False) -> Any:
 
 
 def save_recording(path: Path, destination: Path) -> Path:
-    """Writes an episode as a Rerun recording; it appears under its name only when it is whole.
-
-    Args:
-        destination: the .rrd file; one that is there is replaced.
-
-    Raises:
-        ViewerError: Rerun is not installed, or the destination cannot be written.
-    """
+    """Writes an episode as a Rerun recording (.rrd), in place of one that is there; it appears when it is whole."""
     rr = rerun_module()
     partial = destination.with_name(destination.name + ".partial")
     try:
@@ -251,11 +235,7 @@ def save_recording(path: Path, destination: Path) -> Path:
 
 
 def show_episode(path: Path) -> None:
-    """Opens an episode in the Rerun viewer and waits until it is closed.
-
-    Raises:
-        ViewerError: Rerun is not installed, or its viewer cannot open a window.
-    """
+    """Opens an episode in the Rerun viewer and waits until it is closed; a ViewerError if it opens no window."""
     rerun_module()
     with tempfile.TemporaryDirectory(prefix="endonav-") as folder:
         recording = save_recording(path, Path(folder) / f"{path.stem}.rrd")

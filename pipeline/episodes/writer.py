@@ -19,30 +19,13 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from numpy.typing import NDArray
 
 from pipeline.episodes.camera import Camera, camera_frame, require_name
+from pipeline.episodes.encoding import schema
 from pipeline.episodes.encoding.container import MAX_CHUNK_BYTES, McapFile
 from pipeline.episodes.encoding.png import encode_image, encode_mask
-from pipeline.episodes.encoding.protobuf_wire import delimited, timestamp
 from pipeline.episodes.encoding.scene import PhantomMesh, encode_wire_line, encode_wire_points
-from pipeline.episodes.encoding.schema import (
-    CATHETER_POINTS_TOPIC,
-    CATHETER_TOPIC,
-    DEVICE_MASKS,
-    DEVICES_TOPIC,
-    EPISODE_METADATA,
-    OUTCOME_METADATA,
-    PHANTOM_TOPIC,
-    PROFILE,
-    STEP_TOPIC,
-    TRANSFORM_TOPIC,
-    WIRE_POINTS_TOPIC,
-    WIRE_TOPIC,
-    camera_topic,
-    topic_messages,
-)
-from pipeline.episodes.encoding.step_codec import encode_devices, encode_step
-from pipeline.episodes.errors import EpisodeWriteError, recover_command
+from pipeline.episodes.encoding.step_codec import delimited, encode_devices, encode_step, timestamp
 from pipeline.episodes.metadata import seal_episode, seal_outcome
-from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, StepRecord
+from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, EpisodeWriteError, StepRecord, recover_command
 
 logger = logging.getLogger(__name__)
 
@@ -59,11 +42,7 @@ _IMAGE_FIELDS = CompressedImage.DESCRIPTOR.fields_by_name
 
 @cache
 def schema_data(message: Any) -> bytes:
-    """Serialise the schema that MCAP wants of a protobuf message.
-
-    Returns:
-        A serialised FileDescriptorSet with all dependencies.
-    """
+    """Serialise the schema that MCAP wants of a protobuf message: a FileDescriptorSet with all dependencies."""
     return bytes(build_file_descriptor_set(message).SerializeToString())
 
 
@@ -133,7 +112,7 @@ class EpisodeWriter:
         try:
             if overwrite:
                 self.partial.unlink(missing_ok=True)
-            self._file = McapFile(self.partial, PROFILE)
+            self._file = McapFile(self.partial, schema.PROFILE)
         except FileExistsError:
             raise EpisodeWriteError(
                 f"{self.partial} exists already, from a writer that is at work or was killed: run "
@@ -141,7 +120,7 @@ class EpisodeWriter:
             ) from None
         except OSError as error:
             raise EpisodeWriteError(f"cannot write {self.partial}: {error.strerror}; choose another folder") from error
-        topics = topic_messages(tuple(self.cameras), devices=info.has_catheter).items()
+        topics = schema.topic_messages(tuple(self.cameras), devices=info.has_catheter).items()
         self._channels = {
             topic: self._file.register(topic, message.DESCRIPTOR.full_name, schema_data(message))
             for topic, message in topics
@@ -162,17 +141,17 @@ class EpisodeWriter:
         """Write what stands once at the beginning."""
         sealed = seal_episode(self.info, self.cameras)
         for _ in range(2):  # twice: see the schema
-            self._file.add_metadata(EPISODE_METADATA, sealed)
+            self._file.add_metadata(schema.EPISODE_METADATA, sealed)
         time_ns = self.info.start_time_ns
         if self.cameras:
             transforms = [camera.transform(name, time_ns) for name, camera in self.cameras.items()]
             message = FrameTransforms(transforms=transforms).SerializeToString()
-            self._file.add(self._channels[TRANSFORM_TOPIC], time_ns, 0, message)
+            self._file.add(self._channels[schema.TRANSFORM_TOPIC], time_ns, 0, message)
         for name, camera in self.cameras.items():
-            topic = camera_topic(name, "calibration")
+            topic = schema.camera_topic(name, "calibration")
             self._file.add(self._channels[topic], time_ns, 0, camera.calibration(name, time_ns))
         if phantom_mesh is not None:
-            self._file.add(self._channels[PHANTOM_TOPIC], time_ns, 0, phantom_mesh.scene(time_ns))
+            self._file.add(self._channels[schema.PHANTOM_TOPIC], time_ns, 0, phantom_mesh.scene(time_ns))
         self._file.flush()
 
     @property
@@ -213,7 +192,7 @@ class EpisodeWriter:
         pictures: list[_Picture] = []
         pictures += [(f"/camera/{name}/image", name, encode_image, image.copy()) for name, image in images.items()]
         pictures += [
-            (camera_topic(name, stream), name, encode_mask, mask.copy())
+            (schema.camera_topic(name, stream), name, encode_mask, mask.copy())
             for stream, one in (("mask", masks), *beside.items())
             for name, mask in one.items()
         ]
@@ -250,16 +229,16 @@ class EpisodeWriter:
         devices = record.devices
         wire = record.wire_points if devices is None else devices.wire_points
         batch = [
-            (channels[STEP_TOPIC], encode_step(record)),
-            (channels[WIRE_TOPIC], encode_wire_line(wire, time_ns)),
-            (channels[WIRE_POINTS_TOPIC], encode_wire_points(wire, time_ns)),
+            (channels[schema.STEP_TOPIC], encode_step(record)),
+            (channels[schema.WIRE_TOPIC], encode_wire_line(wire, time_ns)),
+            (channels[schema.WIRE_POINTS_TOPIC], encode_wire_points(wire, time_ns)),
         ]
         if devices is not None:
             catheter = devices.catheter_points
             batch += [
-                (channels[DEVICES_TOPIC], encode_devices(record.step, devices)),
-                (channels[CATHETER_TOPIC], encode_wire_line(catheter, time_ns, "catheter")),
-                (channels[CATHETER_POINTS_TOPIC], encode_wire_points(catheter, time_ns)),
+                (channels[schema.DEVICES_TOPIC], encode_devices(record.step, devices)),
+                (channels[schema.CATHETER_TOPIC], encode_wire_line(catheter, time_ns, "catheter")),
+                (channels[schema.CATHETER_POINTS_TOPIC], encode_wire_points(catheter, time_ns)),
             ]
         head = timestamp(_IMAGE_FIELDS["timestamp"].number, time_ns)
         for topic, camera, encode, picture in pictures:
@@ -277,7 +256,7 @@ class EpisodeWriter:
                 f"{'none' if record.devices is None else 'devices'} in step {record.step}"
             )
         for stream, arrays in pictures.items():
-            if stream not in (*_STREAMS, *(DEVICE_MASKS if self.info.has_catheter else ())):
+            if stream not in (*_STREAMS, *(schema.DEVICE_MASKS if self.info.has_catheter else ())):
                 raise ValueError(f"a log without a catheter has no {stream}: give its mask alone")
             types = _IMAGE_TYPES if stream == "image" else _MASK_TYPES
             for name, array in arrays.items():
@@ -339,7 +318,7 @@ class EpisodeWriter:
         try:
             self._flush()
             if not self._outcome_written:
-                self._file.add_metadata(OUTCOME_METADATA, seal_outcome(outcome))
+                self._file.add_metadata(schema.OUTCOME_METADATA, seal_outcome(outcome))
                 self._outcome_written = True
             if not self._file.closed:
                 self._file.close_with_index()

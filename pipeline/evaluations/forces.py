@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.settings.checks import shown
+from pipeline.settings.kinds import shown
 
 Array = NDArray[np.float64]
 
@@ -21,17 +21,11 @@ ALONE = " alone"  # behind the name of a catheter in which no wire lay
 
 @dataclass(frozen=True)
 class WallForces:
-    """Forces between device and vessel in an episode, a value a step.
+    """Forces between device and vessel in an episode, a value a step."""
 
-    Attributes:
-        load_cell_n: magnitude of the readings of a load cell of the default calibration, N. Shape (T,).
-        magnitude_sum_n: mean of the sum of the contacts' magnitudes, N. Shape (T,).
-        largest_contact_n: largest single contact, N. Shape (T,).
-    """
-
-    load_cell_n: Array
-    magnitude_sum_n: Array
-    largest_contact_n: Array
+    load_cell_n: Array  # magnitude of the readings of a load cell of the default calibration, N. Shape (T,).
+    magnitude_sum_n: Array  # mean of the sum of the contacts' magnitudes, N. Shape (T,).
+    largest_contact_n: Array  # largest single contact, N. Shape (T,).
 
     def moments(self) -> dict[str, list[float]]:
         """Mean and mean square of each quantity, N and N^2."""
@@ -40,16 +34,7 @@ class WallForces:
 
 
 def wall_forces(arrays: Mapping[str, NDArray[Any]], *, interval: float, seed: int) -> WallForces | None:
-    """Reads the forces of a log's steps, the state after reset left out.
-
-    Args:
-        arrays: of `EpisodeReader.load_arrays`.
-        interval: from one step to the next, s.
-        seed: of the cell's noise.
-
-    Returns:
-        None for a log from before these quantities were kept, or with values that are not finite.
-    """
+    """The forces of a log's steps, `interval` s apart, but that after reset; None where it holds no numbers."""
     from cathsim.metrics.load_cell import LoadCell
 
     names = [*(f"extra/load_{axis}_n" for axis in "xyz"), "extra/magnitude_sum_n", "extra/largest_contact_n"]
@@ -75,26 +60,17 @@ def device_of(configuration: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class EpisodeForces:
-    """Contact forces of one logged episode.
+    """Contact forces of one logged episode."""
 
-    Attributes:
-        phantom, target, operator: as the log names them.
-        free_force_n: force that the operator does not pay for, N; None where the log says nothing of it.
-        magnitudes: (T,) N, largest resultant of each step.
-        points: (k, 3) m, contact positions of all steps, world frame.
-        forces: (k,) N, their magnitudes.
-        device: "wire", or the catheter over it.
-        wall: what a load cell reads, and what else the resultant hides; None for a log from before these were kept.
-    """
-
-    phantom: str
+    phantom: str  # phantom, target and operator: as the log names them
     target: str
     operator: str
-    free_force_n: float | None
-    magnitudes: Array
-    points: Array
-    forces: Array
-    device: str = WIRE
+    free_force_n: float | None  # force that the operator does not pay for, N; None where the log says nothing of it
+    magnitudes: Array  # (T,) N, largest resultant of each step
+    points: Array  # (k, 3) m, contact positions of all steps, world frame
+    forces: Array  # (k,) N, their magnitudes
+    device: str = WIRE  # "wire", or the catheter over it
+    # what a load cell reads, and what else the resultant hides; None for a log from before these were kept
     wall: WallForces | None = None
 
 
@@ -104,11 +80,7 @@ def read_forces(folder: Path) -> list[EpisodeForces]:
 
 
 def episode_forces(path: Path) -> EpisodeForces:
-    """Reads the contact forces of one log. The state after reset, which is no step, is left out.
-
-    Raises:
-        EpisodeReadError: the log is damaged, or names a free force that is no number.
-    """
+    """Reads the contact forces of one log. The state after reset, which is no step, is left out."""
     from pipeline.episodes import EpisodeReader, EpisodeReadError
 
     with EpisodeReader(path) as log:

@@ -1,4 +1,4 @@
-"""An evaluation: what one log of a learning stage says, with the metrics of its arrays.
+"""Evaluations: what the logs of learning stages say, with the metrics of their arrays, read once and kept in a cache.
 
 A log counts by its metadata: `stage`, `row`, `mode` ("deterministic" or "stochastic"), `training_seed` and `variant` of
 its configuration, beside task and wire. Two kinds of episodes stand beside them for comparison: the sampling expert's
@@ -9,18 +9,28 @@ path of a task may be one of theirs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+import os
+import signal
+from collections.abc import Iterator, Sequence
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.evaluations.forces import device_of, wall_forces
+from pipeline.store.file_cache import FileCache
+from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.provenance import hash_value
 
 if TYPE_CHECKING:
     from cathsim.metrics import EpisodeMetrics
     from pipeline.episodes import EpisodeInfo
+
 
 LEARNING_STAGES = ("baselines", "enn", "imitation", "unseen")
 COMPARED = {"expert": ("sampling_expert", "sampling_expert"), "human": ("human", "H")}  # folder -> operator, row
@@ -36,54 +46,35 @@ Task = tuple[str, str, str, str, float, float, float]
 
 @dataclass(frozen=True)
 class Evaluation:
-    """One logged episode.
+    """One logged episode."""
 
-    Attributes:
-        log: path of the log, relative to the run.
-        stage: that recorded it, without its sweep job.
-        row: what steered: a set of modalities, an algorithm with its observation, ...
-        variant: of the training, with whatever else a sweep changed; rows of different variants are never pooled.
-        mode: "deterministic", "stochastic" or "demonstration".
-        test_set: which anatomies it stands for; the phantom where the log names none.
-        entry: where the wire comes in.
-        start_jitter: m, by which starts differ.
-        start_rotation: rad, by which they are turned either way.
-        success_radius: m.
-        max_steps: after which the episode was truncated.
-        force_weight: of the force in the policy's reward, 1/N; None where the log says nothing of it.
-        started_ns: since the epoch.
-        contact_force: mean magnitude of a single contact's force, N; None without contacts in the log.
-        device: "wire", or the catheter over it.
-        feeder_forces: magnitude of what each feeder pushes with, wire and catheter: means over the steps, then largest,
-            N; None of the wire alone.
-        wall_forces: mean (N) and mean square (N^2) over the steps of the quantities of `load_cell`;
-            None where the log does not hold them.
-        metrics: from the arrays, with the thesis's reward.
-    """
-
-    log: str
-    stage: str
-    row: str
-    variant: str
-    mode: str
+    log: str  # path of the log, relative to the run
+    stage: str  # that recorded it, without its sweep job
+    row: str  # what steered: a set of modalities, an algorithm with its observation, ...
+    variant: str  # of the training, with whatever else a sweep changed; rows of different variants are never pooled
+    mode: str  # "deterministic", "stochastic" or "demonstration"
     training_seed: int
     seed: int
     phantom: str
     target: str
-    test_set: str
-    entry: str
-    start_jitter: float
-    start_rotation: float
-    success_radius: float
-    max_steps: int
-    force_weight: float | None
+    test_set: str  # which anatomies it stands for; the phantom where the log names none
+    entry: str  # where the wire comes in
+    start_jitter: float  # m, by which starts differ
+    start_rotation: float  # rad, by which they are turned either way
+    success_radius: float  # m
+    max_steps: int  # after which the episode was truncated
+    force_weight: float | None  # of the force in the policy's reward, 1/N; None where the log says nothing of it
     wire: str
-    started_ns: int
-    contact_force: float | None
-    device: str
+    started_ns: int  # since the epoch
+    contact_force: float | None  # mean magnitude of a single contact's force, N; None without contacts in the log
+    device: str  # "wire", or the catheter over it
+    # magnitude of what each feeder pushes with, wire and catheter: means over the steps, then largest, N; None of the
+    # wire alone
     feeder_forces: list[list[float]] | None
+    # mean (N) and mean square (N^2) over the steps of the quantities of `load_cell`; None where the log does not hold
+    # them
     wall_forces: dict[str, list[float]] | None
-    metrics: EpisodeMetrics
+    metrics: EpisodeMetrics  # from the arrays, with the thesis's reward
 
     @property
     def folder(self) -> str:
@@ -113,14 +104,7 @@ def evaluation_folders(run_path: Path) -> list[Path]:
 
 
 def changed_settings(folder: str) -> str:
-    """Names what a sweep job changed beyond choosing cells.
-
-    Args:
-        folder: name of the stage folder, e.g. `enn@seed=1,stage.decisions=500`.
-
-    Returns:
-        For example `stage.decisions=500`; empty outside a sweep.
-    """
+    """Names what a sweep job changed beyond choosing cells: `stage.decisions=5` of `enn@seed=1,stage.decisions=5`."""
     overrides = folder.partition("@")[2].split(",")
     return ", ".join(
         override
@@ -130,15 +114,7 @@ def changed_settings(folder: str) -> str:
 
 
 def read_evaluation(path: Path, run_path: Path) -> Evaluation:
-    """Reads one log and computes its metrics.
-
-    Args:
-        run_path: folder of the run, an ancestor.
-
-    Raises:
-        EpisodeReadError: the log is damaged.
-        UnusableLogError: it is no finished evaluation, or contradicts itself.
-    """
+    """Reads one log, below the folder of its run, and computes its metrics."""
     from cathsim.metrics import EpisodeMetrics
     from cathsim.navigation import SUCCESS_REWARD
     from pipeline.episodes import EpisodeReader
@@ -146,15 +122,11 @@ def read_evaluation(path: Path, run_path: Path) -> Evaluation:
     with EpisodeReader(path) as log:
         info, outcome = log.info, log.outcome
         arrays = log.load_arrays(pictures=False)
-        goal = None if "extra/distance_m" in arrays else log.phantom_mesh()
     if outcome.status != "finished" or outcome.missing_steps:
         raise UnusableLogError("its episode was broken off")
-    if "extra/distance_m" in arrays:
-        distances = arrays["extra/distance_m"]
-    elif goal is not None:
-        distances = np.linalg.norm(arrays["tip"] - goal.target, axis=1)
-    else:
-        raise UnusableLogError("it holds neither distances to the target nor the target")
+    if "extra/distance_m" not in arrays:
+        raise UnusableLogError("it holds no distances to the target")
+    distances = arrays["extra/distance_m"]
     success = bool(arrays["terminated"][-1])
     radius = float(info.configuration.get("success_radius", 0.0))
     if not (success or arrays["truncated"][-1]):
@@ -238,7 +210,7 @@ def _origin(info: EpisodeInfo, relative: Path) -> dict[str, Any]:
     mode = DEMONSTRATION if is_demonstration else str(known["mode"])
     if mode not in (*MODES, DEMONSTRATION):
         raise UnusableLogError(f"its mode is {mode!r}, expected {' or '.join(MODES)}")
-    weight = known.get("force_weight", known.get("force_penalty"))
+    weight = known.get("force_weight")
     return {
         "stage": str(known.get("stage", stage)),
         "row": str(known.get("row", "")).replace("/", "·"),  # a slash would group the table's rows
@@ -247,3 +219,109 @@ def _origin(info: EpisodeInfo, relative: Path) -> dict[str, Any]:
         "training_seed": int(known.get("training_seed", 0)),
         "force_weight": None if weight is None else float(weight),
     }
+
+
+CACHE = Path(".cache", "learning.json")  # below the run: a stage's own folder is emptied when it runs again
+METRICS_VERSION = "2"  # raised by hand where the same log gives other metrics
+PARALLEL_FROM = 200  # logs; fewer are read sooner than processes start
+
+_LOGGER = logging.getLogger(__name__)
+
+
+@dataclass
+class EvaluationSet:
+    """The evaluations of a run."""
+
+    # one for each log that counts, in the order of their paths
+    evaluations: list[Evaluation] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)  # log -> why it does not count
+
+
+def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: int | None = None) -> EvaluationSet:
+    """Reads every log below stage folders of one run; one that cannot be used is left out with a warning.
+
+    Returns:
+        The evaluations. Of logs of the same episode of the same policy the latest counts.
+    """
+    from pipeline.episodes import EpisodeReadError
+
+    found = EvaluationSet()
+    if not folders:
+        return found
+    run_path = folders[0].parent
+    kept = FileCache(cache, run_path, version=METRICS_VERSION)
+    paths = [path for folder in folders for path in sorted(folder.rglob("*.mcap"))]
+    known = {path: kept.recall(path) for path in paths}
+    new = [path for path in paths if known[path] is None]
+    for path, result in zip(new, _read_all(new, run_path, processes), strict=True):
+        if isinstance(result, Evaluation):
+            known[path] = kept.compute(path, partial(_values, result))
+            continue
+        found.left_out[path.relative_to(run_path).as_posix()] = str(result)
+        words = str(result) if isinstance(result, EpisodeReadError) else f"{path}: {result}"
+        _LOGGER.warning("left out: %s", words)
+    kept.save()
+    found.evaluations = _latest([_evaluation(values) for values in known.values() if values], found.left_out)
+    return found
+
+
+def _values(evaluation: Evaluation, path: Path) -> dict[str, Any]:
+    return asdict(evaluation)
+
+
+def _evaluation(values: dict[str, Any]) -> Evaluation:
+    from cathsim.metrics import EpisodeMetrics
+
+    return Evaluation(**{**values, "metrics": EpisodeMetrics(**values["metrics"])})
+
+
+def _read_one(path: Path, run_path: Path) -> Evaluation | ValueError:
+    from pipeline.episodes import EpisodeReadError
+
+    try:
+        return read_evaluation(path, run_path)
+    except (EpisodeReadError, UnusableLogError) as error:
+        return error
+    except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
+        # checksums are right, so another program wrote what no version of this one would
+        return UnusableLogError(f"what it says cannot be used ({type(error).__name__}: {error})")
+
+
+def _read_all(paths: list[Path], run_path: Path, processes: int | None) -> Iterator[Evaluation | ValueError]:
+    count = min(processes or len(os.sched_getaffinity(0)), 1 + len(paths) // PARALLEL_FROM)
+    done = 0
+    if count > 1:
+        pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_ignore_ctrl_c)
+        try:
+            for result in pool.map(partial(_read_one, run_path=run_path), paths, chunksize=16):
+                yield result
+                done += 1
+        except BrokenExecutor:
+            _LOGGER.warning("a process that read logs died: the rest is read without it")
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+    for path in paths[done:]:
+        yield _read_one(path, run_path)
+        stop_if_interrupted()
+
+
+def _ignore_ctrl_c() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent stops its processes itself
+
+
+def _latest(evaluations: list[Evaluation], left_out: dict[str, str]) -> list[Evaluation]:
+    """Leaves out earlier logs of the same episode, which would count it twice."""
+    latest: dict[tuple[object, ...], Evaluation] = {}
+    for one in evaluations:
+        if one.mode == DEMONSTRATION or one.stage in COMPARED:
+            key: tuple[object, ...] = (one.log,)
+        else:
+            key = (one.stage, one.row, one.variant, one.mode, one.training_seed, one.seed, one.task, one.test_set,
+                   one.force_weight, one.wire, one.max_steps)  # fmt: skip
+        other = latest.get(key)
+        if other is not None:
+            earlier, later = sorted((one, other), key=lambda found: (found.started_ns, found.log))
+            left_out[earlier.log] = f"the same episode was recorded again in {later.log}"
+            one = later
+        latest[key] = one
+    return sorted(latest.values(), key=lambda found: found.log)

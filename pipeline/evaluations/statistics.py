@@ -15,12 +15,6 @@ from pipeline.tables import Cell, mean_of
 def shortest_paths(evaluations: Sequence[Evaluation]) -> dict[Task, float]:
     """Finds the shortest path by which any successful episode reached each target: the optimum of SPL for all policies.
 
-    Args:
-        evaluations: all of a run, demonstrations, the sampling expert's and people's among them.
-
-    Returns:
-        Task to m. Episodes share a task when phantom, target, entry, wire, start and success radius agree.
-
     Source: thesis, section Evaluation Metrics, SPL.
     """
     shortest: dict[Task, float] = {}
@@ -31,12 +25,7 @@ def shortest_paths(evaluations: Sequence[Evaluation]) -> dict[Task, float]:
 
 
 def summary(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -> dict[str, Any]:
-    """Mean and standard deviation over episodes, by the columns of `cathsim.metrics.Summary`.
-
-    Args:
-        evaluations: at least one.
-        shortest: from `shortest_paths`; SPL takes the path of each episode's own task.
-    """
+    """Mean and spread over episodes (at least one), by the columns of `cathsim.metrics.Summary`; SPL by task."""
     from cathsim.metrics import summarise
 
     optimal = [shortest.get(one.task, math.nan) for one in evaluations]
@@ -44,16 +33,7 @@ def summary(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -
 
 
 def over_seeds(evaluations: Sequence[Evaluation], shortest: Mapping[Task, float]) -> dict[str, Cell]:
-    """Means over the training seeds' means, with their standard deviation.
-
-    Args:
-        evaluations: of one mode, at least one.
-        shortest: from `shortest_paths`.
-
-    Returns:
-        The columns of `summary` and `contact_force_n`; [mean, standard deviation with n - 1 in the denominator] where
-        there are several seeds, else the mean alone. None where there is nothing to average.
-    """
+    """Means over the training seeds' means, with standard deviation (n - 1) of several; None without values."""
     seeds: dict[int, list[Evaluation]] = {}
     for one in evaluations:
         seeds.setdefault(one.training_seed, []).append(one)

@@ -28,6 +28,7 @@ import numpy as np
 
 from pipeline.evaluations.forces import QUANTITIES, WIRE
 from pipeline.evaluations.logs import (
+    CACHE,
     COMPARED,
     DETERMINISTIC,
     LEARNING_STAGES,
@@ -35,9 +36,9 @@ from pipeline.evaluations.logs import (
     Evaluation,
     Task,
     evaluation_folders,
+    read_logs,
     stage_of,
 )
-from pipeline.evaluations.reading import CACHE, read_logs
 from pipeline.evaluations.statistics import counted, of_mode, over_seeds, shortest_paths, summary
 from pipeline.store.errors import StageError
 from pipeline.tables import SAMPLES, Table, format_cell, mean_of
@@ -65,18 +66,7 @@ _LOGGER = logging.getLogger(__name__)
 
 
 def tables_from_logs(folder: Path, *, cache: Path | None = None) -> dict[str, Table]:
-    """Computes the tables of a run, or of one stage.
-
-    Args:
-        folder: of a run, or of a learning stage in a run. SPL's shortest paths are taken over every episode of the run.
-        cache: file that keeps the metrics of logs; by default one in the run.
-
-    Returns:
-        table -> row -> column -> cell; no table without evaluations.
-
-    Raises:
-        StageError: a stage's folder holds no evaluation that can be used.
-    """
+    """Computes the tables of a run, or of one learning stage in it; SPL's shortest paths are those of the whole run."""
     is_stage = stage_of(folder.name) in LEARNING_STAGES and not evaluation_folders(folder)
     run_path = folder.parent if is_stage else folder
     read = read_logs(evaluation_folders(run_path), cache=cache or run_path / CACHE)
@@ -99,25 +89,14 @@ def tables_from_logs(folder: Path, *, cache: Path | None = None) -> dict[str, Ta
 
 
 def log_summary(folder: Path) -> None:
-    """Logs success and force of every row of a learning stage that has just run, from its episode logs.
-
-    Raises:
-        StageError: the folder holds no evaluation that can be used.
-    """
+    """Logs success and force of every row of a learning stage that has just run, from its episode logs."""
     for row, cells in tables_from_logs(folder)[OWN_TABLES[stage_of(folder.name)]].items():
         success, force = (format_cell(cells.get(column)) or "–" for column in ("success_pct", "force_n"))
         _LOGGER.info("%s: success %s %%, force %s N, %s episodes", row, success, force, cells[SAMPLES])
 
 
 def learning_tables(evaluations: Sequence[Evaluation], shortest: Shortest) -> dict[str, Table]:
-    """Computes every table that the evaluations have something for.
-
-    Args:
-        shortest: from `shortest_paths`.
-
-    Returns:
-        table -> row -> column -> cell.
-    """
+    """Computes every table (row -> column -> cell) that the evaluations have something for."""
     rows = named_rows(evaluations)
     deterministic = {key: of_mode(chosen, DETERMINISTIC) for key, chosen in rows.items()}
     tables = {
@@ -138,12 +117,6 @@ def named_rows(evaluations: Sequence[Evaluation]) -> Rows:
     A row trained in several variants gives several rows: the plain name goes to the thesis's variant, or where that has
     not run to desk's; others, and whatever else a sweep changed, carry their variant in brackets. One trained with
     several weights of the force gives a row for each weight, and each catheter one of its own, in brackets, too.
-
-    Args:
-        evaluations: of any stages; demonstrations belong to no row.
-
-    Returns:
-        The groups, ordered as the tables show them.
     """
     variants: dict[tuple[str, str], set[str]] = {}
     weights: dict[tuple[str, str], set[float]] = {}
@@ -284,16 +257,7 @@ def without_device(row: str, device: str) -> str:
 
 
 def device_table(rows: Rows, shortest: Shortest) -> Table:
-    """A line for each device with which an operator steered to a target; none where all steered the wire alone.
-
-    Args:
-        rows: deterministic evaluations by stage, phantom, target and row, whose name has the catheter.
-        shortest: from `shortest_paths`.
-
-    Returns:
-        Row ``phantom/target/stage/row/device``: means and standard deviations over the episodes; forces of the feeders
-        are magnitudes, the largest over all steps.
-    """
+    """Row ``phantom/target/stage/row/device`` to means and spreads; none where all steered the wire alone."""
     lines: dict[tuple[str, str, str, str], dict[str, Sequence[Evaluation]]] = {}
     for (stage, phantom, target, name), evaluations in rows.items():
         if evaluations:
@@ -320,11 +284,7 @@ def _device_row(evaluations: Sequence[Evaluation], shortest: Shortest) -> dict[s
 
 
 def load_cell_table(rows: Rows) -> Table:
-    """Mean and standard deviation over all steps of every operator, by phantom, target and device.
-
-    Args:
-        rows: evaluations by stage, phantom, target and row.
-    """
+    """Mean and standard deviation over all steps of every operator, by phantom, target and device."""
     table: Table = {}
     for (stage, phantom, target, name), evaluations in rows.items():
         for device in sorted({one.device for one in evaluations}):

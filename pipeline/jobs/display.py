@@ -20,10 +20,7 @@ class JobState:
     """How far one job is; its status is "waiting", "running", "done" or "failed"."""
 
     def __init__(self, key: str, weight: float = 1.0, *, done: bool = False) -> None:
-        """Args:
-        weight: how long it takes beside the others; 0: not known, as it may be left out.
-        done: by an earlier, interrupted run.
-        """
+        """Its weight: how long it takes beside others (0: not known); done: by an earlier, interrupted run."""
         self.key, self.weight, self.status = key, weight, "done" if done else "waiting"
         self.fraction, self.text = float(done), ""
         self._first: float | None = None  # fraction that an earlier run had done already
@@ -60,9 +57,7 @@ class JobDisplay:
     """Shows the jobs of a stage."""
 
     def __init__(self, label: str, states: Sequence[JobState], *, workers: int) -> None:
-        """Args:
-        workers: how many run beside each other.
-        """
+        """Shows states of jobs, of which so many workers run at the same time."""
         self.label, self.states, self.workers = label, {state.key: state for state in states}, workers
         self._bar: Any = None
         self._started = self._last_line = time.monotonic()

@@ -38,11 +38,7 @@ class Gpu:
 
 
 def find_gpus() -> list[Gpu]:
-    """The GPUs that torch sees, in its order, with the memory that nobody uses.
-
-    Raises:
-        StageError: torch fails when it looks for them.
-    """
+    """The GPUs that torch sees, in its order, with the memory that nobody uses."""
     looked = subprocess.run(
         [sys.executable, "-c", _LOOK], capture_output=True, text=True, timeout=_SECONDS_TO_LOOK, check=False
     )
@@ -58,11 +54,7 @@ def find_gpus() -> list[Gpu]:
 
 
 def check_device(device: str, find: Callable[[], Sequence[Gpu]] = find_gpus) -> None:
-    """Refuses a GPU that there is not.
-
-    Raises:
-        ConfigurationError: torch sees no GPU, or not so many.
-    """
+    """Refuses a GPU that there is not."""
     if device in (CPU, AUTO):
         return
     count = len(find())

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.jobs.gpus import CPU, Gpu, gpus_of
-from pipeline.jobs.job import Job
+from pipeline.jobs.worker import Job
 from pipeline.store.errors import StageError
 
 FOLDER = "ENDONAV_SHARED_MACHINE"  # variable of the environment that names the folder
@@ -31,23 +31,13 @@ class Machine:
     def __init__(
         self, cores: int, room_gb: float, gpus: Sequence[Gpu] = (), shared: Path | None = None
     ) -> None:  # fmt: skip
-        """Args:
-        cores: jobs at the same time.
-        room_gb: memory that jobs may take.
-        gpus: those that this stage may use.
-        shared: folder of the chain whose stages share the machine.
-        """
+        """So many jobs at the same time, memory and GPUs; `shared`: folder of the chain whose stages share them."""
         self.room_gb, self.gpus, self._shared = room_gb, list(gpus), shared
         self._state: dict[str, Any] = {"cores": cores, "jobs": [], "waiting": {}}
 
     @classmethod
     def here(cls, cores: int, available: Callable[[], int], device: str, find: Callable[[], Sequence[Gpu]]) -> Machine:
-        """That of the chain to which this process belongs; a stage that runs alone has all.
-
-        Args:
-            available: bytes of memory that jobs of a stage alone may take.
-            find: looks for GPUs, once a chain; asked only where `device` may be one.
-        """
+        """That of this process's chain, or of a stage alone, with `available` bytes; `find` looks for GPUs."""
         folder = os.environ.get(FOLDER)
         if not folder or not Path(folder, _STATE).is_file():
             return cls(cores, available() / _GB, gpus_of(device, find() if device != CPU else ()))
@@ -61,11 +51,7 @@ class Machine:
         return machine
 
     def check(self, job: Job) -> None:
-        """Refuses a job that would wait for ever.
-
-        Raises:
-            StageError: there are fewer GPUs, or there is less memory.
-        """
+        """Refuses a job that would wait for ever."""
         wide = sum(gpu.free_bytes >= job.gpu_gb * _GB for gpu in self.gpus)
         if self.gpus and wide < job.gpus:
             most = max(gpu.free_bytes for gpu in self.gpus) / _GB
@@ -81,11 +67,7 @@ class Machine:
             )
 
     def take(self, job: Job) -> tuple[Gpu, ...] | None:
-        """Gives a job a core, its memory, and the GPUs with the most room.
-
-        Returns:
-            The GPUs, () where it needs none; None while something is missing, or another stage comes first.
-        """
+        """Gives a job a core, memory, and the GPUs with most room (() if it needs none); None: one is missing."""
         with self._locked() as state:
             others, own = state["jobs"], str(os.getpid())
             left_gb = self.room_gb - sum(other["memory_gb"] for other in others)

@@ -15,21 +15,66 @@ How a job ends early:
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import sys
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextvars import ContextVar
 from typing import Any
 
 from pipeline.jobs.display import JobDisplay, JobState
-from pipeline.jobs.engines.choice import make_engine
+from pipeline.jobs.engines.cluster import JOBS, ClusterEngine
+from pipeline.jobs.engines.local import LocalEngine, available_workers
+from pipeline.jobs.engines.settings import EngineSettings, RaySettings, SlurmSettings
 from pipeline.jobs.gpus import CPU, Gpu, find_gpus
-from pipeline.jobs.job import Job
-from pipeline.jobs.worker import AGAIN, ENDED, STARTED, Message, Report
+from pipeline.jobs.machine import Machine
+from pipeline.jobs.worker import AGAIN, ENDED, STARTED, Job, Message, Report
 from pipeline.store.costs import keep_cost
 from pipeline.store.errors import StageError
 from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.run_folder import RunFolder
+
+Available = Callable[[], int]
+_CHOSEN: ContextVar[tuple[EngineSettings | None, Available]] = ContextVar("engine", default=(None, lambda: sys.maxsize))
+
+
+@contextlib.contextmanager
+def chosen_engine(settings: EngineSettings | None, available: Available = lambda: sys.maxsize) -> Iterator[None]:
+    """Has a stage's jobs run by an engine (None: this machine), with so many free bytes here, while the body runs."""
+    token = _CHOSEN.set((settings, available))
+    try:
+        yield
+    finally:
+        _CHOSEN.reset(token)
+
+
+def make_engine(
+    folder: RunFolder,
+    *,
+    workers: int,
+    preload: Sequence[str],
+    device: str,
+    find: Callable[[], Sequence[Gpu]],
+    available: Available | None,
+) -> LocalEngine | ClusterEngine:
+    """The chosen engine, the local one where none was chosen; arguments are those of `run_jobs`."""
+    settings, room = _CHOSEN.get()
+    if not isinstance(settings, RaySettings | SlurmSettings):
+        workers = workers or available_workers()
+        return LocalEngine(folder, Machine.here(workers, available or room, device, find), workers, preload)
+    place = folder.path.absolute() / JOBS
+    place.mkdir(parents=True, exist_ok=True)
+    if isinstance(settings, SlurmSettings):
+        from pipeline.jobs.engines.slurm import SlurmExecutor
+
+        workers = min(workers or settings.jobs, settings.jobs or workers)
+        return ClusterEngine(folder, SlurmExecutor(settings, place), settings, device=device, at_once=workers)
+    from pipeline.jobs.engines.ray_cluster import RayExecutor
+
+    return ClusterEngine(folder, RayExecutor(settings), settings, device=device, at_once=workers)
+
 
 __all__ = ["Job", "Report", "run_jobs"]
 

@@ -1,8 +1,10 @@
-"""The process of a job: it runs the job, reports its progress, and ends when it is to stop or its stage is gone."""
+"""A job, and its process: it runs the job, reports its progress, and ends when it is to stop or its stage is gone."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import gc
 import logging
 import os
 import signal
@@ -18,12 +20,32 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from pipeline.jobs.freed_memory import return_freed_memory
 from pipeline.jobs.gpus import CPU, CUDA, CUDA_CONTEXT_BYTES, VISIBLE
-from pipeline.settings.checks import sentence
+from pipeline.settings.kinds import sentence
 from pipeline.store.costs import Cost, CostMeter
 from pipeline.store.errors import PipelineError
 from pipeline.store.written_files import noted
+
+_MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of malloc.h
+_OF_A_SIMULATION = 12 * 2**20  # bytes; MuJoCo's arenas are larger
+
+
+def return_freed_memory() -> None:
+    """Frees what only refers to itself, and returns freed memory to the system: up to half of what a training takes."""
+    gc.collect()
+    with contextlib.suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def map_simulations() -> None:
+    """Lets MuJoCo's arenas lie in pages of their own from now on, which go back at once.
+
+    For jobs that make simulations by the thousand: every anatomy has some twenty, each with an arena of 16 MB of which
+    it uses a hundredth, and on the heap the used parts pile up. Networks on images would allocate more slowly.
+    """
+    with contextlib.suppress(OSError, AttributeError, TypeError):
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _OF_A_SIMULATION)
+
 
 _SECONDS_BETWEEN_MESSAGES = 0.5
 _SECONDS_BETWEEN_TRIMS = 60.0
@@ -53,10 +75,7 @@ class Report:
     """Where a job reports its progress, and learns where to compute and when to stop."""
 
     def __init__(self, send: Callable[[Message], None] | None = None, device: str = "cpu") -> None:
-        """Args:
-        send: takes the messages; None: nobody listens.
-        device: where the job's networks belong: "cpu", or "cuda", which is the job's own GPU.
-        """
+        """Messages go to `send`; networks belong on `device`, "cpu", or "cuda", which is the job's own GPU."""
         self._send, self.device = send, device
         self.stopping = False  # whether the job is to stop; no lock: a signal's handler sets it
         self._last, self._trimmed = 0.0, time.monotonic()
@@ -83,12 +102,7 @@ class Report:
                 return_freed_memory()
 
     def part(self, start: float, end: float, label: str = "") -> Callable[[float, str], None]:
-        """A report for a part of the job.
-
-        Args:
-            start: what of the job is done before the part, 0 to 1.
-            end: what is done after it.
-        """
+        """A report for a part of the job, from `start` (share of the job that is done before it) to `end`."""
 
         def report(fraction: float, text: str = "") -> None:
             self(start + (end - start) * min(max(fraction, 0.0), 1.0), f"{label} {text}".strip())
@@ -159,10 +173,9 @@ def work(
             result = run(given, report)
     except KeyboardInterrupt:
         pass  # whoever stopped it does not wait for an answer
-    except PipelineError as error:
-        send(Message("failed", str(error), cost=meter.read(str(error))))
-    except ValidationError as error:
-        send(Message("failed", sentence(error), cost=meter.read(sentence(error))))
+    except (PipelineError, ValidationError) as error:
+        reason = sentence(error) if isinstance(error, ValidationError) else str(error)
+        send(Message("failed", reason, cost=meter.read(reason)))
     except Exception as error:
         first = next((line for line in str(error).splitlines() if line.strip()), "")
         reason = f"{type(error).__name__}: {first}" if first else type(error).__name__
@@ -181,3 +194,25 @@ def _obey(connection: Connection, report: Report) -> None:
         if not getattr(connection, "closed", True):
             # The stage was killed. Its lock is free: another may already work in the folder, so not one more file.
             os._exit(_EXIT_LEFT_ALONE)
+
+
+OPTIMISER = "torch._dynamo"  # to preload for jobs that train: 1.4 s of imports of the first optimiser of a process
+
+
+@dataclass(frozen=True)
+class Job:
+    """A piece of work."""
+
+    key: str  # its name in messages and in the run folder; no two of a stage share one
+    # a module's function: what it is given, and where it reports its progress, to a JSON value
+    run: Callable[[Any, Report], Any]
+    given: Any = None  # to `run`; picklable
+    after: tuple[str, ...] = ()  # keys of jobs that must be done before
+    # what it would return, where what it is given and the jobs before it say so; None: it has to run
+    known: Callable[[Any], Any] | None = None
+    weight: float = 1.0  # how long it takes beside the others, for the estimate of the end
+    memory_gb: float = 0.0  # memory that it is expected to need; 0: too little to mind
+    # GPU memory that it is expected to need, on each of its GPUs; 0: it has no network and needs none
+    gpu_gb: float = 0.0
+    gpus: int = 1  # how many GPUs it computes on
+    cpus: int = 1  # cores that it keeps busy

@@ -45,12 +45,7 @@ def save_figure(figure: Figure, file: Path) -> None:
 
 
 def style(axes: Axes, *, grid: Any = "both", **legend: Any) -> None:
-    """Adds a faint grid, and a legend where something has a label.
-
-    Args:
-        grid: "both", "x" or "y".
-        legend: further arguments of `Axes.legend`, such as `loc`.
-    """
+    """Adds a faint grid ("both", "x", "y"), and a legend (arguments of `Axes.legend`) where something has a label."""
     axes.grid(alpha=0.3, axis=grid)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(**{"frameon": False, "fontsize": 8, **legend})
@@ -67,15 +62,7 @@ def chart(file: Path, width: float = 6.8, height: float = 4.2, *, grid: Any = "b
 
 
 def window(points: np.ndarray, shape: tuple[int, ...], margin_px: int) -> tuple[slice, slice]:
-    """Cuts a square about points out of an image.
-
-    Args:
-        points: (n, 2) px, column and row; n >= 1.
-        shape: of the image, rows and columns.
-
-    Returns:
-        Rows and columns, inside the image.
-    """
+    """Rows and columns of a square about points, (n, 2) px, column and row, n >= 1, inside an image of a shape."""
     low, high = points.min(0) - margin_px, points.max(0) + margin_px
     side = min(int((high - low).max()), *shape)
     corner = np.clip((low + high - side) / 2, 0, np.array(shape[::-1]) - side).astype(int)
@@ -83,11 +70,7 @@ def window(points: np.ndarray, shape: tuple[int, ...], margin_px: int) -> tuple[
 
 
 def draw_in_space(wires: Sequence[tuple[str, Mapping[str, np.ndarray]]], file: Path) -> None:
-    """Draws wires in space from two angles, a column each.
-
-    Args:
-        wires: title and, by name, curves of shape (n, 3) mm from the tip, which a dot marks.
-    """
+    """Draws wires in space from two angles, a column each: title and, by name, (n, 3) mm; a dot marks the tip."""
     figure = new_figure(4.0 * len(wires), 7.6)
     for column, (title, curves) in enumerate(wires):
         every = np.concatenate(list(curves.values()))

@@ -84,11 +84,7 @@ def draw_boxes(episodes: Sequence[EpisodeForces], real_mean_n: float, real_sd_n:
 
 
 def draw_heat(vertices: Array, episodes: Sequence[EpisodeForces], file: Path, *, title: str) -> None:
-    """Draws where the wire pressed on the wall, seen from the front; along a line of sight the hottest wall counts.
-
-    Args:
-        vertices: (v, 3) m, of the lumen's surface, as dense as the pixels.
-    """
+    """Draws where the wire pressed on the wall, (v, 3) m, from the front; along a line of sight the hottest counts."""
     from cathsim.metrics.forces import wall_heat
 
     points = np.concatenate([episode.points for episode in episodes])

@@ -19,18 +19,12 @@ _LINES = (("red", "-"), ("cyan", ":"))  # of the two ways to reconstruct
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """One camera's image with what was drawn and what came of it.
-
-    Attributes:
-        image: (h, w) uint8.
-        annotation: (n, 2) px.
-        curves: name to (m, 2) px, reprojected.
-    """
+    """One camera's image with what was drawn and what came of it."""
 
     title: str
-    image: NDArray[np.uint8]
-    annotation: Array
-    curves: Mapping[str, Array]
+    image: NDArray[np.uint8]  # (h, w) uint8
+    annotation: Array  # (n, 2) px
+    curves: Mapping[str, Array]  # name to (m, 2) px, reprojected
 
 
 def draw_along(lines: Mapping[str, Array], file: Path, *, x_label: str, y_label: str) -> None:

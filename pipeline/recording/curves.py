@@ -14,11 +14,7 @@ FOLDER = "tensorboard"
 
 
 class Curves:
-    """Takes a training's scalars; one that goes on adds to what is there.
-
-    Args:
-        folder: of the training.
-    """
+    """Takes a training's scalars into a file in its folder; one that goes on adds to what is there."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder / FOLDER

@@ -16,9 +16,8 @@ from torch.utils.data import Dataset
 
 from pipeline.episodes import EpisodeInfo, EpisodeOutcome, EpisodeReader, StepRecord
 from pipeline.episodes.encoding.schema import DEVICE_FIELDS, STEP_FIELDS
-from pipeline.episodes.export.episode import info_values, observation_values
 from pipeline.episodes.export.exporting import logs_below
-from pipeline.episodes.export.layout import ExportError, Layout, common_layout
+from pipeline.episodes.export.layout import ExportError, Layout, common_layout, info_values, observation_values
 
 STEP_FIELDS_OF_ITEMS = ("action", "reward", "terminated", "truncated")
 _RAGGED = ("wire_points", "contact_positions", "contact_forces", "catheter_points")
@@ -34,8 +33,7 @@ class IndexedEpisode:
 
     path: Path
     steps: int
-    goal: NDArray[np.float64] | None
-    """(3,), m, world"""
+    goal: NDArray[np.float64] | None  # (3,), m, world
 
 
 class EpisodeDataset(Dataset[dict[str, torch.Tensor]]):
@@ -63,10 +61,6 @@ class EpisodeDataset(Dataset[dict[str, torch.Tensor]]):
         image_transform: takes images and masks, (window, 1, height, width) uint8; None: float32 from 0 to 1.
         where: says from information and outcome whether an episode is taken, e.g.
             lambda info, outcome: outcome.success is True.
-
-    Raises:
-        ExportError: no log or none that is taken, logs that differ, or a field that they lack.
-        EpisodeReadError: a log is damaged.
     """
 
     def __init__(
@@ -122,11 +116,7 @@ class EpisodeDataset(Dataset[dict[str, torch.Tensor]]):
         return int(self._ends[-1])
 
     def __getitem__(self, index: int) -> dict[str, torch.Tensor]:
-        """Read a window; the last one is -1.
-
-        Raises:
-            IndexError: there is no such window.
-        """
+        """Read a window; the last one is -1."""
         count = len(self)
         if not -count <= index < count:
             raise IndexError(f"there is no window {index}: there are {count}")

@@ -11,15 +11,8 @@ import numpy as np
 
 from cathsim.console.recorder import OPERATION, OPERATOR, OperationTotals, episode_path, write_answers
 from pipeline.episodes import EpisodeOutcome, EpisodeWriter
-from pipeline.episodes.annotate import annotate
-from pipeline.recording.record import (
-    describe_episode,
-    log_step,
-    logged_pictures,
-    open_log,
-    phantom_mesh,
-    step_record,
-)
+from pipeline.episodes.recover import annotate
+from pipeline.recording.record import describe_episode, log_step, logged_pictures, open_log, phantom_mesh, step_record
 
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
@@ -44,7 +37,7 @@ class McapRecorder:
 
     Of the X-ray side a log has `xray_on`, `injections` and `force_warning` in every step (further scalars), the
     operator's force limit in its configuration, and `fluoroscopy_time_s`, `injections` and `force_warnings` among the
-    outcome's metrics, also where it was broken off. Logs from before have none of them.
+    outcome's metrics, also where it was broken off.
     """
 
     default_folder = recordings(Path("runs"), "desk")
@@ -57,11 +50,7 @@ class McapRecorder:
         self._totals, self._control_dt = OperationTotals(), 0.0
 
     def start(self, environment: NavigateEnv, info: Mapping[str, Any], *, seed: int) -> None:
-        """Keeps the state after reset; the log is opened with the first step, when the operator touches the controls.
-
-        Args:
-            environment: after its reset.
-        """
+        """Keeps the state after reset; the log is opened with the first step, when somebody touches the controls."""
         still = np.zeros(environment.action_space.shape or (), np.float32)
         record = step_record(environment, 0, still, 0.0, info, further=_operation(info))
         configuration = {
@@ -94,11 +83,7 @@ class McapRecorder:
         terminated: bool,
         truncated: bool,
     ) -> None:
-        """Writes a step.
-
-        Args:
-            action: shape (2,), with a catheter (4,).
-        """
+        """Writes a step with its action, (2,), with a catheter (4,)."""
         if self._begin is None:
             raise RuntimeError("no episode was started: call start() before step()")
         if self._log is None:
@@ -116,14 +101,7 @@ class McapRecorder:
             raise
 
     def finish(self, metrics: EpisodeMetrics | None) -> Path | None:
-        """Ends the log.
-
-        Args:
-            metrics: of the episode; None when it was broken off.
-
-        Returns:
-            The log, or None when there was no step.
-        """
+        """Ends the log, broken off where there are no metrics; None when there was no step."""
         log, self._log, self._begin = self._log, None, None
         if log is None:
             return None
@@ -134,11 +112,7 @@ class McapRecorder:
         return log.finish(EpisodeOutcome(success=metrics.success, steps=self._steps, metrics=found))
 
     def answer(self, episode: Path, answers: Mapping[str, Any]) -> Path:
-        """Keeps a questionnaire in the log, and in a JSON file beside it.
-
-        Args:
-            answers: as `cathsim.console.check_answers` gives them.
-        """
+        """Keeps a questionnaire, as `cathsim.console.check_answers` gives it, in the log, and in a JSON file."""
         beside = write_answers(episode, answers)
         annotate(episode, QUESTIONNAIRE, answers)
         return beside

@@ -10,15 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.episodes import (
-    Camera,
-    DeviceRecord,
-    EpisodeInfo,
-    EpisodeOutcome,
-    EpisodeWriter,
-    PhantomMesh,
-    StepRecord,
-)
+from pipeline.episodes import Camera, DeviceRecord, EpisodeInfo, EpisodeOutcome, EpisodeWriter, PhantomMesh, StepRecord
 from pipeline.store.provenance import software_versions
 
 if TYPE_CHECKING:
@@ -50,13 +42,7 @@ def step_record(
     truncated: bool = False,
     further: Mapping[str, float] | None = None,
 ) -> StepRecord:
-    """The record of a step that the environment has just made.
-
-    Args:
-        step: its index; 0 is the state after reset.
-        action: shape (actions,).
-        further: scalars of who steers.
-    """
+    """The record of a step (0: the state after reset) that the environment has just made, with further scalars."""
     from cathsim.metrics.load_cell import step_forces
 
     simulation = environment.simulation
@@ -144,12 +130,7 @@ def phantom_mesh(phantom: Phantom, target: str | Point, entry: str) -> PhantomMe
 def describe_episode(
     environment: NavigateEnv, *, seed: int, operator: str, configuration: Mapping[str, Any] | None = None
 ) -> EpisodeInfo:
-    """What is known of an episode before its first step.
-
-    Args:
-        operator: who steers, e.g. "sampling_expert".
-        configuration: kept beside that of task and wire.
-    """
+    """What is known of an episode before its first step: operator, task, devices, and a further configuration."""
     from cathsim.navigation import reward_name
     from cathsim.robot.pace import PACES
 
@@ -203,12 +184,7 @@ def _devices_of(simulation: Simulation) -> dict[str, Any]:
 def open_log(
     environment: NavigateEnv, path: Path, info: EpisodeInfo, *, overwrite: bool, pictures: bool = True
 ) -> EpisodeWriter:
-    """Starts the log of an episode with the environment's fluoroscope and phantom.
-
-    Args:
-        overwrite: replace a log that is there.
-        pictures: whether the log gets images and masks; without, it declares no camera.
-    """
+    """Starts an episode's log with the environment's fluoroscope, unless it has no pictures, and phantom."""
     path.parent.mkdir(parents=True, exist_ok=True)
     return EpisodeWriter(
         path,

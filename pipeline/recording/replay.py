@@ -17,7 +17,7 @@ from pydantic import ValidationError
 
 from pipeline.episodes import EpisodeReader, EpisodeReadError
 from pipeline.recording.record import ANATOMY
-from pipeline.settings.checks import sentence, shown
+from pipeline.settings.kinds import sentence, shown
 from pipeline.store.atomic_files import atomic_path
 from pipeline.store.errors import StageError
 
@@ -56,9 +56,6 @@ def replay(
 
     Returns:
         The episode, with a state at every moment that an episode can start from.
-
-    Raises:
-        ReplayError: the tip goes another way: the log is of another version, anatomy or set of settings.
     """
     from enn.trajectory import Trajectory
 
@@ -117,14 +114,7 @@ def replay(
 
 
 def film_of(log: Path, destination: Path) -> Path:
-    """Makes the film of a logged episode, which is repeated for it; it appears under its name only when it is whole.
-
-    Args:
-        destination: of the GIF; one that is there is replaced.
-
-    Raises:
-        ReplayError, EpisodeReadError: the episode cannot be repeated.
-    """
+    """Repeats a logged episode and films it into a GIF, which appears under its name only when it is whole."""
     from cathsim.viewing.film import Film
 
     film = Film()
@@ -151,9 +141,8 @@ def _environment(
         if _has_own_reward(info):
             recorded.pop("reward")
         task = NavigationTask(**{**recorded, **{name: value for name, value in changed.items() if value is not None}})
-    numerics = info.configuration.get("numerics")  # logs of the first version were all recorded with the default
     with checked_values(info, "time stepping"):
-        accuracy = Accuracy(**numerics) if numerics else "accurate"
+        accuracy = Accuracy(**info.configuration["numerics"])
     with checked_values(info, "pace"):
         pace = Pace(**info.configuration.get("pace", {}))
     with checked_values(info, "phantom, entry or camera"):
@@ -171,12 +160,7 @@ def _environment(
 
 
 def recorded_phantom(info: EpisodeInfo) -> Phantom:
-    """The anatomy that an episode was recorded in.
-
-    Raises:
-        EpisodeReadError: the file that it was imported from is gone or has changed.
-        ValueError: there is none of that name.
-    """
+    """The anatomy that an episode was recorded in; an EpisodeReadError where its file is gone or has changed."""
     from cathsim import load_phantom
     from cathsim.anatomy.library import phantom_described
 
@@ -198,11 +182,7 @@ def _has_own_reward(info: EpisodeInfo) -> bool:
 
 @contextlib.contextmanager
 def checked_values(info: EpisodeInfo, what: str) -> Iterator[None]:
-    """Refuses values of a log that cannot be used, e.g. because another version wrote them.
-
-    Raises:
-        EpisodeReadError: in place of what the body raises over values of the wrong kind.
-    """
+    """Refuses values of a log that cannot be used, e.g. because another version wrote them."""
     try:
         yield
     except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.episodes import EpisodeReader
-from pipeline.episodes.errors import EpisodeReadError
+from pipeline.episodes.records import EpisodeReadError
 from pipeline.recording.record import record_episode
 
 if TYPE_CHECKING:
@@ -124,14 +124,7 @@ def recorded(path: Path, seed: int) -> EpisodeMetrics | None:
 
 
 def summary(metrics: Sequence[EpisodeMetrics]) -> dict[str, Any]:
-    """What of a set of trials goes into a stage's own summary.
-
-    Args:
-        metrics: of at least one episode.
-
-    Returns:
-        Success in %, median depth in mm, mean length in steps, mean and largest force in N, number of episodes.
-    """
+    """Success in %, median depth in mm, mean length in steps, mean and largest force in N, number of trials, not 0."""
     from cathsim.metrics import median_depth_mm
 
     return {

@@ -72,9 +72,6 @@ def gather_figures(
         report: the report's folder; large files are copied below it, so that it can be moved as a whole.
         embed_limit: size in bytes up to which a file goes inside the page.
         room: bytes of the page that its figures may take together; what does not fit lies beside it.
-
-    Returns:
-        The figures, in the stage's order; files of unknown type are left out.
     """
     shown = []
     for figure in read_figures(folder):

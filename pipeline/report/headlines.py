@@ -33,27 +33,17 @@ class HeadlineSpec:
 
 @dataclass(frozen=True)
 class Headline:
-    """A line of the first table.
+    """A line of the first table."""
 
-    Attributes:
-        label: what was measured, in words.
-        chapter: of the thesis.
-        table: key of the table that has the cell.
-        thesis, here: both values in words, with their unit; `here` is empty where nothing was measured.
-        interval: 95 % interval of the measured value in words; empty where its samples are unknown or fewer than two.
-        samples: behind the measured value.
-        seeds: how many of them the run had, where the value, its interval and the verdict are over seeds; otherwise 0.
-        verdict: "better", "equal" or "worse", "open" for a mean of a single sample; empty where nothing was measured.
-    """
-
-    label: str
-    chapter: str
-    table: str
-    thesis: str
+    label: str  # what was measured, in words
+    chapter: str  # of the thesis
+    table: str  # key of the table that has the cell
+    thesis: str  # thesis and here: both values in words, with their unit; `here` is empty where nothing was measured
     here: str
-    interval: str
-    samples: int | None
-    verdict: str
+    interval: str  # 95 % interval of the measured value in words; empty where its samples are unknown or fewer than two
+    samples: int | None  # behind the measured value
+    verdict: str  # "better", "equal" or "worse", "open" for a mean of a single sample; empty where nothing was measured
+    # how many of them the run had, where the value, its interval and the verdict are over seeds; otherwise 0
     seeds: int = 0
 
 
@@ -64,14 +54,7 @@ def headline_specs() -> tuple[HeadlineSpec, ...]:
 
 
 def headlines(tables: Sequence[ReportTable]) -> list[Headline]:
-    """Compares every headline.
-
-    Args:
-        tables: all of the report.
-
-    Raises:
-        KeyError: ``headlines.yaml`` names a table, row or column that is not there.
-    """
+    """Compares every headline, whose tables, rows and columns must be there."""
     by_key = {table.key: table for table in tables}
     return [_headline(spec, by_key[spec.table]) for spec in headline_specs()]
 

@@ -69,17 +69,11 @@ def _squared_error(cell: list[float], samples: int) -> float:
 
 @dataclass(frozen=True)
 class OverSeeds:
-    """A figure over several seeds, each of which counts alike.
+    """A figure over several seeds, each of which counts alike."""
 
-    Attributes:
-        cell: mean and standard deviation (n in the denominator) of the seeds' means.
-        seeds: how many have the figure.
-        is_share: of something, so that it lies between 0 and 100 %.
-    """
-
-    cell: list[float]
-    seeds: int
-    is_share: bool = False
+    cell: list[float]  # mean and standard deviation (n in the denominator) of the seeds' means
+    seeds: int  # how many have the figure
+    is_share: bool = False  # of something, so that it lies between 0 and 100 %
 
     @property
     def interval(self) -> Interval:
@@ -91,14 +85,7 @@ class OverSeeds:
 
 
 def over_seeds(by_seed: Mapping[int, Mapping[str, Table]]) -> dict[CellName, OverSeeds]:
-    """Joins what each seed measured.
-
-    Args:
-        by_seed: seed -> table -> row -> column -> cell, of stages that ran with several seeds.
-
-    Returns:
-        Figures that at least two seeds have and that differ between them; settings and texts are not among them.
-    """
+    """Joins the cells that at least two seeds have, and that differ between them; settings and texts are none."""
     collected: dict[CellName, list[float]] = {}
     for tables in by_seed.values():
         for table, rows in tables.items():

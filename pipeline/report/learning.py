@@ -6,12 +6,21 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pipeline.evaluations.logs import COUNTED, LEARNING_STAGES, Evaluation, Task, evaluation_folders, stage_of
-from pipeline.evaluations.reading import CACHE, EvaluationSet, read_logs
+from pipeline.evaluations.logs import (
+    CACHE,
+    COUNTED,
+    LEARNING_STAGES,
+    Evaluation,
+    EvaluationSet,
+    Task,
+    evaluation_folders,
+    read_logs,
+    stage_of,
+)
 from pipeline.evaluations.statistics import shortest_paths
 from pipeline.evaluations.tables import OWN_TABLES, learning_tables
-from pipeline.report.curves import read_curves
 from pipeline.report.learning_figures import Material, draw_learning
+from pipeline.report.learning_plots import read_curves
 from pipeline.report.tables import join_sweep
 from pipeline.store.atomic_files import read_json
 from pipeline.tables import Table, read_results, write_figures
@@ -23,31 +32,19 @@ _SHOWN = 5  # logs left out that the page names
 
 @dataclass(frozen=True)
 class LearningSection:
-    """What the report takes from here.
+    """What the report takes from here."""
 
-    Attributes:
-        results: the tables from the logs, then those that each stage folder wrote.
-        by_seed: seed -> the same tables, joined, of stages that ran with several seeds alone.
-        remarks: table -> what is to be said of it.
-        folder: where the figures lie with their list; None where there are none.
-    """
-
-    results: list[dict[str, Table]]
+    results: list[dict[str, Table]]  # the tables from the logs, then those that each stage folder wrote
+    # seed -> the same tables, joined, of stages that ran with several seeds alone
     by_seed: dict[int, dict[str, Table]] = field(default_factory=dict)
-    remarks: dict[str, str] = field(default_factory=dict)
-    folder: Path | None = None
+    remarks: dict[str, str] = field(default_factory=dict)  # table -> what is to be said of it
+    folder: Path | None = None  # where the figures lie with their list; None where there are none
 
 
 def learning_section(
     run_path: Path, finished: Collection[str], figures: Path, seeds: Mapping[str, int] | None = None
 ) -> LearningSection:
-    """Computes the tables of episodes from the logs, and draws.
-
-    Args:
-        run_path: the folder of the run.
-        finished: names of its finished stage folders.
-        seeds: of these, the run's seed of each; without, there are no figures over seeds.
-    """
+    """Computes the tables of finished stages' episodes from their logs, over seeds where given, and draws."""
     counting = {*finished, *([_HUMAN] if _USER_STUDY in finished else [])}
     folders = [folder for folder in evaluation_folders(run_path) if folder.name in counting]
     found = read_logs(folders, cache=run_path / CACHE)
@@ -75,9 +72,7 @@ def _results(
 ) -> list[dict[str, Table]]:
     """The tables from logs, then those that each folder wrote."""
     tables = learning_tables(evaluations, shortest)
-    written = [read_results(run_path / name) for name in folders]
-    # runs of an earlier version wrote the tables of episodes, too
-    return [tables, *({name: rows for name, rows in part.items() if name not in tables} for part in written)]
+    return [tables, *(read_results(run_path / name) for name in folders)]
 
 
 def _repeated(seeds: Mapping[str, int]) -> dict[int, list[str]]:

@@ -19,7 +19,7 @@ from pipeline.evaluations.tables import EXPERT_ROW, named_rows, row_place
 from pipeline.plots import forces
 from pipeline.plots.canvas import MM
 from pipeline.report import learning_plots as plots
-from pipeline.report.curves import Curve
+from pipeline.report.learning_plots import Curve
 from pipeline.report.tables import group_labels, row_labels
 from pipeline.tables import Cell, Figure, Table
 
@@ -38,17 +38,12 @@ _LABELS = {"baselines": "cathsim_results", "enn": "ablation", "imitation": "imit
 
 @dataclass(frozen=True)
 class Material:
-    """What the figures are drawn from.
+    """What the figures are drawn from."""
 
-    Attributes:
-        run_path: folder of the run, which the logs' names are relative to.
-        tables: computed from the logs, and those the stages wrote.
-    """
-
-    run_path: Path
+    run_path: Path  # folder of the run, which the logs' names are relative to
     evaluations: Sequence[Evaluation]
     curves: Sequence[Curve]
-    tables: Mapping[str, Table]
+    tables: Mapping[str, Table]  # computed from the logs, and those the stages wrote
 
 
 def draw_learning(material: Material, folder: Path) -> list[Figure]:
@@ -241,11 +236,7 @@ def _pair(cell: Cell) -> tuple[float, float] | None:
 
 
 def _phantom(name: str, log: Path) -> Any:
-    """A named phantom, or a file's, imported again; None for a random arch, and where the file is gone or has changed.
-
-    Args:
-        log: of an episode in it.
-    """
+    """A named phantom, or a log's file imported again; None for a random arch, or if the file is gone or changed."""
     from cathsim import PHANTOMS, load_phantom
     from pipeline.episodes import EpisodeReader, EpisodeReadError
     from pipeline.recording.record import ANATOMY

@@ -1,7 +1,9 @@
-"""Plots of learning: training curves, episode length against people's, forces by row, paths, fronts, generalisation."""
+"""Plots of learning: training curves over seeds, episode length, forces by row, paths, fronts, generalisation."""
 
 from __future__ import annotations
 
+import csv
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,19 +12,109 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.evaluations.logs import changed_settings, stage_of
 from pipeline.plots.canvas import MM, chart, new_figure, save_figure, style
 from pipeline.plots.episodes import draw_vessel
-from pipeline.report.curves import Curve, join_seeds
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from cathsim import Phantom
 
+
+FILE = "training.csv"
+_POINTS = 200  # of a joint curve
+
+Array = NDArray[np.float64]
+
+_LOGGER = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """How one training went."""
+
+    stage: str  # whose training it was
+    phantom: str
+    target: str
+    row: str  # what was trained, with whatever else a sweep changed in brackets
+    seed: str  # of the training, as its folder names it
+    columns: dict[str, Array]  # name to (n,) values, NaN where a row of the file has none
+
+    def pairs(self, x: str, y: str) -> tuple[Array, Array]:
+        """The (m,) values of two columns where both have one, x rising; empty where a column is missing."""
+        nothing = np.zeros(0)
+        at, values = (self.columns.get(name, nothing) for name in (x, y))
+        if not len(at) or not len(values):
+            return nothing, nothing
+        there = np.isfinite(at) & np.isfinite(values)
+        order = np.argsort(at[there], kind="stable")
+        return at[there][order], values[there][order]
+
+
+@dataclass(frozen=True)
+class Band:
+    """Mean and spread of a curve over seeds."""
+
+    x: Array  # (m,) common positions
+    mean: Array  # (m,)
+    spread: Array  # (m,) standard deviation over the seeds, n - 1 in the denominator; nought with one seed
+    seeds: int
+
+
+def read_curves(folders: Sequence[Path]) -> list[Curve]:
+    """Reads the training curves of stage folders, `<phantom>/<target>/<row>/seed<k>/training.csv`."""
+    curves = []
+    for folder in folders:
+        changed = changed_settings(folder.name)
+        for path in sorted(folder.glob(f"*/*/*/seed*/{FILE}")):
+            phantom, target, row, seed = path.relative_to(folder).parts[:4]
+            columns = read_columns(path)
+            if columns:
+                name = f"{row} ({changed})" if changed else row
+                curves.append(Curve(stage_of(folder.name), phantom, target, name, seed, columns))
+            else:
+                _LOGGER.warning("left out: %s holds no row of numbers", path)
+    return curves
+
+
+def read_columns(path: Path) -> dict[str, Array]:
+    """Reads a CSV file with a head line: column to (n,) values, NaN where a cell is empty; cut lines are skipped."""
+    rows = []
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            reader = csv.reader(stream)
+            head = next(reader, [])
+            for cells in reader:
+                if len(cells) != len(head):
+                    continue
+                try:
+                    rows.append([float(cell) if cell.strip() else np.nan for cell in cells])
+                except ValueError:
+                    continue
+    except (OSError, UnicodeDecodeError, csv.Error):
+        return {}
+    values = np.array(rows, dtype=np.float64).reshape(len(rows), len(head))
+    return {name: values[:, index] for index, name in enumerate(head)} if rows else {}
+
+
+def join_seeds(curves: Sequence[Curve], x: str, y: str) -> Band | None:
+    """Mean and spread of y over x, as far as every seed went; None where they share no stretch of two points."""
+    points = [pair for pair in (curve.pairs(x, y) for curve in curves) if len(pair[0]) > 1]
+    if not points:
+        return None
+    first, last = max(at[0] for at, _ in points), min(at[-1] for at, _ in points)
+    if last <= first:
+        return None
+    common = np.linspace(first, last, _POINTS)
+    values = np.stack([np.interp(common, at, of_seed) for at, of_seed in points])
+    spread = values.std(axis=0, ddof=1) if len(points) > 1 else np.zeros(len(common))
+    return Band(common, values.mean(axis=0), spread, len(points))
+
+
 _HUMAN = "tab:orange"
 _PATHS = {"ENN": "tab:blue", "Sampling expert": "tab:green", "Human": _HUMAN}
 
-Array = NDArray[np.float64]
 Grouped = Mapping[str, Mapping[str, Sequence[Curve]]]  # task -> row -> a curve a seed
 
 
@@ -47,23 +139,14 @@ TRAINING_PANELS = (
 
 @dataclass(frozen=True)
 class Point:
-    """A policy in the front of success against force; pairs are mean and standard deviation over seeds.
+    """A policy in the front of success against force; pairs are mean and standard deviation over seeds."""
 
-    Attributes:
-        task: its phantom and target, in words.
-        label: its weight of the force, or its row.
-        weight: that weight, to order the points of a task; None comes first.
-        force_n: mean force, N.
-        success_pct: %.
-        force_max_n: largest force of an episode, N.
-    """
-
-    task: str
-    label: str
-    weight: float | None
-    force_n: tuple[float, float]
-    success_pct: tuple[float, float]
-    force_max_n: tuple[float, float]
+    task: str  # its phantom and target, in words
+    label: str  # its weight of the force, or its row
+    weight: float | None  # that weight, to order the points of a task; None comes first
+    force_n: tuple[float, float]  # mean force, N
+    success_pct: tuple[float, float]  # %
+    force_max_n: tuple[float, float]  # largest force of an episode, N
     steps: tuple[float, float]
 
 
@@ -115,12 +198,7 @@ def _draw_curves(axes: Axes, curves: Sequence[Curve], panel: Panel, *, color: st
 
 
 def draw_lengths(tasks: Grouped, human: Mapping[str, Array], labels: Mapping[str, str], file: Path) -> None:
-    """Draws the evaluated episode length by checkpoint, and people's where there are any.
-
-    Args:
-        tasks: at least one.
-        human: task to the (n,) lengths of people's episodes, steps.
-    """
+    """Draws the evaluated episode length by checkpoint of each task, and the (n,) steps of people's episodes."""
     panel = Panel("decisions", "evaluation_length", "decisions", "episode length (steps)")
     figure = new_figure(max(5.0, 3.9 * len(tasks)), 3.6)
     panels = figure.subplots(1, len(tasks), squeeze=False, sharey=True)[0]
@@ -142,11 +220,7 @@ def draw_lengths(tasks: Grouped, human: Mapping[str, Array], labels: Mapping[str
 
 
 def draw_largest_forces(phantoms: Mapping[str, Mapping[tuple[str, str], Array]], file: Path) -> None:
-    """Draws box plots of the largest force of each episode, a panel a phantom, as the thesis does.
-
-    Args:
-        phantoms: phantom in words -> (row in words, target) -> (n,) N.
-    """
+    """Draws box plots of largest forces, (n,) N an episode by row and target, a panel a phantom, as the thesis does."""
     figure = new_figure(max(6.0, 6.2 * len(phantoms)), 4.4)
     panels = figure.subplots(1, len(phantoms), squeeze=False, sharey=True)[0]
     for axes, (phantom, boxes) in zip(panels, phantoms.items(), strict=True):
@@ -174,12 +248,7 @@ def draw_largest_forces(phantoms: Mapping[str, Mapping[tuple[str, str], Array]],
 def draw_paths(
     phantom: Phantom, target: str, paths: Mapping[str, Sequence[tuple[Array, bool]]], file: Path, *, radius_mm: float
 ) -> None:
-    """Draws the paths of the tip in the vessel, a panel for each who steered.
-
-    Args:
-        paths: who -> (T + 1, 3) m and whether it succeeded, for each path.
-        radius_mm: of the sphere of success.
-    """
+    """Draws the tip's paths, (T + 1, 3) m and whether it succeeded, in the vessel, a panel for each who steered."""
     shown = {who: of_one for who, of_one in paths.items() if of_one}
     figure = new_figure(3.6 * len(shown), 4.6)
     panels = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]

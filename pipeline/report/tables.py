@@ -1,8 +1,10 @@
-"""Tables of the report: the thesis's cells, as `thesis.yaml` holds them, beside the measured ones."""
+"""Tables of the report: the thesis's cells, as `thesis.yaml` holds them, beside the measured ones; CSV and LaTeX."""
 
 from __future__ import annotations
 
+import csv
 import functools
+import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,7 +13,7 @@ from typing import Any
 import yaml
 
 from pipeline.report.intervals import CellName, OverSeeds
-from pipeline.tables import SAMPLES, Cell, Table, pool
+from pipeline.tables import SAMPLES, Cell, Table, format_cell, pool
 from pipeline.words import column_words, group_words, plain, row_words
 
 _THESIS = Path(__file__).with_name("thesis.yaml")
@@ -138,10 +140,7 @@ def row_labels(table: str) -> dict[str, str]:
 
 
 def join_sweep(parts: Iterable[dict[str, Table]]) -> dict[str, Table]:
-    """Joins what several folders measured: different cells side by side, equal cells pooled.
-
-    Rows whose sample count is known get it as ``n``.
-    """
+    """Joins what folders measured: different cells side by side, equal ones pooled; sample counts become ``n``."""
     collected: dict[tuple[str, str, str], list[tuple[Cell, int | None]]] = {}
     for results in parts:
         for table, rows in results.items():
@@ -164,15 +163,7 @@ def join_sweep(parts: Iterable[dict[str, Table]]) -> dict[str, Table]:
 def report_tables(
     measured: dict[str, Table], over_seeds: Mapping[CellName, OverSeeds] | None = None
 ) -> list[ReportTable]:
-    """Puts the measured cells beside the thesis's.
-
-    Args:
-        measured: table -> row -> column -> cell, over all stages.
-        over_seeds: figures of stages that ran with several seeds.
-
-    Returns:
-        Every table of the thesis, in its order, then tables the thesis does not have and something was measured for.
-    """
+    """The thesis's tables with measured cells, and those over seeds, beside its own; then all other tables."""
     specs, groups = _thesis()
     seeded: dict[str, dict[tuple[str, str], OverSeeds]] = {}
     for (table, row, column), found in (over_seeds or {}).items():
@@ -218,10 +209,7 @@ def _further(key: str) -> dict[str, Any]:
 
 
 def metrics(tables: list[ReportTable]) -> dict[str, dict[str, dict[str, Any]]]:
-    """Lists every measured cell for programs: table -> row -> column -> cell, None where it has not run.
-
-    Figures over run seeds stand in the row's entry `over_seeds`: column -> mean, 95 % interval, number of seeds.
-    """
+    """Lists every measured cell for programs, None where it has not run; a row's `over_seeds` has those figures."""
     return {table.key: {row.key: _values(row) for row in table.rows} for table in tables}
 
 
@@ -235,3 +223,66 @@ def _values(row: Row) -> dict[str, Any]:
             for column, one in row.over_seeds.items()
         }
     return values
+
+
+_LATEX = {"\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
+          "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "±": r"$\pm$", "≥": r"$\geq$", "×": r"$\times$",
+          "²": r"$^2$", "τ": r"$\tau$", "γ": r"$\gamma$", "–": "--"}  # fmt: skip
+
+
+def format_over_seeds(found: OverSeeds, decimals: int | None = None) -> str:
+    """Words a figure over run seeds: ``3 seeds: 91.1 (88.0 to 94.2)``, with the 95 % interval of the mean."""
+    mean, low, high = (format_cell(float(value), decimals) for value in (found.cell[0], *found.interval))
+    return f"{found.seeds} seeds: {mean} ({low} to {high})"
+
+
+def _cells(table: ReportTable, row: Row) -> list[str]:
+    """Thesis's and measured cell of each column, in words."""
+    return [format_cell(side.get(c.key), c.decimals) for c in table.columns for side in (row.thesis, row.measured)]
+
+
+def as_csv(table: ReportTable) -> str:
+    """Writes a table as CSV: two columns each, thesis and measured; cells that have not run are empty.
+
+    Where stages ran with several seeds, three columns more of each such figure: mean over seeds and its 95 % interval.
+    """
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    head = [f"{c.key}{suffix}" for c in table.columns for suffix in ("_thesis", "_measured")]
+    seeded = [c for c in table.columns if any(c.key in row.over_seeds for row in table.rows)]
+    further = [f"{c.key}{suffix}" for c in seeded for suffix in ("_seeds_mean", "_seeds_low", "_seeds_high")]
+    writer.writerow(["row", *head, "samples", *further])
+    for row in table.rows:
+        over_seeds = [format_cell(value, c.decimals) for c in seeded for value in _over_seeds(row, c.key)]
+        samples = row.samples if row.samples is not None else ""
+        writer.writerow([row.key, *_cells(table, row), samples, *over_seeds])
+    return stream.getvalue()
+
+
+def _over_seeds(row: Row, column: str) -> tuple[Cell, Cell, Cell]:
+    found = row.over_seeds.get(column)
+    return (None, None, None) if found is None else (found.cell[0], *found.interval)
+
+
+def as_latex(table: ReportTable) -> str:
+    """Writes a ``table`` environment: thesis and measured value beside each other; dashes for what has not run."""
+    width = len(table.columns)
+    heads = [_escape(f"{c.label}{f', {c.unit}' if c.unit else ''}") for c in table.columns]
+    lines = [
+        r"\begin{table}[ht]", r"\centering", rf"\caption{{{_escape(table.title)}}}\label{{tab:{table.key}}}",
+        r"\begin{tabular}{l" + " rr" * width + "}", r"\toprule",
+        " & ".join(["", *(rf"\multicolumn{{2}}{{c}}{{{head}}}" for head in heads)]) + r" \\",
+        " & ".join(["", *["thesis & measured"] * width]) + r" \\", r"\midrule",
+    ]  # fmt: skip
+    group = ""
+    for row in table.rows:
+        if row.group != group:
+            group = row.group
+            lines.append(rf"\multicolumn{{{1 + 2 * width}}}{{l}}{{\textit{{{_escape(group)}}}}} \\")
+        cells = [_escape(cell) or "--" for cell in _cells(table, row)]
+        lines.append(" & ".join([_escape(row.label), *cells]) + r" \\")
+    return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", r"\end{table}", ""])
+
+
+def _escape(text: str) -> str:
+    return "".join(_LATEX.get(character, character) for character in text)

@@ -83,23 +83,13 @@ def available_stages() -> tuple[str, ...]:
 
 
 def load_stage(name: str) -> Stage:
-    """Imports one stage.
-
-    Raises:
-        ConfigurationError: for an unknown name; the message lists the valid ones.
-        StageError: when the stage needs a package that is not installed.
-    """
+    """Imports one stage."""
     stage: Stage = _imported(name, 0)
     return stage
 
 
 def settings_of(name: str) -> type:
-    """The dataclass of a stage's settings; where a module beside the stage declares it, the stage is not imported.
-
-    Raises:
-        ConfigurationError: for an unknown name; the message lists the valid ones.
-        StageError: when the stage needs a package that is not installed.
-    """
+    """The dataclass of a stage's settings; where a module beside the stage declares it, the stage is not imported."""
     settings: type = _imported(name, 1)
     return settings
 

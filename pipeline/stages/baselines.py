@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.settings import settle
 from pipeline.evaluations.tables import log_summary
 from pipeline.jobs.pool import Job
-from pipeline.recording.trials import Origin
+from pipeline.jobs.worker import Report
+from pipeline.recording.curves import Curves
+from pipeline.recording.trials import MODES, Origin
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.gpu_memory import policy_gb
-from pipeline.stages.learning.aids import training_note
-from pipeline.stages.learning.expert_episodes import require_demonstrations
-from pipeline.stages.learning.hyperparameters import with_hyperparameters
-from pipeline.stages.learning.path_following import ROW, PathJob, follow
+from pipeline.stages.job_memory import policy_gb
+from pipeline.stages.learning.aids import note, of_training
+from pipeline.stages.learning.expert_episodes import read_episode, readable, require_demonstrations
 from pipeline.stages.learning.plan import (
     THESIS,
     check_learning,
@@ -24,13 +26,70 @@ from pipeline.stages.learning.plan import (
     task_of,
     training_seeds,
 )
-from pipeline.stages.learning.settings import BaselinesSettings
-from pipeline.stages.learning.training import PolicyTrainingJob
+from pipeline.stages.learning.settings import BaselinesSettings, with_hyperparameters
+from pipeline.stages.learning.task import LearningTask
+from pipeline.stages.learning.training import PolicyTrainingJob, evaluate
+from pipeline.store.errors import StageError
 from pipeline.tables import Results
 from pipeline.task import FEEDER, observed
 
 if TYPE_CHECKING:
     from enn.reinforcement import TrainingSettings
+
+
+FOLLOWER = "follower.pt"
+ROW = "path_follower"
+_FIT_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class PathJob:
+    """A path follower to fit and to evaluate."""
+
+    folder: Path
+    origin: Origin  # row, seed of the fit and variant; kept in the logs
+    task: LearningTask
+    demonstrations: tuple[Path, ...]  # logs of the sampling expert's episodes of the task
+    evaluation_episodes: int  # all deterministic: the network gives one action
+
+
+def follow(job: PathJob, report: Report) -> dict[str, Any]:
+    """Fits a path follower to the expert's episodes; gives the ``deterministic`` summary on held-out seeds."""
+    from cathsim.planning.path import plan_path
+    from enn.imitation.path_following import PathFollower, fit_path_follower
+
+    file, read = job.folder / FOLLOWER, partial(read_episode, pictures=False)
+    episodes = [] if file.is_file() else list(readable(job.demonstrations, read))
+    if not (episodes or file.is_file()):
+        raise StageError(
+            f"the path follower of {job.task.name} has no expert episodes: run stage expert with this task, or set "
+            "stage.path_follower=false"
+        )
+    phantom = job.task.load_phantom()
+    entry = phantom.entry(job.task.task.entry)
+    path = plan_path(phantom.grid, entry.position, phantom.target(job.task.target).position)
+    if episodes:
+        report(0.0, "fit")
+        paths = [path.points] * len(episodes)
+        with Curves(job.folder) as curves:
+            follower, _ = fit_path_follower(
+                episodes, paths, seed=job.origin.training_seed, device=report.device,
+                progress=lambda now: curves.add(now.epoch, loss=now.loss, validation=now.validation),
+            )  # fmt: skip
+        follower.save(file)
+    follower = PathFollower.load(file, report.device)
+    environment = job.task.environment("tip")
+    outcome = evaluate(
+        environment,
+        lambda mode: lambda seed: follower.controller(path.points),
+        job.folder,
+        job.origin,
+        {MODES[0]: job.evaluation_episodes},
+        report.part(_FIT_SHARE, 1.0),
+    )
+    environment.close()
+    return outcome
+
 
 SECONDS_AN_EPISODE = 0.3  # of the path follower's; only for the estimate of the end
 
@@ -42,7 +101,7 @@ def run_baselines(settings: BaselinesSettings, context: StageContext) -> Results
     run_trainings(trainings, settings, context, beside=followers)
     log_summary(context.path)
     tables = {"task": {"episode_limit_rl": {"value": settings.task.max_steps}}}
-    return Results(tables, notes={"cathsim_results": training_note(trainings)})
+    return Results(tables, notes={"cathsim_results": note(trainings, of_training)})
 
 
 def plan(settings: BaselinesSettings, context: StageContext) -> list[PolicyTrainingJob]:
@@ -103,10 +162,4 @@ def path_followers(settings: BaselinesSettings, context: StageContext) -> list[J
     return jobs
 
 
-STAGE = Stage(
-    settings=BaselinesSettings,
-    run=run_baselines,
-    reads=("expert",),
-    prepare=settle,
-    check=check_learning,
-)
+STAGE = Stage(settings=BaselinesSettings, run=run_baselines, reads=("expert",), prepare=settle, check=check_learning)

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.settings import settle
 from pipeline.evaluations.tables import log_summary
-from pipeline.settings.checks import require_modalities
+from pipeline.settings.kinds import require_modalities
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.learning.aids import training_note
-from pipeline.stages.learning.hyperparameters import with_hyperparameters
+from pipeline.stages.learning.aids import note, of_training
 from pipeline.stages.learning.plan import (
     THESIS,
     check_learning,
@@ -20,7 +19,7 @@ from pipeline.stages.learning.plan import (
     task_of,
     training_seeds,
 )
-from pipeline.stages.learning.settings import EnnSettings
+from pipeline.stages.learning.settings import EnnSettings, with_hyperparameters
 from pipeline.stages.learning.training import PolicyTrainingJob
 from pipeline.tables import Results
 from pipeline.task import number_of_actions, observed
@@ -55,7 +54,7 @@ def run_enn(settings: EnnSettings, context: StageContext) -> Results:
         "task": sizes(settings),
     }
     log_summary(context.path)
-    return Results(tables, notes=dict.fromkeys(("ablation", "training_time_h"), training_note(trainings)))
+    return Results(tables, notes=dict.fromkeys(("ablation", "training_time_h"), note(trainings, of_training)))
 
 
 def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob]:
@@ -114,14 +113,7 @@ def sizes(settings: EnnSettings) -> dict[str, dict[str, Any]]:
 
 
 def training_times(trainings: Sequence[PolicyTrainingJob], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Hours that the trainings on the Type I arch took, with the fit of the encoder that each sees through.
-
-    Args:
-        outcomes: a training's name to what `run_trainings` returned.
-
-    Returns:
-        Row to target to mean and standard deviation over seeds, or to the hours of the only one.
-    """
+    """Row to target to hours of trainings on the Type I arch with their encoders' fits, mean and spread over seeds."""
     import numpy as np
 
     hours: dict[tuple[str, str], list[float]] = {}
@@ -139,11 +131,7 @@ def training_times(trainings: Sequence[PolicyTrainingJob], outcomes: dict[str, A
 
 
 def architecture() -> dict[str, dict[str, Any]]:
-    """The layers of the thesis's networks as they are built here, with the thesis's wire and image.
-
-    Returns:
-        Row to column to cell of the thesis's table.
-    """
+    """The layers of the thesis's networks as they are built here, with the thesis's wire and image."""
     from cathsim import load_guidewire
     from enn.networks.features import LAYER_COLUMNS, layer_table, thesis_cnn, thesis_mlp
 
@@ -160,11 +148,7 @@ def architecture() -> dict[str, dict[str, Any]]:
 
 
 def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
-    """What SAC was run with.
-
-    Returns:
-        Row to column to cell of the thesis's table; none where PPO was run.
-    """
+    """What SAC was run with, in the thesis's table; nothing where PPO was run."""
     from enn.reinforcement import SacSettings
 
     used = training_settings(settings, settings.decisions)
@@ -187,10 +171,4 @@ def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
     return {name: {"value": value} for name, value in values.items()}
 
 
-STAGE = Stage(
-    settings=EnnSettings,
-    run=run_enn,
-    reads=("expert",),
-    prepare=settle,
-    check=check_enn,
-)
+STAGE = Stage(settings=EnnSettings, run=run_enn, reads=("expert",), prepare=settle, check=check_enn)

@@ -14,8 +14,7 @@ from typing import Any, ClassVar
 from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.anatomies.settings import ChosenAnatomies, check_anatomies, settle
 from pipeline.seeds import demonstration_seeds, held_out_seeds
-from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
-from pipeline.settings.kinds import CountOrNone, Episodes, Processes
+from pipeline.settings.kinds import NO_EFFECT_ON_RESULTS, CountOrNone, Episodes, Processes, validated
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.atomic_files import atomic_path, write_json
@@ -187,10 +186,4 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
     return shown
 
 
-STAGE = Stage(
-    settings=ExpertSettings,
-    run=run_expert,
-    reads=("phantoms",),
-    prepare=settle,
-    check=check_expert,
-)
+STAGE = Stage(settings=ExpertSettings, run=run_expert, reads=("phantoms",), prepare=settle, check=check_expert)

@@ -7,16 +7,24 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.anatomies.known import require_known_phantoms
+from pipeline.anatomies.settings import require_known_phantoms
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.plots.imitation import draw_calibration, draw_shares
-from pipeline.settings.checks import require_modalities
+from pipeline.plots.episodes import draw_calibration, draw_shares
+from pipeline.settings.kinds import require_modalities
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.gpu_memory import LEARNT_BATCH, policy_gb
-from pipeline.stages.learning.aids import force_note
+from pipeline.stages.job_memory import LEARNT_BATCH, policy_gb
+from pipeline.stages.learning.aids import note_of, of_force
 from pipeline.stages.learning.expert_episodes import expert_folder, require_expert
-from pipeline.stages.learning.force import PRELOAD, TEST_EVERY, ForceJob, RecordingJob, learn_force, record_disturbed
-from pipeline.stages.learning.force_from_shape import ShapeForceJob, forces_from_shape
+from pipeline.stages.learning.force import (
+    PRELOAD,
+    TEST_EVERY,
+    ForceJob,
+    RecordingJob,
+    ShapeForceJob,
+    forces_from_shape,
+    learn_force,
+    record_disturbed,
+)
 from pipeline.stages.learning.settings import ForceSettings
 from pipeline.stages.learning.task import LearningTask
 from pipeline.tables import Figure, Results
@@ -34,11 +42,7 @@ SHAPE_ROWS = {"shape": False, "shape_errors": True}
 
 
 def check_force(settings: ForceSettings) -> None:
-    """Refuses unknown phantoms and modality sets.
-
-    Raises:
-        ConfigurationError: listing the valid names.
-    """
+    """Refuses unknown phantoms and modality sets."""
     require_known_phantoms([settings.phantom])
     require_modalities(settings.expert)
     require_known_task(settings.task)
@@ -56,16 +60,13 @@ def run_force(settings: ForceSettings, context: StageContext) -> Results:
         preload=PRELOAD,
         device=settings.device,
     )
-    notes = {"force_prediction_mse": force_note([job.given for job in fits], settings.task)}
+    rows = {f"{job.given.inputs}, {job.given.samples:,} samples": of_force(job.given, settings.task) for job in fits}
+    notes = {"force_prediction_mse": note_of(rows)}
     return Results(tables(fits, outcomes, shapes), figures(fits, outcomes, context.path), notes)
 
 
 def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], list[Job]]:
-    """The recordings, a target each, and the fits that wait for them.
-
-    Raises:
-        StageError: the stage enn left no expert or no episodes of a task.
-    """
+    """The recordings, a target each, and the fits that wait for them."""
     from enn.force import force_preset
     from enn.imitation.dagger import DisturbanceSettings
 
@@ -125,16 +126,7 @@ def row_of(samples: int) -> str:
 
 
 def tables(fits: Sequence[Job], outcomes: dict[str, Any], shapes: Sequence[Job] = ()) -> dict[str, Any]:
-    """The thesis's table, the errors as a share of the variance, and the distribution of the forces.
-
-    Args:
-        fits: of networks.
-        outcomes: of all jobs, by key.
-        shapes: estimates from the logged shape.
-
-    Returns:
-        Table to row to column to cell.
-    """
+    """The thesis's table, the errors as a share of the variance, and the distribution of the forces."""
     last = outcomes[fits[-1].key]
     mse: dict[str, Any] = {
         "baseline": {"mse_n2": last["mean_mse_n2"]},
@@ -196,10 +188,4 @@ def figures(fits: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list
     return found
 
 
-STAGE = Stage(
-    settings=ForceSettings,
-    run=run_force,
-    reads=("enn",),
-    check=check_force,
-    repeated=True,
-)
+STAGE = Stage(settings=ForceSettings, run=run_force, reads=("enn",), check=check_force, repeated=True)

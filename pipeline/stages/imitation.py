@@ -1,37 +1,152 @@
-"""The imitation stage: the expert's episodes learnt from with the image alone, by behaviour cloning and by DAgger."""
+"""The imitation stage: the expert's episodes learnt from with the image alone, by behaviour cloning and by DAgger.
+
+A student's folder, ``<phantom>/<target>/<row>/seed<k>/``, holds::
+
+    policy.pt  training.csv  training.json
+    evaluation/{deterministic,stochastic}/NNN.mcap
+    fit/                                          checkpoint, until the student is fitted
+"""
 
 from __future__ import annotations
 
+import csv
+import functools
+import json
+import time
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.settings import check_anatomies, settle
 from pipeline.evaluations.tables import log_summary
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.plots.imitation import draw_success
-from pipeline.recording.trials import Origin
-from pipeline.settings.checks import require_modalities
+from pipeline.jobs.worker import OPTIMISER, Report
+from pipeline.plots.episodes import draw_success
+from pipeline.recording.curves import Curves
+from pipeline.recording.trials import POLICY, Origin, controllers
+from pipeline.seeds import disturbed_seeds
+from pipeline.settings.kinds import require_modalities
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.gpu_memory import LEARNT_BATCH, policy_gb
-from pipeline.stages.learning.aids import imitation_note
-from pipeline.stages.learning.expert_episodes import expert_folder, expert_logs, read_episodes, require_expert
-from pipeline.stages.learning.imitation import PRELOAD, ImitationJob, imitate
+from pipeline.stages.job_memory import LEARNT_BATCH, policy_gb
+from pipeline.stages.learning.aids import note, of_task
+from pipeline.stages.learning.expert_episodes import (
+    expert_folder,
+    expert_logs,
+    load_expert,
+    read_episodes,
+    require_expert,
+)
 from pipeline.stages.learning.settings import ImitationSettings
 from pipeline.stages.learning.task import LearningTask
+from pipeline.stages.learning.training import CURVE, RECORD, both_modes, evaluate
+from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.tables import Figure, Results
-from pipeline.task import require_known_task
+from pipeline.task import TASK, require_known_task
+
+if TYPE_CHECKING:
+    from enn.imitation.behaviour_cloning import BehaviourCloningSettings
+    from enn.imitation.cloned_policy import ClonedPolicy
+    from enn.imitation.dagger import DaggerSettings
+
+
+PRELOAD = ("cathsim", "enn.imitation.distillation", "enn.policy", "pipeline.recording.record", OPTIMISER)
+_FITTING = 0.6  # share of a job's time
+
+
+@dataclass(frozen=True)
+class ImitationJob:
+    """A student to fit and to evaluate."""
+
+    folder: Path
+    origin: Origin  # row, seed of the fit and variant; kept in the logs
+    settings: BehaviourCloningSettings
+    task: LearningTask
+    expert: Path  # folder of the expert's training, with its policy and episodes
+    episodes: int  # of the expert to learn from
+    evaluation_episodes: int  # by the best action
+    drawn_episodes: int  # by drawn actions
+    disturbed_episodes: int = 0  # further ones with disturbed actions
+    rounds: DaggerSettings | None = None  # of DAgger; None: none
+
+
+def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:
+    """Fits a student and evaluates it on held-out seeds, each where it lacks; sizes, ``rounds``, times, summaries."""
+    from enn.imitation.cloned_policy import ClonedPolicy
+
+    record = job.folder / RECORD
+    if (job.folder / POLICY).is_file() and record.is_file():
+        student = ClonedPolicy.load(job.folder / POLICY, report.device)
+        outcome = json.loads(record.read_text(encoding="utf-8"))
+    else:
+        student, outcome = _student(job, report)
+    environment = job.task.environment(student.keys)
+    policies = functools.partial(controllers, student)
+    outcome |= evaluate(
+        environment,
+        policies,
+        job.folder,
+        job.origin,
+        both_modes(job.evaluation_episodes, job.drawn_episodes),
+        report.part(_FITTING, 1.0),
+    )
+    environment.close()
+    return outcome
+
+
+def _student(job: ImitationJob, report: Report) -> tuple[ClonedPolicy, dict[str, Any]]:
+    """Fits the student and keeps it with a record of the fit."""
+    from enn.imitation.distillation import distil
+
+    began, worked, seed = time.monotonic(), time.process_time(), job.origin.training_seed
+    distilled = distil(
+        load_expert(job.expert, report.device),
+        read_episodes(expert_logs(job.expert), job.episodes),
+        job.settings,
+        functools.partial(job.task.environment, training=True),
+        disturbed_seeds=disturbed_seeds(seed, job.disturbed_episodes),
+        rounds=job.rounds,
+        seed=seed,
+        folder=job.folder / "fit",
+        progress=report.part(0.0, _FITTING),
+        device=report.device,
+    )
+    student = distilled.student
+    student.metadata |= {
+        "phantom": job.task.phantom,
+        "target": job.task.target,
+        "seed": seed,
+        "row": job.origin.row,
+        TASK: asdict(job.task.task),
+    }
+    outcome = {
+        "episodes": distilled.episodes,
+        "samples": distilled.samples,
+        "rounds": [
+            {"episodes": one.episodes, "success_pct": 100 * one.success, "disagreement": one.disagreement}
+            for one in distilled.rounds
+        ],
+        "training_s": time.monotonic() - began,
+        "cpu_s": time.process_time() - worked,
+        "seed": seed,
+    }
+    with atomic_path(job.folder / CURVE) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.DictWriter(stream, ("epoch", "loss", "validation", "cpu_s"))
+        table.writeheader()
+        table.writerows(distilled.fit.rows)
+    with Curves(job.folder) as curves:
+        curves.add_epochs(distilled.fit.rows)
+    student.save(job.folder / POLICY)
+    write_json(job.folder / RECORD, outcome)
+    return student, outcome
+
 
 CLONED, DISTURBED, DAGGER = "image_w_enn", "image_w_enn_disturbed", "dagger"
 GROUP = "Imitation"
 
 
 def check_imitation(settings: ImitationSettings) -> None:
-    """Refuses unknown phantoms and modality sets.
-
-    Raises:
-        ConfigurationError: listing the valid names.
-    """
+    """Refuses unknown phantoms and modality sets."""
     check_anatomies(settings)
     require_modalities(settings.expert)
     require_known_task(settings.task)
@@ -53,16 +168,12 @@ def run_imitation(settings: ImitationSettings, context: StageContext) -> Results
     return Results(
         {name: table for name, table in tables.items() if table},
         figures(jobs, outcomes, context.path),
-        {"imitation": imitation_note(job.given for job in jobs)},
+        {"imitation": note((job.given for job in jobs), of_imitation)},
     )
 
 
 def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
-    """The students: a task and number of episodes each, then those with disturbed episodes and by DAgger.
-
-    Raises:
-        StageError: the stage enn left no expert or no episodes of a task, or episodes of several kinds.
-    """
+    """The students: a task and number of episodes each, then those with disturbed episodes and by DAgger."""
     from enn.imitation.behaviour_cloning import cloning_settings
     from enn.imitation.dagger import DaggerSettings
 
@@ -137,11 +248,7 @@ def hyperparameters(settings: ImitationSettings) -> dict[str, dict[str, Any]]:
 
 
 def by_episodes(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Success against number of episodes.
-
-    Returns:
-        Row ``phantom/target/episodes`` to success in % of the deterministic episodes.
-    """
+    """Row ``phantom/target/episodes`` to success in % of the deterministic episodes."""
     table = {}
     for job in jobs:
         if job.given.disturbed_episodes or job.given.rounds:
@@ -153,11 +260,7 @@ def by_episodes(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict
 
 
 def by_round(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """The result of each round of DAgger.
-
-    Returns:
-        Row ``phantom/target/round k`` to success of the student's roll-outs and distance to the expert's actions.
-    """
+    """Row ``phantom/target/round k`` to success of the student's roll-outs and distance to the expert's actions."""
     table = {}
     for job in jobs:
         for index, done in enumerate(outcomes[job.key]["rounds"]):
@@ -187,11 +290,22 @@ def figures(jobs: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list
     ]
 
 
+def of_imitation(job: ImitationJob) -> list[str]:
+    """What a student was fitted with."""
+    aids = [
+        f"{job.origin.variant} network, from {job.episodes} episodes of the expert, which had the aids of its own "
+        "table",
+        *of_task(job.task.task, job.settings.network.keys),
+    ]
+    if job.settings.feature_matching:
+        aids.append(f"the expert's features matched with weight {job.settings.feature_matching:g}, which is ours")
+    if job.disturbed_episodes:
+        aids.append(f"{job.disturbed_episodes} more episodes with disturbed actions")
+    if job.rounds is not None:
+        aids.append(f"{job.rounds.rounds} rounds of {job.rounds.episodes} own episodes with the expert's advice")
+    return aids
+
+
 STAGE = Stage(
-    settings=ImitationSettings,
-    run=run_imitation,
-    reads=("enn",),
-    prepare=settle,
-    check=check_imitation,
-    repeated=True,
+    settings=ImitationSettings, run=run_imitation, reads=("enn",), prepare=settle, check=check_imitation, repeated=True
 )

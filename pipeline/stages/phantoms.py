@@ -13,10 +13,8 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from pipeline.anatomies.anatomy_file import AnatomyFile, in_settings
-from pipeline.anatomies.known import require_known_phantoms
-from pipeline.anatomies.settings import FileSettings
-from pipeline.settings.checks import validated
-from pipeline.settings.kinds import UNIQUE, FolderNames, Seed
+from pipeline.anatomies.settings import FileSettings, require_known_phantoms
+from pipeline.settings.kinds import UNIQUE, FolderNames, Seed, validated
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.store.errors import ConfigurationError
@@ -204,9 +202,4 @@ def _radiograph_figure(anatomy: Anatomy) -> Figure:
     )
 
 
-STAGE = Stage(
-    settings=PhantomsSettings,
-    run=run_phantoms,
-    seeded=False,
-    check=check_phantoms,
-)
+STAGE = Stage(settings=PhantomsSettings, run=run_phantoms, seeded=False, check=check_phantoms)

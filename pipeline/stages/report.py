@@ -14,9 +14,8 @@ from pipeline.report.figures import ShownFigure, gather_figures
 from pipeline.report.intervals import over_seeds
 from pipeline.report.learning import LearningSection, learning_section
 from pipeline.report.page import PAGE, StageRecord, render_page
-from pipeline.report.table_formats import as_csv, as_latex
-from pipeline.report.tables import join_sweep, metrics, report_tables
-from pipeline.settings.checks import validated
+from pipeline.report.tables import as_csv, as_latex, join_sweep, metrics, report_tables
+from pipeline.settings.kinds import validated
 from pipeline.stages import Stage, StageContext, available_stages
 from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.file_cache import digests_of
@@ -41,10 +40,7 @@ class ReportSettings:
 
 
 def finished_stages(run_path: Path) -> dict[str, Manifest]:
-    """Finds every stage folder of a run that has finished: its name, such as ``expert@seed=1``, to its manifest.
-
-    They are in the order of the stages; the report itself is left out.
-    """
+    """Finished stage folders of a run, such as ``expert@seed=1``, but the report's, in order, to their manifests."""
     folders = sorted(p for p in run_path.iterdir() if p.is_dir()) if run_path.is_dir() else []
     found = {folder.name: read_manifest(folder) for folder in folders}
     order = available_stages()
@@ -129,10 +125,4 @@ def _inputs(run_path: Path) -> dict[str, str]:
     return states
 
 
-STAGE = Stage(
-    settings=ReportSettings,
-    run=run_report,
-    seeded=False,
-    gathers=True,
-    further_inputs=_inputs,
-)
+STAGE = Stage(settings=ReportSettings, run=run_report, seeded=False, gathers=True, further_inputs=_inputs)

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from pipeline.jobs.pool import Job
-from pipeline.plots.segmentation import draw_examples, draw_kinds
-from pipeline.plots.shape import draw_training
+from pipeline.plots.networks import draw_examples, draw_kinds, draw_training
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.networks.evaluation import PRELOAD, learn_segmentation
 from pipeline.stages.networks.settings import SegmentationSettings
-from pipeline.stages.networks.stage import cost_cells, train_and_compare, training_job
+from pipeline.stages.networks.training import PRELOAD, cost_cells, learn_segmentation, train_and_compare, training_job
 from pipeline.tables import Figure, Results
 
 GROUP = "Segmentation"
@@ -66,8 +64,4 @@ def figures(settings: SegmentationSettings, outcomes: dict[str, Any], context: S
     ]
 
 
-STAGE = Stage(
-    settings=SegmentationSettings,
-    run=run_segmentation,
-    reads=("guide3d",),
-)
+STAGE = Stage(settings=SegmentationSettings, run=run_segmentation, reads=("guide3d",))

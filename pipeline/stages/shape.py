@@ -6,11 +6,10 @@ from typing import Any
 
 from guide3d.reconstruction.evaluation import METRICS
 from pipeline.jobs.pool import Job
-from pipeline.plots.shape import draw_along, draw_in_space, draw_reprojections, draw_training
+from pipeline.plots.networks import draw_along, draw_in_space, draw_reprojections, draw_training
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.networks.evaluation import PRELOAD, learn_shape
 from pipeline.stages.networks.settings import ShapeSettings
-from pipeline.stages.networks.stage import cost_cells, train_and_compare, training_job
+from pipeline.stages.networks.training import PRELOAD, cost_cells, learn_shape, train_and_compare, training_job
 from pipeline.tables import Figure, Results
 
 GROUP = "Shape prediction"
@@ -47,11 +46,7 @@ def tables(settings: ShapeSettings, outcomes: dict[str, Any]) -> dict[str, Any]:
     for row in settings.rows:
         outcome = outcomes[row]
         own[row] = {name: outcome[name] for name in (*METRICS, "length_error_mm", "reprojection_px")}
-        own[row] |= {
-            **cost_cells(outcome),
-            "ms_a_frame": outcome["ms_a_frame"],
-            "n": outcome["frames"],
-        }
+        own[row] |= {**cost_cells(outcome), "ms_a_frame": outcome["ms_a_frame"], "n": outcome["frames"]}
     return {"shape_prediction_mm": thesis, "shape_networks": own}
 
 
@@ -101,9 +96,4 @@ def figures(settings: ShapeSettings, outcomes: dict[str, Any], context: StageCon
     ]
 
 
-STAGE = Stage(
-    settings=ShapeSettings,
-    run=run_shape,
-    reads=("guide3d",),
-    repeated=True,
-)
+STAGE = Stage(settings=ShapeSettings, run=run_shape, reads=("guide3d",), repeated=True)

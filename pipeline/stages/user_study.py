@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.evaluations.logs import COUNTED
 from pipeline.printing import written
-from pipeline.settings.checks import shown, validated
-from pipeline.settings.kinds import Count, SuccessRadius
+from pipeline.settings.kinds import Count, SuccessRadius, shown, validated
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import write_json
 from pipeline.store.provenance import hash_file
@@ -96,7 +95,7 @@ def _read(path: Path) -> tuple[EpisodeInfo, bool, dict[str, Any] | None]:
     from cathsim.metrics import EpisodeMetrics
     from cathsim.metrics.episodes import ENDING
     from pipeline.episodes import EpisodeReader, EpisodeReadError
-    from pipeline.episodes.annotate import read_annotation
+    from pipeline.episodes.recover import read_annotation
     from pipeline.recording.human import QUESTIONNAIRE
 
     with EpisodeReader(path) as log:
@@ -174,9 +173,4 @@ def _recordings(run_path: Path) -> dict[str, str]:
     return {f"human/{path.relative_to(run_path).as_posix()}": hash_file(path) for path in logs_of(run_path)}
 
 
-STAGE = Stage(
-    settings=UserStudySettings,
-    run=run_user_study,
-    seeded=False,
-    further_inputs=_recordings,
-)
+STAGE = Stage(settings=UserStudySettings, run=run_user_study, seeded=False, further_inputs=_recordings)

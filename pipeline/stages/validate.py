@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
-from pipeline.anatomies.known import require_known_phantoms
+from pipeline.anatomies.settings import require_known_phantoms
 from pipeline.evaluations.forces import (
     ALONE,
     QUANTITIES,
@@ -23,8 +23,7 @@ from pipeline.evaluations.forces import (
 )
 from pipeline.jobs.pool import Job, Report, run_jobs
 from pipeline.plots.forces import draw_boxes, draw_distribution, draw_heat, draw_quantities
-from pipeline.settings.checks import validated
-from pipeline.settings.kinds import Count, FolderName
+from pipeline.settings.kinds import Count, FolderName, validated
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import write_text
 from pipeline.store.errors import StageError
@@ -66,11 +65,7 @@ def check_validate(settings: ValidateSettings) -> None:
 
 
 def run_validate(settings: ValidateSettings, context: StageContext) -> Results:
-    """Compares forces, measures the speed, checks the physics, and draws.
-
-    Raises:
-        StageError: the expert stage left no episodes long enough to compare.
-    """
+    """Compares forces, measures the speed, checks the physics, and draws."""
     episodes = read_forces(context.inputs["expert"])
     tables = validate_forces(episodes, settings, context.path, seed=context.seed)
     tables["simulators"] = simulator_row(settings.phantom)
@@ -87,12 +82,6 @@ def validate_forces(
 
     Only episodes in the phantom of the real experiments count, unless there are none. The seed is that of the real
     sample, and of the pushed wire.
-
-    Returns:
-        Table to row to column to cell.
-
-    Raises:
-        StageError: there are too few steps to compare.
     """
     from cathsim.metrics.forces import compare_forces, verdict
     from cathsim.physics_checks.unguided import pushed_forces
@@ -131,15 +120,7 @@ def validate_forces(
 def table_rows(
     c: ForceComparison, pushed: np.ndarray, agrees: str, differs: str, wall: WallForces | None = None
 ) -> dict[str, dict[str, Any]]:
-    """Fills the report's table `force_validation`.
-
-    Args:
-        pushed: (n,) N, forces of the same wire pushed without a planner.
-        wall: what a load cell reads of the same episodes.
-
-    Returns:
-        Row to column to cell.
-    """
+    """Fills the table `force_validation`; `pushed`: (n,) N without a planner, `wall`: what a load cell reads."""
     cells: dict[str, Any] = {
         "u_statistic": round(c.u_statistic, 1),
         "p_value": c.mann_whitney_p,
@@ -184,11 +165,7 @@ def simulator_row(phantom: str) -> dict[str, dict[str, Any]]:
 
 
 def speed_rows(settings: ValidateSettings, *, seed: int) -> dict[str, dict[str, Any]]:
-    """Measures the environment's speed on one core for several observations, in turns.
-
-    Returns:
-        Rows of the table `training_speed_fps`: each observation's median over the rounds, slowest and fastest.
-    """
+    """Measures the environment's speed on one core for several observations, in turns: medians, slowest, fastest."""
     from cathsim.physics_checks.unguided import median_speeds
 
     medians = median_speeds(
@@ -199,14 +176,7 @@ def speed_rows(settings: ValidateSettings, *, seed: int) -> dict[str, dict[str, 
 
 
 def physics_rows(folder: RunFolder, laws: tuple[str, ...] = ()) -> dict[str, dict[str, Any]]:
-    """Checks the wire against the theory of rods, in a process of its own: rows of the table `wire_physics`.
-
-    Args:
-        laws: keys of `cathsim.physics_checks.LAWS`; none: all.
-
-    Raises:
-        StageError: a check failed.
-    """
+    """Checks the wire against the theory of rods (`cathsim.physics_checks.LAWS`; none: all), in its own process."""
     job = Job("wire_physics", check_laws, laws)
     rows: dict[str, dict[str, Any]] = run_jobs(folder, [job], label="physics checks")[job.key]
     return rows
@@ -266,9 +236,4 @@ def figures(episodes: list[EpisodeForces], settings: ValidateSettings, phantoms:
     return shown
 
 
-STAGE = Stage(
-    settings=ValidateSettings,
-    run=run_validate,
-    reads=("phantoms", "expert"),
-    check=check_validate,
-)
+STAGE = Stage(settings=ValidateSettings, run=run_validate, reads=("phantoms", "expert"), check=check_validate)

@@ -21,12 +21,6 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
     The temporary name keeps the suffix, because writers such as ``numpy.savez`` and mesh exporters choose their format
     by it. When the body raises, also through Ctrl-C, the temporary file is removed and ``path`` stays as it was.
-
-    Args:
-        path: the final file; its folder is made when missing.
-
-    Raises:
-        FileNotFoundError: when the body wrote nothing.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{path.name}")
@@ -48,14 +42,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Writes a JSON file atomically, readable by people: indented, keys in the order given.
-
-    Args:
-        value: anything JSON can hold; NaN and infinity are refused, other programs could not read them.
-
-    Raises:
-        ValueError: when a number is NaN or infinite.
-    """
+    """Writes a JSON file atomically, indented, keys in the order given; a ValueError for NaN and infinity."""
     write_text(path, json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
 
 
@@ -68,11 +55,7 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Reads a JSON file.
-
-    Raises:
-        ValueError: it is no JSON, or nested deeper than anything that is written here.
-    """
+    """Reads a JSON file; a ValueError where it is none, or nested deeper than anything that is written here."""
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except RecursionError as error:
@@ -80,11 +63,7 @@ def read_json(path: Path) -> Any:
 
 
 def remove_unfinished(folder: Path) -> int:
-    """Removes what a killed writer left behind.
-
-    Args:
-        folder: searched with everything below it; call it only while holding the folder's lock.
-    """
+    """Removes what a killed writer left in a folder and below it; call it only while holding the folder's lock."""
     leftovers = [path for path in folder.rglob(f"{TEMPORARY_PREFIX}*") if path.is_symlink() or not path.is_dir()]
     for leftover in leftovers:
         leftover.unlink(missing_ok=True)

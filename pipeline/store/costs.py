@@ -68,11 +68,7 @@ def _gpu() -> tuple[int, str]:
 
 
 def keep_cost(folder: Path, key: str, cost: Cost, after: Sequence[str] = ()) -> None:
-    """Adds a job's cost to those of its stage, which an interrupted stage finds again.
-
-    Args:
-        after: keys of the jobs that it waited for.
-    """
+    """Adds a job's cost, and keys of those it waited for, to its stage's, which an interrupted stage finds again."""
     entry = {**asdict(cost), **({AFTER: list(after)} if after else {})}
     write_json(folder / COSTS / _FILE, {**kept_costs(folder), key: entry})
 

@@ -27,10 +27,7 @@ class FileCache:
     """
 
     def __init__(self, store: Path | None, root: Path, *, version: str = "1") -> None:
-        """Args:
-        store: the file; None: nothing is kept. One that cannot be read or was damaged is an empty one.
-        version: of the values; those of another version are forgotten.
-        """
+        """Values of one version; without a store nothing is kept, and one that cannot be read is empty."""
         self._store, self._root, self._version = store, root, version
         self._known: dict[str, Any] = {}  # name -> [stamp, value]
         self._changed = False
@@ -48,11 +45,7 @@ class FileCache:
         return entry[1] if entry is not None and entry[0] == _stamp(file.stat()) else None
 
     def compute(self, file: Path, function: Callable[[Path], Any]) -> Any:
-        """Computes the value of a file and remembers it.
-
-        Args:
-            function: file to a JSON value.
-        """
+        """Computes the value of a file, any of JSON, and remembers it."""
         before = file.stat()
         value = function(file)
         stamp = _stamp(before)
@@ -74,11 +67,7 @@ class FileCache:
         return {"sha256": self.digest(file), "bytes": file.stat().st_size}
 
     def first_changed(self, folder: Path, files: Mapping[str, Mapping[str, Any]]) -> str | None:
-        """The first of some files that is missing or is not as its entry says; None when all are right.
-
-        Args:
-            folder: that the files' names are relative to.
-        """
+        """The first of some files below a folder that is missing or not as its entry says; None when all are right."""
         changed = (n for n, entry in files.items() if not self.holds(folder / n, entry["sha256"], entry["bytes"]))
         return next(changed, None)
 

@@ -57,11 +57,7 @@ class FinishedItems:
         self._results: dict[str, Any] = {}
 
     def result_of(self, key: str) -> Any | None:
-        """What a finished item left for the stage's summary.
-
-        Returns:
-            The value given to ``mark_done`` ({} when none was), or None while the item is not done.
-        """
+        """What was given to ``mark_done`` of a finished item ({} when nothing was), or None while it is not done."""
         if key not in self._results and (item := _read(self._record(key))) is not None:
             self._results[key] = item.result
         return self._results.get(key)
@@ -77,11 +73,7 @@ class FinishedItems:
         return self._place / f"files-{safe_name(key)}.txt"
 
     def mark_done(self, key: str, result: Any = None) -> None:
-        """Records that an item is finished, with the files noted for it; call it after they are written.
-
-        Args:
-            result: JSON value that the stage wants back in its summary, also after an interruption.
-        """
+        """Keeps that an item is finished, the files noted for it, which are written, and JSON for the summary."""
         files = {}
         for name in read_journal(self.journal(key)):
             if (self.path / name).is_file() and not name.startswith((f"{PROGRESS}/", f"{CACHE}/")):
@@ -109,10 +101,7 @@ class FinishedItems:
         self._results.clear()
 
     def _verify(self) -> int:
-        """Removes items whose files are not as they were left, and what is left of those files.
-
-        Files that no other item wrote go, too: the stage made them from the items.
-        """
+        """Removes items whose files are not as they were left, and files that no other item wrote."""
         items = {path: _read(path) for path in sorted(self._place.glob("item-*.json"))}
         broken = []
         for path, item in items.items():
@@ -159,11 +148,7 @@ def _journal_beside(record: Path) -> Path:
 
 
 def _remove_files(folder: Path, *, keep: Set[str]) -> None:
-    """Removes files of a stage's folder, and folders that are empty then; what begins with a dot stays.
-
-    Args:
-        keep: names relative to it that stay.
-    """
+    """Removes files of a stage's folder but those to keep, and empty folders; what begins with a dot stays."""
     for place, _, files in os.walk(folder, topdown=False):
         inside = Path(place).relative_to(folder)
         if any(part.startswith(".") for part in inside.parts):

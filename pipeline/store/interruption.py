@@ -31,11 +31,7 @@ def interrupted() -> bool:
 
 
 def stop_if_interrupted() -> None:
-    """Stops the work when Ctrl-C came and nothing has come of it.
-
-    Raises:
-        KeyboardInterrupt: when the signal has come since ``let_ctrl_c_interrupt``.
-    """
+    """Raises KeyboardInterrupt when Ctrl-C has come since ``let_ctrl_c_interrupt`` and nothing has come of it."""
     if interrupted():
         raise KeyboardInterrupt
 

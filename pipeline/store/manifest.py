@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, TypeAdapter, ValidationError
 
-from pipeline.settings.checks import sentence, shown
+from pipeline.settings.kinds import sentence, shown
 from pipeline.store.atomic_files import read_json
 from pipeline.store.file_cache import FileCache
 from pipeline.store.provenance import hash_value, software_versions
@@ -81,19 +81,12 @@ class Manifest:
         return hash_value({path: entry["sha256"] for path, entry in self.outputs.items()})
 
     def changed_output(self, folder: Path, digests: FileCache) -> str | None:
-        """Finds an output that is not as the stage left it.
-
-        Returns:
-            Its path and what is wrong, e.g. ``runs/desk/expert/results.json is missing``; None when all are right.
-        """
+        """Finds an output that is not as the stage left it: ``runs/desk/expert/results.json is missing``, or None."""
         name = digests.first_changed(folder, self.outputs)
         return name and f"{folder / name} {'was changed' if (folder / name).exists() else 'is missing'}"
 
     def foreign_file(self, folder: Path) -> Path | None:
-        """Finds a file that the stage did not write but that readers of its folder would take for its own.
-
-        Readers find files by their endings, so only those count that an output of the stage has, too.
-        """
+        """Finds a file that the stage did not write but that readers, who go by endings, would take for its own."""
         endings = {os.path.splitext(name)[1] for name in self.outputs}
         foreign = (n for n in files_below(folder) if n not in self.outputs and os.path.splitext(n)[1] in endings)
         return next((folder / name for name in foreign if name != MANIFEST), None)
@@ -103,11 +96,7 @@ _MANIFESTS = TypeAdapter(Manifest)
 
 
 def read_manifest(folder: Path) -> Manifest | None:
-    """Reads the manifest of a finished stage.
-
-    Returns:
-        The manifest, or None when the stage has not finished there or its manifest cannot be read.
-    """
+    """Reads the manifest of a finished stage; None when it has not finished there or it cannot be read."""
     path = folder / MANIFEST
     try:
         content = read_json(path)
@@ -124,11 +113,7 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 
 def files_below(folder: Path) -> Iterator[str]:
-    """Lists the files of a stage's folder; what begins with a dot is its scratch and left out.
-
-    Yields:
-        Paths relative to it, with slashes.
-    """
+    """Lists the files of a stage's folder, relative to it with slashes, but its scratch, which begins with a dot."""
     for place, folders, files in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         inside = Path(place).relative_to(folder)

@@ -18,11 +18,7 @@ _REPORTED_DISTRIBUTIONS = ("numpy", "scipy", "mujoco", "gymnasium", "dm_control"
 
 
 def hash_value(value: Any) -> str:
-    """Hashes any JSON-like value, independent of the order of its keys.
-
-    Args:
-        value: dicts, lists, numbers, strings.
-    """
+    """Hashes any JSON-like value, independent of the order of its keys."""
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
 
 
@@ -33,10 +29,7 @@ def hash_file(path: Path) -> str:
 
 
 def hash_anatomy(path: Path) -> str:
-    """SHA-256 of a file's content, or of the names and contents of a folder's files, in hex.
-
-    A volume whose data lie in a file beside its header counts with them.
-    """
+    """SHA-256, hex, of a file and the data beside a volume's header, or of names and contents of a folder's files."""
     files = sorted(p for p in path.iterdir() if p.is_file()) if path.is_dir() else _whole(path)
     if files == [path]:
         return hash_file(path)
@@ -72,11 +65,7 @@ def _git(*arguments: str) -> str | None:
 
 
 def software_versions() -> dict[str, str]:
-    """Lists the versions of Python and of the distributions that results depend on.
-
-    Returns:
-        Name to version; what is not installed is left out.
-    """
+    """Lists the versions of Python and of the installed distributions that results depend on."""
     return dict(_installed_versions())
 
 
@@ -93,11 +82,7 @@ def _installed_versions() -> dict[str, str]:
 
 @functools.cache
 def machine() -> dict[str, str]:
-    """Describes the computer: what a speed or a training time was measured on.
-
-    Returns:
-        ``operating_system``, ``processor``, ``cores``, ``memory_gb`` and ``gpu``, as text for the report.
-    """
+    """Describes the computer that a speed or a training time was measured on, as text for the report."""
     return {
         "operating_system": _operating_system(),
         "processor": _first_value(Path("/proc/cpuinfo"), "model name") or platform.processor() or platform.machine(),

@@ -20,12 +20,15 @@ import logging
 import os
 import re
 import shutil
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
+
+from tqdm import tqdm
 
 from pipeline.store.atomic_files import remove_unfinished, write_json, write_text
 from pipeline.store.costs import kept_costs
@@ -34,16 +37,40 @@ from pipeline.store.file_cache import CACHE
 from pipeline.store.finished_items import FinishedItems
 from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.manifest import MANIFEST, Identity, Manifest, files_below, read_manifest
-from pipeline.store.progress import progress
 from pipeline.store.provenance import present_commit
 
 Item = TypeVar("Item")
 
+_LOGGER = logging.getLogger(__name__)
+_SECONDS_BETWEEN_LINES = 5.0
+
+
+def progress(items: Sequence[Item], label: str, *, done_before: int = 0) -> Iterator[Item]:
+    """Passes items on and says how far it is; items `done_before` count in the total, not in the estimate."""
+    total = done_before + len(items)
+    if sys.stderr.isatty():
+        yield from tqdm(items, desc=label, initial=done_before, total=total, dynamic_ncols=True, leave=False)
+        return
+    start = last_line = time.monotonic()
+    for count, item in enumerate(items):
+        yield item
+        now = time.monotonic()
+        is_last = count + 1 == len(items)
+        if is_last or now - last_line >= _SECONDS_BETWEEN_LINES:
+            last_line = now
+            _LOGGER.info("%s", progress_line(label, done_before + count + 1, total, now - start, count + 1))
+
+
+def progress_line(label: str, done: int, total: int, elapsed_s: float, done_now: int) -> str:
+    """Words one line of progress, such as ``phantoms 2/6, 8 s, about 16 s left``; `done_now` is at least one."""
+    left_s = elapsed_s / done_now * (total - done)
+    rest = f", about {left_s:.0f} s left" if done < total else ""
+    return f"{label} {done}/{total}, {elapsed_s:.0f} s{rest}"
+
+
 _LOCK = ".lock"
 _COMMITS, _COMMIT = "commits.txt", re.compile(r"\w{1,40}\+?")
 OLD = ".old"  # below the run
-
-_LOGGER = logging.getLogger(__name__)
 
 
 class RunFolder(FinishedItems):
@@ -55,13 +82,7 @@ class RunFolder(FinishedItems):
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
-        """Holds the folder for this process.
-
-        Raises:
-            FolderBusyError: when another process holds it.
-            StageError: when the folder holds files that no stage wrote: working here would remove them; or when its
-                lock is a link or no file.
-        """
+        """Holds the folder for this process."""
         self.path.mkdir(parents=True, exist_ok=True)
         place = self.path / _LOCK
         if place.is_symlink() or (place.exists() and not place.is_file()):
@@ -86,11 +107,7 @@ class RunFolder(FinishedItems):
             yield
 
     def is_up_to_date(self) -> bool:
-        """Tells whether the folder holds the finished results of this identity.
-
-        Returns:
-            True when the manifest matches and every file it lists is there with its content.
-        """
+        """Tells whether the folder holds the results of this identity, each file of the manifest with its content."""
         manifest = read_manifest(self.path)
         if manifest is None or manifest.identity != self.identity:
             return False
@@ -108,9 +125,6 @@ class RunFolder(FinishedItems):
         """Readies the folder for work: keeps finished items of the same identity, moves everything else aside.
 
         What is moved lies in ``runs/<name>/.old/<stage>-<time>/`` until the user removes it.
-
-        Args:
-            force: start from nothing even when finished items could be kept.
 
         Returns:
             How many finished items are kept.
@@ -167,11 +181,7 @@ class RunFolder(FinishedItems):
                     entry.unlink()
 
     def pending(self, items: Sequence[Item], *, key: Callable[[Item], str] = str) -> list[Item]:
-        """Lists the items that are not done yet, for stages that hand them to worker processes themselves.
-
-        Raises:
-            ValueError: when two items have the same key.
-        """
+        """Lists the items that are not done yet, for stages that hand them to worker processes themselves."""
         keys = [key(item) for item in items]
         if len(set(keys)) != len(keys):
             raise ValueError(f"items must have different keys, got {keys}")
@@ -197,12 +207,7 @@ class RunFolder(FinishedItems):
         self, *, stage: str, run: str, budget: str, seed: int, config: dict[str, Any], started: float,
         overrides: Sequence[str] = (), variant: Sequence[str] = (),
     ) -> Manifest:  # fmt: skip
-        """Writes the manifest, the last act of a stage.
-
-        Args:
-            started: ``time.monotonic()`` when the work began.
-            variant: those of them that the folder is named after.
-        """
+        """Writes the manifest, the last act of a stage that began at `started` of ``time.monotonic()``."""
         remove_unfinished(self.path)
         manifest = Manifest(
             stage=stage, run=run, budget=budget, seed=seed, config=config, identity=self.identity,

@@ -56,11 +56,7 @@ def _audit(event: str, arguments: tuple[Any, ...]) -> None:
 
 @contextlib.contextmanager
 def noted(folder: Path, journal: Path) -> Iterator[None]:
-    """Notes what this process writes while the body runs.
-
-    Args:
-        journal: gets a line a file, its path relative to the folder; lines of earlier processes stay.
-    """
+    """Notes what this process writes while the body runs: a line a file in the journal, relative to the folder."""
     if not _installed:
         sys.addaudithook(_audit)  # stays for the life of the process
         _installed.append(True)
@@ -88,11 +84,7 @@ def is_inside(name: str) -> bool:
 
 
 def read_journal(journal: Path) -> list[str]:
-    """What a journal holds.
-
-    Returns:
-        Paths below its folder, in the order in which they were first written; none without a journal.
-    """
+    """Paths below its folder in the order in which they were first written; none without a journal."""
     try:
         lines = journal.read_bytes().split(b"\n")
     except FileNotFoundError:

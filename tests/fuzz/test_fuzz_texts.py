@@ -17,7 +17,7 @@ from cathsim.console.controls import Controls
 from cathsim.console.questionnaire import CRITERIA, check_answers
 from cathsim.console.web.requests import LONGEST_REQUEST, read_request
 from pipeline.config import run_config
-from pipeline.explain import one_line
+from pipeline.launch import one_line
 from pipeline.stages import available_stages, load_stage
 from pipeline.store.errors import PipelineError
 from tests.fuzz.mutations import NASTY, altered, rewritten, text_of

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from pipeline.chain.steps import after_inputs
+from pipeline.chain import after_inputs
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY
 from pipeline.launch import main
 from pipeline.stages import available_stages

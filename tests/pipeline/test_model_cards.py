@@ -10,8 +10,8 @@ import enn
 import guide3d
 import splineformer
 from guide3d.learning.model_file import write_content
-from pipeline import model_cards
-from pipeline.model_cards import INDEX, LIMIT_BYTES, SECTIONS, ShippedModel, main, shipped_models, written
+from models import cards as model_cards
+from models.cards import INDEX, LIMIT_BYTES, SECTIONS, ShippedModel, main, shipped_models, written
 
 LOADERS = {"enn": enn.load, "guide3d": guide3d.load, "splineformer": splineformer.Predictor.pretrained}
 MODELS = shipped_models()
@@ -19,7 +19,7 @@ MODELS = shipped_models()
 
 def test_cards_and_index_agree_with_the_files() -> None:
     outdated = [path.name for path, text in written().items() if path.read_text(encoding="utf-8") != text]
-    assert not outdated, "run python -m pipeline.model_cards"
+    assert not outdated, "run python models/cards.py"
 
 
 def test_all_together_are_small() -> None:

@@ -8,7 +8,7 @@ import json
 import pytest
 from hydra.errors import MissingConfigException
 
-from pipeline.explain import one_line
+from pipeline.launch import one_line
 from pipeline.store.manifest import read_manifest
 from pipeline.store.provenance import PROJECT_ROOT
 from pipeline.variants import variant_of

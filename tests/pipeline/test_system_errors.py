@@ -11,9 +11,9 @@ import pytest
 from annotated_types import Gt
 from pydantic.dataclasses import dataclass
 
-from pipeline.explain import one_line
 from pipeline.jobs.pool import Report
 from pipeline.jobs.worker import Message
+from pipeline.launch import one_line
 
 A_FOLDER, A_FILE = "folder", "file"
 # What lies in the way, of which kind, and a word of the sentence; the stage is the report, which needs no input.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline import thesis_check
-from pipeline.chain.steps import concerns
+from pipeline.chain import concerns
 from pipeline.stages import available_stages
 from pipeline.store.costs import OWN_PROCESS, CostMeter, keep_cost
 from pipeline.store.run_folder import Identity, RunFolder

@@ -56,15 +56,7 @@ class McapFile:
     """An MCAP file being written: channels and metadata, chunks of messages, and at the end the index."""
 
     def __init__(self, path: Path, profile: str) -> None:
-        """Create the file; it must not exist.
-
-        Args:
-            path: where to write.
-            profile: the MCAP profile that stands in the header.
-
-        Raises:
-            OSError: the file exists or cannot be created.
-        """
+        """Create the file, which must not exist, with the MCAP profile in its header."""
         self.path = path
         self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         self._end = 0
@@ -99,15 +91,7 @@ class McapFile:
         return start
 
     def register(self, topic: str, schema_name: str, schema_data: bytes, encoding: str = "protobuf") -> int:
-        """Declare a topic, before or between chunks.
-
-        Args:
-            schema_name: full name of its message.
-            schema_data: the schema: for protobuf a serialised FileDescriptorSet.
-
-        Returns:
-            The channel id: 1, 2, ... in the order of declaration.
-        """
+        """Declare a topic, before or between chunks, by its schema's name and bytes; gives its channel: 1, 2, ..."""
         schema = self._schemas.get(schema_data)
         if schema is None:
             schema = Schema(id=len(self._schemas) + 1, name=schema_name, encoding=encoding, data=schema_data)
@@ -121,11 +105,7 @@ class McapFile:
         return channel.id
 
     def add(self, channel_id: int, log_time_ns: int, sequence: int, payload: bytes) -> None:
-        """Add a message to the chunk in memory.
-
-        Args:
-            sequence: the step index.
-        """
+        """Add a message to the chunk in memory; its sequence is the step's index."""
         size = len(payload)
         self._parts.append(
             _MESSAGE_HEAD.pack(
@@ -141,11 +121,7 @@ class McapFile:
         self.pending_bytes += _MESSAGE_HEAD.size + size
 
     def flush(self) -> None:
-        """Compress the chunk in memory and hand it to the operating system.
-
-        Raises:
-            OSError: it could not be written; the chunk stays in memory, and flushing may be tried again.
-        """
+        """Hand the compressed chunk to the operating system; after an OSError it is still here, to be tried again."""
         if self._preamble:
             self._append(self._preamble)
             self._preamble = b""
@@ -226,11 +202,7 @@ class McapFile:
         return summary + record_bytes(footer) + MCAP0_MAGIC
 
     def close_with_index(self) -> None:
-        """Flush, write the index and close.
-
-        Raises:
-            OSError: it could not be written; the file stays open without index, and closing may be tried again.
-        """
+        """Flush, write the index and close; after an OSError the file is open without index, to be tried again."""
         self.flush()
         data_end = record_bytes(DataEnd(self._crc))
         self._append(data_end + self._summary(self._end + len(data_end)))
@@ -250,14 +222,7 @@ class McapFile:
 
 @contextlib.contextmanager
 def replacing(destination: Path, profile: str, suffix: str) -> Iterator[McapFile]:
-    """Lend a file beside the destination, which takes its place in one instant when the body has written it.
-
-    Args:
-        suffix: of the file until then.
-
-    Raises:
-        OSError: it could not be written; the destination is as it was.
-    """
+    """Lend a file beside the destination that takes its place in one instant when the body has written it."""
     temporary = destination.with_name(destination.name + suffix)
     destination.parent.mkdir(parents=True, exist_ok=True)
     temporary.unlink(missing_ok=True)

@@ -54,22 +54,14 @@ def _encode(rows: NDArray[np.uint8], width: int, bit_depth: int) -> bytes:
 
 
 def encode_image(image: NDArray[np.uint8]) -> bytes:
-    """Write a grey image as an 8-bit PNG.
-
-    Args:
-        image: (H, W) uint8.
-    """
+    """Write a grey image, (H, W) uint8, as an 8-bit PNG."""
     if image.ndim != 2 or image.dtype != np.uint8 or 0 in image.shape:
         raise ValueError(f"an image must be (H, W) uint8, got {image.shape} {image.dtype}")
     return _encode(image, image.shape[1], 8)
 
 
 def encode_mask(mask: NDArray[np.bool_] | NDArray[np.uint8]) -> bytes:
-    """Write a mask as a 1-bit PNG.
-
-    Args:
-        mask: (H, W) bool, or uint8 where anything but 0 is set.
-    """
+    """Write a mask, (H, W) bool, or uint8 where anything but 0 is set, as a 1-bit PNG."""
     if mask.ndim != 2 or mask.dtype not in (np.uint8, np.bool_) or 0 in mask.shape:
         raise ValueError(f"a mask must be (H, W) bool or uint8, got {mask.shape} {mask.dtype}")
     return _encode(np.packbits(mask, axis=1), mask.shape[1], 1)

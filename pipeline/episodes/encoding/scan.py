@@ -23,7 +23,7 @@ from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema, S
 from mcap.writer import MCAP0_MAGIC
 
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA
-from pipeline.episodes.errors import ContainerError, EpisodeReadError
+from pipeline.episodes.records import ContainerError, EpisodeReadError
 
 _RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
@@ -63,11 +63,7 @@ class Summary:
 
 
 def parse_record(kind: Any, content: bytes) -> Any:
-    """Parse the content of a record.
-
-    Args:
-        content: the record's bytes after opcode and length.
-    """
+    """Parse the content of a record: its bytes after opcode and length."""
     try:
         return kind.read(ReadDataStream(BytesIO(content)))
     except (McapError, struct.error, ValueError, EOFError, OverflowError) as error:
@@ -75,11 +71,7 @@ def parse_record(kind: Any, content: bytes) -> Any:
 
 
 def open_log(path: str | os.PathLike[str]) -> int:
-    """Open a log for reading, which must be a regular file: a pipe or a device may have no end.
-
-    Raises:
-        EpisodeReadError: it cannot be opened.
-    """
+    """Open a log for reading, which must be a regular file: a pipe or a device may have no end."""
     try:
         fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     except (OSError, ValueError) as error:
@@ -170,14 +162,7 @@ def unpacked_bytes(content: bytes) -> int:
 
 
 def open_chunk(content: bytes, offset: int) -> bytes:
-    """Decompress a chunk and verify its checksum.
-
-    Args:
-        offset: where the record begins in the file, for messages.
-
-    Returns:
-        The chunk's records.
-    """
+    """Decompress a chunk to its records and verify its checksum; `offset`: where it begins in the file."""
     where = f"the chunk at byte {offset}"
     try:
         _, _, size, crc, name_length = _CHUNK_HEAD.unpack_from(content)
@@ -245,11 +230,7 @@ _ANY_PATTERN = re.compile(b"|".join(re.escape(pattern) for pattern in _PATTERNS)
 
 
 def likely_records(data: Any) -> Generator[int, None, None]:
-    """Find the places that look like a chunk or like an episode's metadata, in one pass.
-
-    Yields:
-        Where a record begins. Whether it is intact is for its checksum to say.
-    """
+    """Find in one pass what looks like a chunk or an episode's metadata; checksums say whether it is intact."""
     for match in _ANY_PATTERN.finditer(data):
         offset, opcode = _PATTERNS[match[0]]
         begin = match.start() - offset

@@ -17,8 +17,8 @@ from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 from numpy.typing import NDArray
 
-from pipeline.episodes.encoding.protobuf_wire import DELIMITED, delimited, timestamp
 from pipeline.episodes.encoding.schema import WORLD_FRAME
+from pipeline.episodes.encoding.step_codec import DELIMITED, delimited, timestamp
 
 FloatArray = NDArray[np.float64]
 
@@ -61,14 +61,10 @@ class PhantomMesh:
     One object may serve many episodes: its encoded form is kept. A mesh of a few thousand faces keeps logs small.
     """
 
-    vertices: FloatArray
-    """(n, 3), m, world"""
-    faces: NDArray[np.uint32]
-    """(m, 3), indices into vertices"""
-    target: FloatArray
-    """(3,), m, world"""
-    entry: FloatArray
-    """(3,), m, world"""
+    vertices: FloatArray  # (n, 3), m, world
+    faces: NDArray[np.uint32]  # (m, 3), indices into vertices
+    target: FloatArray  # (3,), m, world
+    entry: FloatArray  # (3,), m, world
 
     def __post_init__(self) -> None:
         for name in ("vertices", "target", "entry"):
@@ -110,11 +106,7 @@ class PhantomMesh:
 
 
 def decode_phantom(data: bytes) -> PhantomMesh:
-    """Read what `PhantomMesh.scene` gave.
-
-    Raises:
-        ValueError: an entity is missing.
-    """
+    """Read what `PhantomMesh.scene` gave; a ValueError where an entity is missing."""
     entities = {entity.id: entity for entity in SceneUpdate.FromString(data).entities}
     if missing := {"phantom", "target", "entry"} - set(entities):
         raise ValueError(
@@ -171,15 +163,7 @@ _CLOUD_DATA = PointCloud.DESCRIPTOR.fields_by_name["data"].number
 
 
 def encode_wire_line(points: FloatArray, time_ns: int, device: str = "wire") -> bytes:
-    """Serialise a device as `foxglove.SceneUpdate` with one line strip.
-
-    Args:
-        points: (n, 3), m, world, tip first.
-        device: "wire" or "catheter".
-
-    Returns:
-        Protobuf bytes; the entity, which is named as the device, replaces that of the step before.
-    """
+    """Serialise a device, (n, 3) m, world, tip first, as a `foxglove.SceneUpdate` that replaces the line before."""
     line = delimited(_ENTITY_LINES, _points_field(_LINE_POINTS, points) + _line_style(device))
     return delimited(_ENTITIES, _entity_head(device, time_ns) + line)
 
@@ -193,13 +177,6 @@ def _cloud_layout() -> bytes:
 
 
 def encode_wire_points(points: FloatArray, time_ns: int) -> bytes:
-    """Serialise a device as `foxglove.PointCloud`.
-
-    Args:
-        points: (n, 3), m, world, tip first.
-
-    Returns:
-        Protobuf bytes; coordinates are float32, `/step` keeps the exact ones.
-    """
+    """Serialise a device, (n, 3) m, world, tip first, as a `foxglove.PointCloud` of float32; `/step` is exact."""
     data = delimited(_CLOUD_DATA, points.astype("<f4").tobytes())
     return timestamp(_CLOUD_TIME, time_ns) + _cloud_layout() + data

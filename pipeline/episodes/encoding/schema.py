@@ -134,11 +134,7 @@ DEVICE_FIELDS: dict[str, StepField] = {
 
 
 def _build_message(name: str, fields: dict[str, StepField], *, extra: bool) -> Any:
-    """Build the class of a message from its field table, without protoc.
-
-    Args:
-        extra: with a map of further scalars.
-    """
+    """Build the class of a message from its field table, maybe with a map of extra scalars, without protoc."""
     file = descriptor_pb2.FileDescriptorProto(name=f"endonav/{name.lower()}.proto", package="endonav", syntax="proto3")
     message = file.message_type.add(name=name)
     for field_name, field in fields.items():
@@ -169,23 +165,12 @@ Devices: Any = _build_message("Devices", DEVICE_FIELDS, extra=False)
 
 
 def camera_topic(name: str, stream: str) -> str:
-    """Name the topic of a camera's stream.
-
-    Args:
-        stream: "image", "mask", "mask_wire", "mask_catheter" or "calibration".
-
-    Returns:
-        The topic, e.g. `/camera/frontal/image`.
-    """
+    """Name the topic of a stream ("calibration", "image", "mask", …) of a camera, e.g. `/camera/frontal/image`."""
     return f"/camera/{name}/{stream}"
 
 
 def topic_messages(cameras: tuple[str, ...], *, devices: bool = False) -> dict[str, Any]:
-    """List the topics of a log with their protobuf classes, in the order of their channel ids (1, 2, ...).
-
-    Args:
-        devices: of a log with a catheter.
-    """
+    """List a log's topics, those of devices if there is a catheter, with their classes, in order of channels."""
     topics: dict[str, Any] = {
         STEP_TOPIC: Step,
         WIRE_TOPIC: SceneUpdate,

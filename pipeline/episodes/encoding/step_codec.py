@@ -1,6 +1,7 @@
-"""The codec of `endonav.Step` and `endonav.Devices`.
+"""The codec of `endonav.Step` and `endonav.Devices`, and the rules of the protobuf wire format that it needs.
 
-Steps go from numpy arrays straight to protobuf bytes, and back by the protobuf library, which does both for devices.
+Steps go from numpy arrays straight to protobuf bytes, without copies of large arrays, and back by the protobuf library,
+which does both for devices.
 """
 
 from __future__ import annotations
@@ -14,16 +15,42 @@ from google.protobuf.message import DecodeError
 from google.protobuf.unknown_fields import UnknownFieldSet
 from numpy.typing import NDArray
 
-from pipeline.episodes.encoding.protobuf_wire import DELIMITED, FIXED64, VARINT, delimited, tag, varint
-from pipeline.episodes.encoding.schema import (
-    DEVICE_FIELDS,
-    EXTRA_FIELD_NUMBER,
-    STEP_FIELDS,
-    Devices,
-    Step,
-    StepField,
-)
+from pipeline.episodes.encoding.schema import DEVICE_FIELDS, EXTRA_FIELD_NUMBER, STEP_FIELDS, Devices, Step, StepField
 from pipeline.episodes.records import DeviceRecord, StepRecord
+
+VARINT, FIXED64, DELIMITED, FIXED32 = 0, 1, 2, 5
+
+
+@lru_cache(maxsize=4096)  # the lengths in a log repeat from step to step
+def varint(value: int) -> bytes:
+    """Encode a non-negative integer: its base-128 bytes, least significant group first."""
+    if value < 0x80:
+        return bytes((value,))
+    out = bytearray()
+    while value >= 0x80:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+@lru_cache(maxsize=256)
+def tag(number: int, wire_type: int) -> bytes:
+    """Encode the key that stands before a field: its number and wire type."""
+    return varint(number << 3 | wire_type)
+
+
+def delimited(number: int, payload: bytes) -> bytes:
+    """Encode a string, bytes, packed or message field."""
+    return tag(number, DELIMITED) + varint(len(payload)) + payload
+
+
+@lru_cache(maxsize=8)  # all messages of a step bear the same time
+def timestamp(number: int, time_ns: int) -> bytes:
+    """Encode a `google.protobuf.Timestamp` field of nanoseconds since the epoch, at least 0."""
+    seconds, nanos = divmod(time_ns, 1_000_000_000)
+    return delimited(number, b"\x08" + varint(seconds) + b"\x10" + varint(nanos))
+
 
 _DOUBLE = struct.Struct("<d")
 _LITTLE_ENDIAN = np.dtype("<f8")
@@ -62,11 +89,7 @@ def _extra_head(key: str) -> bytes:
 
 
 def encode_step(record: StepRecord) -> bytes:
-    """Serialise a record as an `endonav.Step` message.
-
-    Returns:
-        Protobuf bytes, as the protobuf library would write them (zero scalars are written out, which is equivalent).
-    """
+    """Serialise a record as an `endonav.Step`, as the protobuf library would, with zero scalars written out."""
     pack = _DOUBLE.pack
     parts = [_STEP_TAG, varint(record.step)]
 
@@ -100,18 +123,7 @@ def encode_devices(step: int, record: DeviceRecord) -> bytes:
 
 
 def decode_step(data: bytes, devices: bytes | None = None) -> StepRecord:
-    """Read an `endonav.Step` message, whoever serialised it.
-
-    Args:
-        data: protobuf bytes; fields of later versions are skipped.
-        devices: the step's `endonav.Devices` message; None of a log without a catheter.
-
-    Returns:
-        The step; its arrays do not share memory with `data`.
-
-    Raises:
-        ValueError: the bytes are no such message, or an array's length does not fit its shape.
-    """
+    """Read an `endonav.Step`, and `endonav.Devices` if there is a catheter; a ValueError where bytes are none such."""
     return decode_with_norm(data, devices)[0]
 
 
@@ -124,11 +136,7 @@ def decode_with_norm(data: bytes, devices: bytes | None = None) -> tuple[StepRec
 
 
 def decode_devices(data: bytes) -> tuple[int, DeviceRecord]:
-    """Read an `endonav.Devices` message.
-
-    Returns:
-        The step's index, and the devices; raises as `decode_step` does.
-    """
+    """Read an `endonav.Devices` message: the step's index, and the devices; raises as `decode_step` does."""
     _, values = _decode(Devices, DEVICE_FIELDS, data)
     return values.pop("step"), DeviceRecord(**values)
 

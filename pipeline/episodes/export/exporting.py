@@ -13,13 +13,12 @@ from typing import Any
 
 from tqdm import tqdm
 
-from pipeline.episodes.export.episode import open_episode
 from pipeline.episodes.export.hdf5 import FILE, Hdf5Writer
-from pipeline.episodes.export.layout import ExportError, common_layout
+from pipeline.episodes.export.layout import ExportError, common_layout, open_episode
 from pipeline.episodes.export.lerobot import LeRobotWriter
 from pipeline.episodes.export.minari import MinariWriter
 from pipeline.store.atomic_files import TEMPORARY_PREFIX
-from pipeline.store.system_errors import is_no_room
+from pipeline.store.errors import is_no_room
 
 WRITERS: dict[str, Callable[[Path, Any, str], Any]] = {
     "lerobot": LeRobotWriter,
@@ -36,16 +35,11 @@ class ExportReport:
     destination: Path
     episodes: int
     steps: int
-    hint: str
-    """how it is opened"""
+    hint: str  # how it is opened
 
 
 def logs_below(folder: Path) -> list[Path]:
-    """Find the finished logs in a folder and below it, by name.
-
-    Raises:
-        ExportError: there is none.
-    """
+    """Find the finished logs in a folder and below it, by name; an ExportError where there is none."""
     if not folder.is_dir():
         raise ExportError(f"{folder} is no folder: give one with episode logs")
     logs = sorted(

@@ -23,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.episodes.export.episode import ExportEpisode
-from pipeline.episodes.export.layout import ExportError, Field, Layout
+from pipeline.episodes.export.layout import ExportEpisode, ExportError, Field, Layout
 from pipeline.episodes.records import as_json
 
 FORMAT = "endonav-hdf5-1"
@@ -37,11 +36,7 @@ class Hdf5Writer:
     """Writes episodes into `episodes.hdf5` of a folder."""
 
     def __init__(self, folder: Path, layout: Layout, name: str) -> None:
-        """Create the file.
-
-        Raises:
-            ExportError: h5py is not installed.
-        """
+        """Create the file; an ExportError where h5py is not installed."""
         try:
             import h5py
         except ImportError as error:

@@ -1,4 +1,4 @@
-"""The fields of an exported data set: their shapes, units, frames and the names of their parts.
+"""An exported data set: its fields with shapes, units, frames and parts, and an episode as an exporter takes it.
 
 Logs that are exported together have the same fields. Record 0 of a log is the state after reset, so an episode of n
 actions has n + 1 observations; the action of index t leads from observation t to observation t + 1.
@@ -6,10 +6,14 @@ actions has n + 1 observations; the action of index t leads from observation t t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.records import StepRecord
@@ -31,13 +35,10 @@ class Field:
     """A quantity that every moment or step of the data set has."""
 
     shape: tuple[int, ...]
-    unit: str
-    """of all its parts, or "mixed" where the parts' names say it"""
-    frame: str
-    """"world", "device" (along and about its feeder), "image" or "" of what has none"""
+    unit: str  # of all its parts, or "mixed" where the parts' names say it
+    frame: str  # "world", "device" (along and about its feeder), "image" or "" of what has none
     meaning: str
-    parts: tuple[str, ...] = ()
-    """names of its entries; none where there are many"""
+    parts: tuple[str, ...] = ()  # names of its entries; none where there are many
 
     def describe(self) -> dict[str, Any]:
         """Give the field as JSON holds it."""
@@ -49,13 +50,11 @@ class Field:
 class Layout:
     """What each episode of a data set holds."""
 
-    control_dt: float
-    """s, between two steps"""
+    control_dt: float  # s, between two steps
     action: Field
     observations: Mapping[str, Field]
     infos: Mapping[str, Field]
-    pictures: Mapping[str, Field] = field(default_factory=dict)
-    """by camera, or by camera and "_mask": (height, width)"""
+    pictures: Mapping[str, Field] = field(default_factory=dict)  # by camera, or by camera and "_mask": (height, width)
 
     @property
     def fps(self) -> float:
@@ -101,15 +100,7 @@ def _shown(shape: tuple[int, ...] | None) -> str:
 
 
 def layout_of(log: EpisodeReader, *, pictures: bool = True, masks: bool = False) -> Layout:
-    """Read the fields of a log from its first record.
-
-    Args:
-        pictures: with the images of its cameras.
-        masks: also with the masks.
-
-    Raises:
-        EpisodeReadError: the log is damaged or holds no step.
-    """
+    """Read the fields of a log, with the images and masks of its cameras if wanted, from its first record."""
     first = log.step(0)
     cameras: dict[str, Field] = {}
     for name in log.cameras if pictures else ():
@@ -141,11 +132,7 @@ def action_field(size: int) -> Field:
 
 
 def observation_fields(first: StepRecord, *, goal: bool) -> dict[str, Field]:
-    """Describe the observations of a log by its first record.
-
-    Args:
-        goal: whether the log says where the target is.
-    """
+    """Describe the observations of a log by its first record, and the goal where the log has it."""
     feeder: tuple[str, ...] = _FEEDER
     if len(first.action) == TWO_DEVICES:
         feeder = (*(f"{device}_{part}" for device in ("wire", "catheter") for part in _FEEDER), "lead_m")
@@ -186,12 +173,7 @@ def info_fields(first: StepRecord) -> dict[str, Field]:
 
 
 def common_layout(paths: Sequence[Path], *, pictures: bool = True, masks: bool = False) -> Layout:
-    """Read the layout that all logs have.
-
-    Raises:
-        ExportError: a log differs from the first, lacks steps, or holds no action.
-        EpisodeReadError: a log is damaged.
-    """
+    """Read the layout that all logs have; an ExportError where one differs, lacks steps, or holds no action."""
     first: Layout | None = None
     for path in paths:
         with EpisodeReader(path) as log:
@@ -212,3 +194,125 @@ def common_layout(paths: Sequence[Path], *, pictures: bool = True, masks: bool =
             )
     assert first is not None
     return first
+
+
+_MASK = "_mask"
+# the translation and rotation at an action of 1, where a log's configuration has no pace
+_TRANSLATION_M, _ROTATION_RAD = 0.002, float(np.radians(15.0))
+
+
+@dataclass(frozen=True, eq=False)
+class ExportEpisode:
+    """An episode of n actions; observations and infos have n + 1 rows, the first that after reset."""
+
+    log: EpisodeReader
+    layout: Layout
+    # everything of the log, as `EpisodeReader.load_arrays` gives it without pictures
+    arrays: Mapping[str, NDArray[Any]]
+    observations: Mapping[str, NDArray[np.float64]]
+    infos: Mapping[str, NDArray[np.float64]]
+    actions: NDArray[np.float64]
+    rewards: NDArray[np.float64]
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+
+    @property
+    def steps(self) -> int:
+        """How many actions were taken."""
+        return len(self.actions)
+
+    @property
+    def task(self) -> str:
+        """What the episode asked for, in words."""
+        return f"reach the {self.log.info.target} in {self.log.info.phantom}"
+
+    @property
+    def success(self) -> bool:
+        """Whether the target was reached; False where that is not known."""
+        return self.log.outcome.success is True
+
+    def pictures(self, name: str) -> Iterator[NDArray[np.uint8]]:
+        """Stream the pictures of a layout's name, n + 1 of (height, width) uint8; masks are 0 or 255."""
+        if name in self.log.cameras:
+            return self.log.images(name)
+        masks = self.log.masks(name.removesuffix(_MASK))
+        return (mask.astype(np.uint8) * np.uint8(255) for mask in masks)
+
+    def describe(self) -> dict[str, Any]:
+        """Give what is known of the whole episode, as JSON holds it."""
+        info, outcome = self.log.info, self.log.outcome
+        pace = info.configuration.get("pace") or {}
+        return {
+            "log": self.log.path.name,
+            "task": self.task,
+            "phantom": info.phantom,
+            "phantom_hash": info.phantom_hash,
+            "target": info.target,
+            "entry": info.entry,
+            "seed": info.seed,
+            "operator": info.operator,
+            "success": outcome.success,
+            "status": outcome.status,
+            "steps": self.steps,
+            "metrics": dict(outcome.metrics),
+            "action_at_1": {
+                "translation_m": pace.get("translation", _TRANSLATION_M),
+                "rotation_rad": pace.get("rotation", _ROTATION_RAD),
+            },
+            "catheter": info.catheter_name or None,
+            "cameras": {name: self.log.camera(name).to_json() for name in self.log.cameras},
+            "configuration": dict(info.configuration),
+            "versions": dict(info.versions),
+        }
+
+
+@contextmanager
+def open_episode(path: Path, layout: Layout) -> Iterator[ExportEpisode]:
+    """Read a log for export; an ExportError where a number is not finite that other formats have to hold."""
+    with EpisodeReader(path) as log:
+        arrays = log.load_arrays(pictures=False)
+        mesh = log.phantom_mesh() if "goal" in layout.observations else None
+        observations = observation_values(arrays, None if mesh is None else np.asarray(mesh.target, np.float64))
+        infos = {name: info_values(name, arrays) for name in layout.infos}
+        actions, rewards = arrays["action"][1:], arrays["reward"][1:]
+        for name, values in {**observations, "action": actions, "reward": rewards}.items():
+            if not np.isfinite(values).all():
+                raise ExportError(f"{path} has a non-finite number in {name}: leave it out of the folder")
+        terminated = arrays["terminated"][1:].astype(bool)
+        truncated = arrays["truncated"][1:].astype(bool)
+        truncated[-1] |= not terminated[-1]  # an interrupted episode was cut off there
+        yield ExportEpisode(log, layout, arrays, observations, infos, actions, rewards, terminated, truncated)
+
+
+def observation_values(
+    arrays: Mapping[str, NDArray[Any]], goal: NDArray[np.float64] | None
+) -> dict[str, NDArray[np.float64]]:
+    """The observations of a layout from arrays of `EpisodeReader.load_arrays` and the target, (3,) m, or None."""
+    observations = {
+        "tip": arrays["tip"],
+        "feeder": feeder_values(arrays),
+        "force": arrays["resultant_force"],
+        "joint_positions": arrays["joint_positions"],
+        "joint_velocities": arrays["joint_velocities"],
+    }
+    return observations if goal is None else observations | {"goal": np.tile(goal, (len(arrays["tip"]), 1))}
+
+
+def feeder_values(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+    """The observable `feeder` of `NavigateEnv` from a log's arrays, (n + 1, 3); of a wire in a catheter (n + 1, 7)."""
+    if arrays["action"].shape[1] != TWO_DEVICES:
+        inserted, turned = arrays["insertion"][:, None], arrays["rotation"][:, None]
+        return np.concatenate((inserted, np.cos(turned), np.sin(turned)), axis=1)
+    inserted, turned = arrays["devices/insertions"], arrays["devices/hub_rotations"]
+    parts = np.stack((inserted, np.cos(turned), np.sin(turned)), axis=2).reshape(len(inserted), 6)
+    return np.concatenate((parts, arrays["devices/lead"][:, None]), axis=1)
+
+
+def info_values(name: str, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+    """An info of a layout, from a log's arrays; NaN where the log lacks it."""
+    own = {"force_norm": "resultant_force_norm", "insertion": "insertion", "rotation": "rotation"}
+    key = own.get(name) or (f"devices/{name.removeprefix('device_')}" if name.startswith("device_") else None)
+    if key is not None and key in arrays:
+        return arrays[key].astype(np.float64)
+    missing = np.full(len(arrays["tip"]), np.nan)
+    return arrays.get(f"extra/{name}", missing).astype(np.float64)

@@ -25,8 +25,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.episodes.export import statistics
-from pipeline.episodes.export.episode import ExportEpisode
-from pipeline.episodes.export.layout import ExportError, Layout
+from pipeline.episodes.export.layout import ExportEpisode, ExportError, Layout
 from pipeline.episodes.export.statistics import Statistics
 from pipeline.episodes.export.video import CODEC, GreyVideo
 from pipeline.episodes.records import as_json
@@ -45,11 +44,7 @@ class LeRobotWriter:
     """Writes episodes as a LeRobotDataset into a folder, one after the other."""
 
     def __init__(self, folder: Path, layout: Layout, name: str) -> None:
-        """Prepare the writer.
-
-        Raises:
-            ExportError: pyarrow is not installed.
-        """
+        """Prepare the writer; an ExportError where pyarrow is not installed."""
         try:
             import pyarrow  # noqa: F401
         except ImportError as error:

@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.episodes.export.episode import ExportEpisode
-from pipeline.episodes.export.layout import ExportError, Layout
+from pipeline.episodes.export.layout import ExportEpisode, ExportError, Layout
 from pipeline.episodes.records import as_json
 
 _FOLDER_VARIABLE = "MINARI_DATASETS_PATH"
@@ -27,11 +26,7 @@ class MinariWriter:
     """Writes episodes as the Minari data set `<name>-v0` below a folder, one after the other."""
 
     def __init__(self, folder: Path, layout: Layout, name: str) -> None:
-        """Prepare the writer.
-
-        Raises:
-            ExportError: Minari is not installed.
-        """
+        """Prepare the writer; an ExportError where Minari is not installed."""
         try:
             import h5py  # noqa: F401
             import minari  # noqa: F401

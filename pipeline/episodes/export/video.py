@@ -18,13 +18,7 @@ _CONSTANT_RATE_FACTOR = 4  # of libx264: grey values within a few of 255
 
 
 class GreyVideo:
-    """Writes pictures of one size into an mp4 file.
-
-    Args:
-        path: of the file.
-        size: height and width, px.
-        fps: frames a second.
-    """
+    """Writes pictures of one size (height, width, px) into an mp4 file."""
 
     def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
         import imageio_ffmpeg

@@ -18,9 +18,8 @@ from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-from pipeline.jobs.job import Job
 from pipeline.jobs.machine import Machine
-from pipeline.jobs.worker import ENDED, STARTED, Message, work
+from pipeline.jobs.worker import ENDED, STARTED, Job, Message, work
 from pipeline.store.run_folder import RunFolder
 
 SECONDS_TO_JOIN = 60.0  # that a process may take to end once it has closed its connection
@@ -39,11 +38,7 @@ class LocalEngine:
     """Processes of this machine."""
 
     def __init__(self, folder: RunFolder, machine: Machine, workers: int, preload: Sequence[str]) -> None:
-        """Args:
-        machine: what the jobs share, maybe with those of other stages.
-        workers: jobs of this stage at the same time.
-        preload: modules that every job needs.
-        """
+        """For so many jobs of a stage at the same time, which share a machine, maybe with those of other stages."""
         self.capacity, self._folder, self._machine = workers, folder, machine
         self._running: list[_Running] = []
         self._messages: list[tuple[str, Message]] = []
@@ -111,11 +106,7 @@ class LocalEngine:
 
 
 def how_it_ended(code: int) -> str:
-    """Words the end of a process that has not answered.
-
-    Args:
-        code: as `multiprocessing.Process.exitcode`.
-    """
+    """Words the end, as of `multiprocessing.Process.exitcode`, of a process that has not answered."""
     return f"its process was killed by signal {-code}" if code < 0 else "it was stopped"
 
 

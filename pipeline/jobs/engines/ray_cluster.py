@@ -26,9 +26,7 @@ class RayExecutor(Executor):
     """A cluster that is running already."""
 
     def __init__(self, settings: RaySettings) -> None:
-        """Raises:
-        StageError: Ray is not installed, or there is no cluster at the address.
-        """
+        """Connects; a StageError where Ray is not installed, or there is no cluster at the address."""
         try:
             import ray
         except ModuleNotFoundError as error:
@@ -110,11 +108,7 @@ def _first_sentence(error: BaseException) -> str:
 
 
 def _require_listening(address: str) -> None:
-    """Refuses an address where nobody answers, for which Ray itself would wait for minutes.
-
-    Raises:
-        StageError: naming the address.
-    """
+    """Refuses an address where nobody answers, for which Ray itself would wait for minutes."""
     host, _, port = address.rpartition("://")[2].rpartition(":")
     if not host or not port.isdecimal():
         raise StageError(f"{address!r} is no address of a Ray cluster, HOST:PORT such as 10.0.0.5:6379: {_START}")

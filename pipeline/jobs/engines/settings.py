@@ -6,8 +6,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
-from pipeline.settings.checks import validated
-from pipeline.settings.kinds import PathText, Processes, one_of
+from pipeline.settings.kinds import PathText, Processes, one_of, validated
 
 LOCAL, RAY, SLURM = "local", "ray", "slurm"
 

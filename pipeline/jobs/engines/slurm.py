@@ -20,12 +20,7 @@ class SlurmExecutor(Executor):
     """The queue of a Slurm cluster, or with `engine.manager=local` processes of this machine."""
 
     def __init__(self, settings: SlurmSettings, shared: Path) -> None:
-        """Args:
-        shared: folder of the stage's jobs, where submitit keeps its own files.
-
-        Raises:
-            StageError: there is no Slurm here.
-        """
+        """Keeps submitit's own files in the folder of the stage's jobs."""
         import submitit
 
         if settings.manager == SLURM and shutil.which("sbatch") is None:
@@ -56,11 +51,7 @@ class SlurmExecutor(Executor):
         }  # fmt: skip
 
     def submit(self, name: str, task: Task, needs: Needs) -> Any:
-        """Submits a job.
-
-        Raises:
-            StageError: Slurm refuses it.
-        """
+        """Submits a job."""
         self._executor.update_parameters(**self.parameters(name, needs))
         try:
             return self._executor.submit(run_task, task)

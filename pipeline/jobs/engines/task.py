@@ -35,11 +35,7 @@ class Task:
 
 
 def run_task(task: Task) -> str | None:
-    """Runs a job in a process of its own, which ends with this one, and waits for it.
-
-    Returns:
-        Why it could not start; None: it did, and the rest is in the files of its attempt.
-    """
+    """Runs a job in a process that ends with this one, and waits for it; gives why it could not start, or None."""
     for path in (task.place, task.python, task.cwd):
         if not os.path.exists(path):
             return (

@@ -57,11 +57,7 @@ def cameras_of(settings: Guide3dSettings, centre: Centre) -> dict[str, XRayCamer
 
 
 def generate(job: GenerationJob, report: Report) -> dict[str, Any]:
-    """Makes acquisitions that are not made yet; an interrupted one is made again.
-
-    Returns:
-        ``pairs`` and, by motion, how often it was filmed.
-    """
+    """Makes acquisitions that are not made whole yet; ``pairs`` and, by motion, how often it was filmed."""
     motions = dict[str, int]()
     pairs, total = 0, sum(acquisition.pairs for acquisition in job.acquisitions)
     for acquisition in job.acquisitions:
@@ -148,14 +144,7 @@ def _fluoroscope(
 def assemble(
     folder: Path, acquisitions: Sequence[PlannedAcquisition], settings: Guide3dSettings, centre: Centre
 ) -> Path:
-    """Writes annotations, true curves, cameras and properties of a data set whose acquisitions are made.
-
-    Args:
-        centre: (3,) m, where the axes of both cameras meet.
-
-    Returns:
-        The data set's folder.
-    """
+    """Writes annotations, curves, cameras (axes meet at `centre`, m) and properties of a data set that was made."""
     root = folder / DATASET
     if (root / PROPERTIES).exists():
         return root

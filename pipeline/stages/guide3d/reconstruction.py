@@ -37,19 +37,14 @@ WAYS = (*ON_ANNOTATION, *ON_CLICKS)
 
 @dataclass(frozen=True)
 class ReconstructionJob:
-    """Pairs to be reconstructed by one process.
-
-    Attributes:
-        compared: those of them that all ways take, not only ours.
-        settings: with the standard deviation of a click.
-    """
+    """Pairs to be reconstructed by one process."""
 
     folder: Path
     source: Source
     part: int
     frames: tuple[int, ...]
-    compared: frozenset[int]
-    settings: Guide3dSettings
+    compared: frozenset[int]  # those of them that all ways take, not only ours
+    settings: Guide3dSettings  # with the standard deviation of a click
     seed: int
 
 

@@ -8,9 +8,8 @@ from typing import Annotated
 
 from annotated_types import Ge, Le
 
-from pipeline.anatomies.known import TARGETS
-from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
-from pipeline.settings.kinds import Count, NoisePixels, PathText, Processes, SomeFolderNames, one_of
+from pipeline.anatomies.settings import TARGETS
+from pipeline.settings import kinds
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_file, hash_value
 
@@ -21,36 +20,39 @@ _ANNOTATIONS = tuple(f"{folder}{name}" for folder in ("", "*/", "*/*/") for name
 _READ = (".json", ".xml", ".txt", ".yaml", ".yml", ".npz", ".jpg")
 
 
-@validated("guide3d.")
+@kinds.validated("guide3d.")
 class Guide3dSource:
     """A data set of one's own: the top-level keys ``guide3d.root=PATH`` and its like."""
 
-    root: PathText | None = None  # folder in the public layout, or its raw.json
-    images: PathText | None = None  # folder of the images, where they lie elsewhere
-    calibration: PathText | None = None  # folder of the camera files (and perforated sheets), where they lie elsewhere
+    root: kinds.PathText | None = None  # folder in the public layout, or its raw.json
+    images: kinds.PathText | None = None  # folder of the images, where they lie elsewhere
+    # folder of the camera files (and perforated sheets), where they lie elsewhere
+    calibration: kinds.PathText | None = None
     undistorted: bool | None = None  # whether annotations are undistorted; found out by epipolar residuals if left out
 
 
-@validated()
+@kinds.validated()
 class Guide3dSettings:
     """Settings of the guide3d stage."""
 
     name: str = "guide3d"
     images: Annotated[int, Ge(FEWEST_IMAGES), Le(1_000_000)] = 7200  # to be generated, both cameras together
-    pairs: Count = 3  # of an acquisition, at most
-    phantoms: SomeFolderNames = field(default_factory=lambda: ["type_1"])
-    targets: SomeFolderNames = field(default_factory=lambda: list(TARGETS))
-    steps: Count = 4  # of 0.1 s from one pair to the next
+    pairs: kinds.Count = 3  # of an acquisition, at most
+    phantoms: kinds.SomeFolderNames = field(default_factory=lambda: ["type_1"])
+    targets: kinds.SomeFolderNames = field(default_factory=lambda: list(TARGETS))
+    steps: kinds.Count = 4  # of 0.1 s from one pair to the next
     image_size_px: Annotated[int, Ge(64), Le(4_096)] = 1024
     distorted: bool = False  # images and annotations as the detectors show them
-    annotation_noise_px: NoisePixels = 0.0  # of a click; 0: exact annotations
-    filling: Annotated[str, one_of(*FILLINGS)] = "fluid"  # what the lumen holds where it is filled, or contrast
-    validation_noise_px: NoisePixels = 1.0  # of the clicks in the second part of the simulated validation
-    compared: Count = 300  # pairs that are also reconstructed in the thesis's way, and from clicks
-    workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # processes beside each other; 0: one a core
-    root: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)  # its content counts, not its place
-    image_root: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)
-    calibration: PathText | None = field(default=None, metadata=NO_EFFECT_ON_RESULTS)
+    annotation_noise_px: kinds.NoisePixels = 0.0  # of a click; 0: exact annotations
+    filling: Annotated[str, kinds.one_of(*FILLINGS)] = "fluid"  # what the lumen holds where it is filled, or contrast
+    validation_noise_px: kinds.NoisePixels = 1.0  # of the clicks in the second part of the simulated validation
+    compared: kinds.Count = 300  # pairs that are also reconstructed in the thesis's way, and from clicks
+    # processes beside each other; 0: one a core
+    workers: kinds.Processes = field(default=0, metadata=kinds.NO_EFFECT_ON_RESULTS)
+    # its content counts, not its place
+    root: kinds.PathText | None = field(default=None, metadata=kinds.NO_EFFECT_ON_RESULTS)
+    image_root: kinds.PathText | None = field(default=None, metadata=kinds.NO_EFFECT_ON_RESULTS)
+    calibration: kinds.PathText | None = field(default=None, metadata=kinds.NO_EFFECT_ON_RESULTS)
     undistorted: bool | None = None
     root_sha256: str | None = None  # filled in
 

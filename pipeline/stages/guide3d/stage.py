@@ -9,16 +9,20 @@ import numpy as np
 
 from guide3d.dataset.acquisition_split import PlannedAcquisition, plan_acquisitions
 from guide3d.reconstruction.evaluation import Record
-from pipeline.anatomies.known import require_known_phantoms
+from pipeline.anatomies.settings import require_known_phantoms
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.guide3d.figures import reconstruction_figures, sample_figure
-from pipeline.stages.guide3d.folder import Source
+from pipeline.stages.guide3d.figures import (
+    comparison_row,
+    composition_table,
+    reconstruction_figures,
+    reconstruction_tables,
+    sample_figure,
+)
+from pipeline.stages.guide3d.folder import Source, own_source
 from pipeline.stages.guide3d.generator import DATASET, GenerationJob, assemble, generate
-from pipeline.stages.guide3d.own_data import own_source
 from pipeline.stages.guide3d.reconstruction import ReconstructionJob, gather, reconstruct_pairs
 from pipeline.stages.guide3d.settings import Guide3dSettings
-from pipeline.stages.guide3d.tables import comparison_row, composition_table, reconstruction_tables
 from pipeline.store.errors import ConfigurationError
 from pipeline.tables import Results
 
@@ -35,11 +39,7 @@ _LOGGER = logging.getLogger(__name__)
 
 
 def check_guide3d(settings: Guide3dSettings) -> None:
-    """Refuses unknown phantoms, and targets that one of them does not have.
-
-    Raises:
-        ConfigurationError: listing the valid names.
-    """
+    """Refuses unknown phantoms, and targets that one of them does not have."""
     if settings.root is not None:
         return
     require_known_phantoms(settings.phantoms)

@@ -52,15 +52,7 @@ def teach(
     began: float,
     report: Callable[[float, str], None],
 ) -> list[FinishedRound]:
-    """Plays and fits the rounds that are missing.
-
-    Args:
-        policy: fitted in place; that of `last_policy` where there is one.
-        episodes: learnt before; those of all rounds are added.
-        play: as `enn.imitation.advised_episodes.advised_rounds` takes it.
-        began: of the training, on the monotonic clock.
-        report: takes the share done and a few words.
-    """
+    """Plays and fits the rounds that are missing: `policy`, in place, by earlier `episodes` and those of all rounds."""
     from enn.imitation.advised_episodes import advised_rounds
 
     done = finished_rounds(folder)

@@ -6,15 +6,14 @@ beyond that is an aid, and the report names it beneath the table.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from pipeline.stages.learning.task import ACCURACY_OF_TESTS, REWARD_OF_EVALUATION
 from pipeline.task import Task, number_of_actions
 
 if TYPE_CHECKING:
     from pipeline.stages.learning.force import ForceJob
-    from pipeline.stages.learning.imitation import ImitationJob
     from pipeline.stages.learning.training import PolicyTrainingJob
     from pipeline.stages.navigation.jobs import NavigatorJob
 
@@ -22,11 +21,7 @@ _PICTURES = ("image", "mask", "sequential")
 
 
 def note_of(rows: Mapping[str, Sequence[str]]) -> str:
-    """One note for a table: first what all rows share, then the rest, rows with the same aids together.
-
-    Args:
-        rows: name of a row to its aids in words.
-    """
+    """One note for a table of rows' aids: what all rows share, then the rest, rows with the same aids together."""
     every = list(rows.values())
     shared = [aid for aid in every[0] if all(aid in aids for aids in every)] if every else []
     groups: dict[str, list[str]] = {}
@@ -37,9 +32,9 @@ def note_of(rows: Mapping[str, Sequence[str]]) -> str:
     return " ".join(sentences)
 
 
-def training_note(jobs: Iterable[PolicyTrainingJob]) -> str:
-    """The note of trainings by reinforcement learning."""
-    return note_of({job.origin.row: of_training(job) for job in jobs})
+def note(jobs: Iterable[Any], aids: Callable[[Any], list[str]]) -> str:
+    """The note of a table of jobs, each named by its row, whose aids a function words."""
+    return note_of({job.origin.row: aids(job) for job in jobs})
 
 
 def of_training(job: PolicyTrainingJob) -> list[str]:
@@ -64,47 +59,14 @@ def of_training(job: PolicyTrainingJob) -> list[str]:
         aids.append("an encoder fitted beforehand and frozen")
     if settings.action_repeat > 1:
         aids.append(f"actions held for {settings.action_repeat} steps")
-    aids += _of_task(task.task, job.keys)
+    aids += of_task(task.task, job.keys)
     return [*aids, f"{settings.decisions:,} decisions"]
 
 
-def imitation_note(jobs: Iterable[ImitationJob]) -> str:
-    """The note of students of behaviour cloning and DAgger."""
-    return note_of({job.origin.row: of_imitation(job) for job in jobs})
-
-
-def of_imitation(job: ImitationJob) -> list[str]:
-    """What a student was fitted with."""
-    aids = [
-        f"{job.origin.variant} network, from {job.episodes} episodes of the expert, which had the aids of its own "
-        "table",
-        *_of_task(job.task.task, job.settings.network.keys),
-    ]
-    if job.settings.feature_matching:
-        aids.append(f"the expert's features matched with weight {job.settings.feature_matching:g}, which is ours")
-    if job.disturbed_episodes:
-        aids.append(f"{job.disturbed_episodes} more episodes with disturbed actions")
-    if job.rounds is not None:
-        aids.append(f"{job.rounds.rounds} rounds of {job.rounds.episodes} own episodes with the expert's advice")
-    return aids
-
-
-def force_note(jobs: Iterable[ForceJob], task: Task) -> str:
-    """The note of networks that predict forces, with the task of their episodes."""
-    text = {
-        f"{job.inputs}, {job.samples:,} samples": [
-            f"{job.settings.network.variant} network on disturbed episodes of the expert, which had the aids of its "
-            "own table",
-            *_of_task(task, _PICTURES),
-        ]
-        for job in jobs
-    }
-    return note_of(text)
-
-
-def navigation_note(jobs: Iterable[NavigatorJob]) -> str:
-    """The note of navigators."""
-    return note_of({job.origin.row: of_navigator(job) for job in jobs})
+def of_force(job: ForceJob, task: Task) -> list[str]:
+    """What a network that predicts forces was fitted to: episodes of a task."""
+    learnt = "network on disturbed episodes of the expert, which had the aids of its own table"
+    return [f"{job.settings.network.variant} {learnt}", *of_task(task, _PICTURES)]
 
 
 def of_navigator(job: NavigatorJob) -> list[str]:
@@ -127,7 +89,8 @@ def of_navigator(job: NavigatorJob) -> list[str]:
     return aids
 
 
-def _of_task(task: Task, observed: Sequence[str]) -> list[str]:
+def of_task(task: Task, observed: Sequence[str]) -> list[str]:
+    """What a task has, whose learner observes these."""
     aids = [f"{number_of_actions(task)} actions"]
     if task.catheter is not None:
         devices = f"the wire in the catheter {task.catheter}" if task.two_devices else f"the catheter {task.catheter}"

@@ -49,11 +49,7 @@ def encoder_file(folder: Path, keys: tuple[str, ...]) -> Path:
 
 
 def fit_encoders(job: EncodersJob, report: Report) -> dict[str, dict[str, Any]]:
-    """Fits the encoders of an anatomy; those that are there already are kept.
-
-    Returns:
-        Stem of the encoder's file to the report of its fit, with ``wall_s``, in which the roll-outs are.
-    """
+    """Fits the encoders of an anatomy that lack; file's stem to report, with ``wall_s``, roll-outs included."""
     from enn.encoder import fit_encoder
 
     missing = [keys for keys in job.sets if not _fitted(job, keys)]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.episodes import EpisodeReader
-from pipeline.episodes.errors import EpisodeReadError
+from pipeline.episodes.records import EpisodeReadError
 from pipeline.recording.replay import ReplayError, recorded_catheter, recorded_devices, recorded_wire
 from pipeline.recording.trials import POLICY
 from pipeline.stages.learning.task import LearningTask
@@ -97,14 +97,7 @@ def readable(logs: Iterable[Path], read: Callable[[Path], Trajectory]) -> Iterat
 
 
 def read_episodes(logs: Sequence[Path], wanted: int | None = None) -> list[Trajectory]:
-    """Reads episodes with images that are to be learnt from together.
-
-    Args:
-        wanted: how many; None: all.
-
-    Raises:
-        StageError: there are no logs, none can be read, or one is of another wire or image size than the rest.
-    """
+    """Reads so many episodes (None: all) with images that are to be learnt from together."""
     episodes = list(itertools.islice(readable(logs, read_episode), wanted))
     if not episodes:
         raise StageError(
@@ -121,11 +114,7 @@ def _of(logs: Sequence[Path]) -> str:
 
 
 def require_alike(episodes: Sequence[Trajectory]) -> None:
-    """Refuses episodes of several wires, catheters or image sizes.
-
-    Raises:
-        StageError: names the first that differs.
-    """
+    """Refuses episodes of several wires, catheters or image sizes."""
     from enn.trajectory import require_same_shapes
 
     for episode in episodes:
@@ -141,15 +130,7 @@ def require_alike(episodes: Sequence[Trajectory]) -> None:
 
 
 def expert_folder(enn: Path, task: str, row: str) -> Path:
-    """The training whose policy is the expert: the first seed that has expert episodes, or else a policy.
-
-    Args:
-        task: ``type_1/bca``.
-        row: ``I+V+M``.
-
-    Raises:
-        StageError: there is none.
-    """
+    """The training of a task (``type_1/bca``) and row that is the expert: the first seed with episodes, or a policy."""
     folders = sorted((enn / task / row).glob("seed*"), key=lambda folder: int(folder.name.removeprefix("seed")))
     trained = [folder for folder in folders if (folder / POLICY).is_file()]
     recorded = [folder for folder in trained if any((folder / EXPERT).glob("*.mcap"))]
@@ -171,11 +152,7 @@ def load_expert(folder: Path, device: str = "cpu") -> Policy:
 
 
 def load_policy(file: Path, maker: str, device: str = "cpu") -> Policy:
-    """Reads the policy that stage `maker` trained onto a device.
-
-    Raises:
-        StageError: it cannot be read.
-    """
+    """Reads the policy that stage `maker` trained onto a device."""
     from enn.policy import Policy
 
     try:
@@ -185,11 +162,7 @@ def load_policy(file: Path, maker: str, device: str = "cpu") -> Policy:
 
 
 def require_expert(stage: str, asked: LearningTask, folder: Path) -> None:
-    """Refuses an expert that was trained for another task than a stage was asked for.
-
-    Raises:
-        StageError: names every difference; or there is no episode, or the policy cannot be read.
-    """
+    """Refuses an expert that was trained for another task than a stage was asked for."""
     trained = task_from(load_expert(folder).metadata.get(TASK))
     if trained is not None:
         require_same_task(stage, asked.task, trained, f"the expert policy of {asked.name}", "enn")
@@ -203,12 +176,6 @@ def require_demonstrations(stage: str, asked: LearningTask, logs: Sequence[Path]
     """Refuses episodes of the sampling expert with another wire or other actions than a stage learns with.
 
     Where they started and when they were cut off does not matter.
-
-    Args:
-        logs: of the stage expert; those that cannot be read are passed over.
-
-    Raises:
-        StageError: names every difference.
     """
     for log in logs:
         with contextlib.suppress(EpisodeReadError):
@@ -217,11 +184,7 @@ def require_demonstrations(stage: str, asked: LearningTask, logs: Sequence[Path]
 
 
 def task_of_logs(logs: Sequence[Path], like: Task | None = None) -> LearningTask:
-    """The task that episodes were recorded in: that of the first one that can be read.
-
-    Raises:
-        StageError: none can be read.
-    """
+    """The task that episodes were recorded in: that of the first one that can be read."""
     for log in logs:
         with contextlib.suppress(EpisodeReadError):
             return task_of_log(log, like)
@@ -229,16 +192,7 @@ def task_of_logs(logs: Sequence[Path], like: Task | None = None) -> LearningTask
 
 
 def task_of_log(log: Path, like: Task | None = None) -> LearningTask:
-    """The task that an episode was recorded in.
-
-    Args:
-        log: of an episode; one of an earlier version without images is taken to have had those of 80 px.
-        like: a task whose catheter may be one of a file, which the log knows by its values alone.
-
-    Raises:
-        EpisodeReadError: the log is damaged or unfinished.
-        StageError: its wire or catheter is none of this version's, nor that of `like`.
-    """
+    """The task of an episode; that of `like` may have a catheter of a file, which the log knows by its values alone."""
     from cathsim.anatomy.entry import TOWARDS
     from cathsim.guidewire import preset_of
 

@@ -1,4 +1,4 @@
-"""Force jobs: disturbed episodes of the expert, logged with images; and networks that learn forces from them."""
+"""Force jobs: disturbed episodes of the expert, networks that learn forces from them, and forces from the shape."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.jobs.job import OPTIMISER
-from pipeline.jobs.worker import Report
+from pipeline.jobs.worker import OPTIMISER, Report
 from pipeline.recording.curves import Curves
 from pipeline.recording.record import record_episode
 from pipeline.recording.trials import recorded
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from enn.fitting import EpisodeFitProgress
     from enn.force import ForcePredictionSettings, ForceSamples
     from enn.imitation.dagger import DisturbanceSettings
+    from enn.trajectory import Trajectory
+
 
 PRELOAD = (
     "cathsim",
@@ -68,11 +70,7 @@ class ForceJob:
 
 
 def record_disturbed(job: RecordingJob, report: Report) -> dict[str, Any]:
-    """Records disturbed episodes until there are enough steps; those that are there are kept.
-
-    Returns:
-        ``steps`` and ``episodes``.
-    """
+    """Records disturbed episodes until there are enough ``steps``; those that are there are kept."""
     from enn.imitation.dagger import Disturbed
 
     expert = load_expert(job.expert, report.device)
@@ -95,11 +93,7 @@ def record_disturbed(job: RecordingJob, report: Report) -> dict[str, Any]:
 
 
 def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
-    """Fits a network and tests it on episodes that it has not learnt from.
-
-    Returns:
-        What `enn.force.evaluate_predictor` measures, with ``samples``, ``cpu_s``, ``wall_s`` and the last ``loss``.
-    """
+    """Fits a network and tests it on other episodes: `enn.force.evaluate_predictor`, ``samples``, times, ``loss``."""
     from enn.force import evaluate_predictor, fit_force
 
     record = job.folder / RECORD
@@ -143,4 +137,76 @@ def samples_of(job: ForceJob, device: str = "cpu") -> tuple[ForceSamples, ForceS
     return (
         training.drawn(min(job.samples, len(training)), job.seed),
         test.drawn(min(job.test_samples, len(test)), job.seed),
+    )
+
+
+@dataclass(frozen=True)
+class ShapeForceJob:
+    """Contact forces of the test frames, estimated by `cathsim.statics`."""
+
+    folder: Path
+    phantom: str
+    logs: tuple[Path, ...]  # folders of the disturbed episodes
+    test_samples: int  # at most
+    seed: int
+    # whether the curve has noise of 0.5 mm, and stiffness, feeder and lumen errors; drawn for each episode
+    disturbed: bool
+
+
+def forces_from_shape(job: ShapeForceJob, report: Report) -> dict[str, Any]:
+    """Estimates test frames' resultant contact forces from the wire's points and feeder; refused curves have none."""
+    from enn.force import score
+
+    record = job.folder / RECORD
+    if record.is_file():
+        return dict(json.loads(record.read_text(encoding="utf-8")))
+    worked = time.process_time()
+    estimated, true, refused = test_frames(job, report)
+    result = score(estimated, true)
+    outcome = {
+        "test_samples": result.samples,
+        "mse_n2": result.mse_n2,
+        "variance_n2": result.variance_n2,
+        "share_pct": 100.0 * result.share_of_variance if result.variance_n2 > 0 else None,
+        "correlation": result.correlation,
+        "refused": refused,
+        "cpu_s": time.process_time() - worked,
+    }
+    write_json(record, outcome)
+    return outcome
+
+
+def test_frames(job: ShapeForceJob, report: Report) -> tuple[NDArray[np.float64], NDArray[np.float32], int]:
+    """Estimated and true forces, (N,) N, of the test frames in the order of `samples_of`, and how many were refused."""
+    from cathsim import load_phantom
+    from cathsim.statics.shape_series import forces_of_shapes
+    from enn.force.samples import split_episodes
+
+    groups = [read_episodes(sorted(folder.glob("*.mcap"))) for folder in job.logs]
+    episodes = [episode for group in groups for episode in split_episodes(group, TEST_EVERY)[1]]
+    phantom, parts, refused = load_phantom(job.phantom), [], 0
+    for number, episode in enumerate(episodes):
+        generator = np.random.default_rng((job.seed, number)) if job.disturbed else None
+        shapes = episode.observations["shape"].astype(float)
+        forces, out = forces_of_shapes(shapes, _feeders(episode), episode.metadata["devices"], phantom, generator)
+        parts.append(forces[1:])  # the first is the state after the reset, in which no step has ended
+        refused += out
+        report((number + 1) / len(episodes), f"episode {number + 1} of {len(episodes)}")
+    if refused:
+        _LOGGER.warning("%d of %d curves were refused: their force is taken to be 0", refused, sum(map(len, parts)))
+    estimated = np.concatenate(parts)
+    true = np.concatenate([episode.forces for episode in episodes]).astype(np.float32)
+    drawn = np.random.default_rng(job.seed).permutation(len(true))[: job.test_samples]
+    return estimated[drawn], true[drawn], refused
+
+
+test_frames.__test__ = False  # type: ignore[attr-defined]  # no test, for pytest
+
+
+def _feeders(episode: Trajectory) -> NDArray[np.float64]:
+    """Insertion (m) and rotation (rad, without jumps) of each feeder in every moment. Shape (T + 1, feeders, 2)."""
+    observed = episode.observations["feeder"].astype(float)
+    columns = [observed[:, start : start + 3] for start in range(0, observed.shape[1] - 2, 3)]
+    return np.stack(
+        [np.column_stack((one[:, 0], np.unwrap(np.arctan2(one[:, 2], one[:, 1])))) for one in columns], axis=1
     )

@@ -13,16 +13,12 @@ from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import Origin
 from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.stages import StageContext
+from pipeline.stages.job_memory import training_gb, training_gpu_gb
 from pipeline.stages.learning.encoders import ENCODERS, EncodersJob, encoder_file, fit_encoders
 from pipeline.stages.learning.expert_episodes import require_demonstrations
-from pipeline.stages.learning.memory import training_gb, training_gpu_gb
 from pipeline.stages.learning.settings import LearningSettings
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import (
-    PRELOAD,
-    PolicyTrainingJob,
-    train_and_evaluate,
-)
+from pipeline.stages.learning.training import PRELOAD, PolicyTrainingJob, train_and_evaluate
 from pipeline.task import FEEDER, require_known_task
 
 if TYPE_CHECKING:
@@ -35,21 +31,13 @@ _LOGGER = logging.getLogger(__name__)
 
 
 def check_learning(settings: LearningSettings) -> None:
-    """Refuses unknown phantoms, targets and wires.
-
-    Raises:
-        ConfigurationError: listing the valid names.
-    """
+    """Refuses unknown phantoms, targets and wires."""
     check_anatomies(settings)
     require_known_task(settings.task)
 
 
 def training_seeds(run_seed: int, count: int, most: int) -> range:
-    """Seeds of a row's trainings; those of different run seeds never meet.
-
-    Args:
-        most: trainings of the row that has most.
-    """
+    """Seeds of a row's trainings, of which no row has more than `most`; those of different run seeds never meet."""
     return range(run_seed * most, run_seed * most + count)
 
 
@@ -64,11 +52,7 @@ def planned_training(
     *,
     expert_episodes: int = 0,
 ) -> PolicyTrainingJob:
-    """The job of one training of a stage's table.
-
-    Args:
-        settings: of the stage; its variant "desk" sees through an encoder, unless the observations are compact.
-    """
+    """The job of one training of a table; the variant "desk" sees through an encoder, unless it sees vectors alone."""
     from enn.networks.features import COMPACT
 
     # too many, or too large a seed, are refused before any work
@@ -113,14 +97,7 @@ def run_trainings(
     *,
     beside: Sequence[Job] = (),
 ) -> dict[str, Any]:
-    """Runs a stage's trainings and the encoders that they need.
-
-    Args:
-        beside: further jobs, which run last.
-
-    Returns:
-        A training's name to what `train_and_evaluate` returned, with ``encoder_s``.
-    """
+    """Runs trainings, their encoders and, last, other jobs; name to `train_and_evaluate`'s result and ``encoder_s``."""
     _check_demonstrations(trainings, settings)
     size_px = settings.task.image_size_px
     encoded: dict[str, list[PolicyTrainingJob]] = {}

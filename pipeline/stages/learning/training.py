@@ -1,4 +1,4 @@
-"""Training jobs: one policy of a learning stage up to its logged episodes.
+"""Training jobs: one policy of a learning stage up to its logged episodes on held-out seeds, in one folder a mode.
 
 A training's folder, ``<phantom>/<target>/<row>/seed<k>/``, holds::
 
@@ -12,26 +12,65 @@ A training's folder, ``<phantom>/<target>/<row>/seed<k>/``, holds::
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.episodes import EpisodeReader
-from pipeline.jobs.job import OPTIMISER
-from pipeline.jobs.worker import Report
+from pipeline.jobs.worker import OPTIMISER, Report
 from pipeline.recording.replay import ReplayError, recorded_devices, replay
-from pipeline.recording.trials import MODES, Origin, controllers, run_trials
-from pipeline.seeds import expert_seeds
-from pipeline.stages.learning.evaluation import both_modes, evaluate
+from pipeline.recording.trials import MODES, Controller, Origin, controllers, run_trials, summary
+from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.stages.learning.expert_episodes import EXPERT, readable
 from pipeline.stages.learning.task import ACCURACY_OF_TESTS, LearningTask
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import FEEDER, TASK
 
 if TYPE_CHECKING:
+    from cathsim import NavigateEnv
     from enn.reinforcement import Progress, TrainingSettings
     from enn.trajectory import Trajectory
+
+
+EVALUATION = "evaluation"
+
+
+def evaluate(
+    environment: NavigateEnv,
+    controllers: Callable[[str], Callable[[int], Controller]],
+    folder: Path,
+    origin: Origin,
+    episodes: Mapping[str, int],
+    report: Callable[[float, str], None],
+) -> dict[str, Any]:
+    """Records held-out episodes that lack, so many a mode, in ``evaluation/<mode>``; mode to the summary of them."""
+    outcome = {}
+    total = sum(episodes.values())
+    begun = 0
+    for mode, count in episodes.items():
+
+        def tell(share: float, text: str, begun: int = begun, count: int = count, mode: str = mode) -> None:
+            report((begun + share * count) / total, f"{mode} {text}")
+
+        metrics = run_trials(
+            environment,
+            controllers(mode),
+            folder / EVALUATION / mode,
+            seeds=held_out_seeds(origin.training_seed, count),
+            mode=mode,
+            origin=origin,
+            report=tell,
+        )
+        outcome[mode] = summary(metrics)
+        begun += count
+    return outcome
+
+
+def both_modes(best: int, drawn: int) -> dict[str, int]:
+    """Mode to number of episodes: by the best action, and, where there are any, by drawn ones."""
+    return {mode: count for mode, count in zip(MODES, (best, drawn), strict=True) if count}
+
 
 RECORD, CURVE = "training.json", "training.csv"
 # What every job imports: once, before the jobs' processes are forked.
@@ -73,11 +112,7 @@ class PolicyTrainingJob:
 
 
 def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]:
-    """Trains a policy, evaluates it on held-out seeds, and records expert episodes; each part only where it lacks.
-
-    Returns:
-        ``training_s`` and ``decisions``, ``deterministic`` and ``stochastic`` summaries.
-    """
+    """Trains, evaluates on held-out seeds, and records expert episodes, each where it lacks: times and summaries."""
     from enn.encoder import Encoder
     from enn.reinforcement import CheckpointError, Training
 
@@ -146,11 +181,7 @@ def _demonstrations(job: PolicyTrainingJob) -> list[Trajectory]:
 
 
 def repeat(logs: Sequence[Path], task: LearningTask, observation: tuple[str, ...] = ()) -> list[Trajectory]:
-    """Repeats an expert's episodes; one that cannot be used is left out with a warning.
-
-    Returns:
-        The episodes; none for tip motors, whose states no expert went through.
-    """
+    """Repeats an expert's episodes; one that cannot be used is left out with a warning, those of tip motors, too."""
     if task.task.actions != FEEDER:
         return []
 

@@ -19,16 +19,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.episodes.errors import EpisodeReadError
-from pipeline.jobs.job import OPTIMISER
-from pipeline.jobs.worker import Report
+from pipeline.episodes.records import EpisodeReadError
+from pipeline.jobs.worker import OPTIMISER, Report
 from pipeline.recording.curves import Curves
 from pipeline.recording.trials import Origin
 from pipeline.seeds import further_expert_seeds, navigation_episode_seeds
 from pipeline.stages.learning.advised_rounds import forget_rounds, last_policy, read_episodes, teach, write_episodes
-from pipeline.stages.navigation.logged_episodes import episode_of_log
 from pipeline.stages.navigation.perception import load_perception
-from pipeline.stages.navigation.scene import NAMED, Anatomy, episode_starts, in_view, room_for
+from pipeline.stages.navigation.scene import NAMED, Anatomy, episode_of_log, episode_starts, in_view, room_for
 from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.stages.navigation.trials import TrialSet, run_tests
 from pipeline.store.atomic_files import write_json
@@ -60,19 +58,14 @@ _TRAINING = 0.7  # of a job's time
 
 @dataclass(frozen=True)
 class LogsJob:
-    """An expert's episodes of one task to be seen by the C-arms.
-
-    Attributes:
-        logs: of the expert's episodes; damaged ones are left out.
-        expert: file of its policy, which plays on where there are fewer logs than the settings ask for.
-    """
+    """An expert's episodes of one task to be seen by the C-arms."""
 
     folder: Path
     settings: NavigationSettings
     phantom: str
     target: str
-    logs: tuple[Path, ...]
-    expert: Path
+    logs: tuple[Path, ...]  # of the expert's episodes; damaged ones are left out
+    expert: Path  # file of its policy, which plays on where there are fewer logs than the settings ask for
     seed: int
 
     @property
@@ -83,46 +76,31 @@ class LogsJob:
 
 @dataclass(frozen=True)
 class Course:
-    """What a teacher teaches.
-
-    Attributes:
-        anatomies: in which it knows the way.
-        targets: to which it knows the way.
-        hints: whether the navigator learns to predict the teacher's roadmap.
-        clutter: in the images of every second anatomy.
-    """
+    """What a teacher teaches."""
 
     teacher: Path
-    anatomies: tuple[Anatomy, ...]
-    targets: tuple[str, ...]
+    anatomies: tuple[Anatomy, ...]  # in which it knows the way
+    targets: tuple[str, ...]  # to which it knows the way
     task: Task
-    hints: bool = False
-    clutter: float = 0.0
+    hints: bool = False  # whether the navigator learns to predict the teacher's roadmap
+    clutter: float = 0.0  # in the images of every second anatomy
 
 
 @dataclass(frozen=True)
 class NavigatorJob:
-    """A navigator to train and to test.
-
-    Attributes:
-        origin: kept in the logs; its row names the navigator's folder, its seed is that of everything.
-        hidden: units.
-        epochs: of the cloning; of every round of advised episodes.
-        logs: files of experts' episodes to clone.
-        round_episodes: episodes a round, shared among the courses.
-    """
+    """A navigator to train and to test."""
 
     folder: Path
     settings: NavigationSettings
-    origin: Origin
+    origin: Origin  # kept in the logs; its row names the navigator's folder, its seed is that of everything
     tests: tuple[TrialSet, ...]
-    hidden: int
-    epochs: int
-    logs: tuple[Path, ...] = ()
+    hidden: int  # units
+    epochs: int  # of the cloning; of every round of advised episodes
+    logs: tuple[Path, ...] = ()  # files of experts' episodes to clone
     episodes: int = 0
     courses: tuple[Course, ...] = ()
     rounds: int = 0
-    round_episodes: int = 0
+    round_episodes: int = 0  # episodes a round, shared among the courses
 
     @property
     def own_folder(self) -> Path:
@@ -155,15 +133,7 @@ def navigator_on(
 
 
 def load_navigator(path: Path, network: PerceptionNetwork) -> tuple[RecurrentPolicy, NavigatorPerception]:
-    """Reads a navigator and its perception.
-
-    Args:
-        network: that it was trained with.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: it is damaged, of another version, or of another SplineFormer.
-    """
+    """Reads a navigator and its perception by a network; a ValueError where it is damaged, or another network's."""
     from enn.imitation.recurrent_policy import RecurrentPolicy
     from splineformer.navigation.navigator_perception import NavigatorPerception, NavigatorPerceptionSettings
 
@@ -207,11 +177,7 @@ def see_logs(job: LogsJob, report: Report) -> dict[str, Any]:
 
 
 def navigate(job: NavigatorJob, report: Report) -> dict[str, Any]:
-    """Trains a navigator and tests it; each part only where it lacks.
-
-    Returns:
-        How it was trained, and ``tests``: a row for each set of trials and target.
-    """
+    """Trains a navigator and tests it, each where it lacks: how it was trained, ``tests``, a row a set and target."""
     network = load_perception(job.folder, report.device)
     record, file = job.own_folder / RECORD, job.own_folder / NAVIGATOR
     if record.is_file():
@@ -299,11 +265,7 @@ def success_of(episodes: Sequence[AdvisedEpisode]) -> dict[str, float]:
 
 
 def cases_in_view(course: Course, count: int, arms: CArms, generator: np.random.Generator) -> list[tuple[Anatomy, str]]:
-    """Anatomies and targets of so many episodes, all as often; without targets that a camera does not see.
-
-    Raises:
-        StageError: the cameras see no target in any of the anatomies.
-    """
+    """Anatomies and targets of so many episodes, all as often; without targets that a camera does not see."""
     cases = [(anatomy, target) for anatomy in course.anatomies for target in course.targets]
     chosen: list[tuple[Anatomy, str]] = []
     while len(chosen) < count:

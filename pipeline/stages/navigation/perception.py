@@ -1,4 +1,4 @@
-"""Job of the navigation that fine-tunes the SplineFormer on wires under the navigation's cameras.
+"""The navigation's perception: the SplineFormer is fine-tuned on wires under the navigation's cameras.
 
 Shapes are laid out along the ways of random arches and moved on from there, and others are steered by a teacher with
 noise in its actions; the simulator knows where the wire is. After this the network's weights stay as they are, for
@@ -11,25 +11,191 @@ every navigator. The folder holds::
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.anatomies.anatomy_file import AnatomyFile
+from pipeline.anatomies.devices import fitted_task
+from pipeline.anatomies.settings import TARGETS
 from pipeline.jobs.worker import Report
 from pipeline.recording.curves import Curves
-from pipeline.stages.navigation.frames import frames_in
-from pipeline.stages.navigation.scene import Anatomy, phantom_of
+from pipeline.stages.navigation.scene import NAMED, Anatomy, among_clutter, phantom_of, scene_of
 from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.store.atomic_files import write_arrays, write_json
 from pipeline.store.errors import StageError
+from pipeline.task import DESCENDING
 
 if TYPE_CHECKING:
+    from cathsim.anatomy import Phantom
+    from cathsim.observations.c_arm_view import CArms
     from guide3d.learning.training import FitProgress
     from splineformer.navigation.fine_tuning import WirePictures
     from splineformer.navigation.perception import PerceptionNetwork
     from splineformer.predictor import Predictor
+
+
+_STEERED = 0.6  # share of the pictures of wires that a teacher steers, where there is one
+BETWEEN = 12  # steps between two pictures of those
+CLUTTERED = 2  # of so many wires one is among clutter, where there is to be any
+_CURVE_M = 0.5e-3  # between the points of a true curve
+
+Frame = tuple[np.ndarray, np.ndarray]  # pictures, and curves
+
+
+@dataclass(frozen=True)
+class _Rooms:
+    """Which wires are among clutter, each among its own."""
+
+    clutter: float
+    every: int
+    generator: np.random.Generator
+
+    def arms(self, arms: CArms, number: int) -> CArms:
+        """The C-arms for the wire of a number."""
+        return among_clutter(arms, self.clutter * (number % self.every == self.every - 1), self.generator)
+
+
+def frames_in(
+    anatomy: Anatomy,
+    settings: NavigationSettings,
+    seed: int,
+    teacher: Path | None,
+    size_px: int,
+    device: str = "cpu",
+    *,
+    between: int = BETWEEN,
+    cluttered: int = CLUTTERED,
+) -> list[Frame]:
+    """(cameras, size, size) pictures and (cameras, 240, 2) curves, shares of sides, of laid, then steered wires."""
+    generator = np.random.default_rng((seed, int(phantom_of(anatomy).hash[:8], 16)))
+    steered = 0 if teacher is None else round(_STEERED * settings.perception_frames)
+    rooms = _Rooms(settings.clutter, cluttered, generator)
+    found = _laid(anatomy, settings, size_px, settings.perception_frames - steered, generator, rooms)
+    if teacher is not None and steered:
+        found += _steered(anatomy, settings, size_px, steered, generator, teacher, device, between, rooms)
+    return found
+
+
+def _steered(
+    anatomy: Anatomy,
+    settings: NavigationSettings,
+    size_px: int,
+    count: int,
+    generator: np.random.Generator,
+    teacher: Path,
+    device: str,
+    between: int,
+    rooms: _Rooms,
+) -> list[Frame]:
+    """Pictures of episodes that a teacher steers, each with a share of noise in its actions, from none to all."""
+    from cathsim.observations.c_arm_view import with_shaft
+    from enn.imitation.perturbed_controller import PerturbedController
+    from enn.policy import Policy
+
+    policy = Policy.load(teacher, device)
+    phantom, task = phantom_of(anatomy), settings.arch_task
+    if isinstance(anatomy[0], AnatomyFile):  # whose ways may be longer than those of the arches
+        wanted = fitted_task(replace(task, wire_length_mm=0.0), phantom, settings.targets)
+        task = max(task, wanted, key=lambda one: one.guidewire().length)
+    found: list[Frame] = []
+    for number in range(4 * count):
+        if len(found) >= count:
+            break
+        target = settings.targets[number % len(settings.targets)]
+        scene = scene_of(task, anatomy, target, settings.arms, policy.keys)
+        environment = scene.environment
+        observation, _ = environment.reset(seed=int(generator.integers(2**31)))
+        arms = rooms.arms(scene.arms, number)
+        steer = PerturbedController(policy, generator)
+        over, step = False, 0
+        while not over and len(found) < count:
+            observation, _, terminated, truncated, _ = environment.step(steer(observation))
+            over, step = terminated or truncated, step + 1
+            if step % between == 0 and not over:
+                simulation = environment.simulation
+                nodes = with_shaft(simulation.wire_points(), simulation.vessel.direction)
+                frame = _frame(phantom, arms, nodes, size_px, int(generator.integers(2**31)))
+                if frame is not None:
+                    found.append(frame)
+        environment.close()
+    return found
+
+
+def _laid(
+    anatomy: Anatomy,
+    settings: NavigationSettings,
+    size_px: int,
+    count: int,
+    generator: np.random.Generator,
+    rooms: _Rooms,
+) -> list[Frame]:
+    """Pictures of wires that are laid along ways and moved on from there."""
+    from cathsim import ACCURACY, Simulation
+    from cathsim.devices.wire_placement import pushed_shapes
+    from cathsim.observations.c_arm_view import with_shaft
+
+    phantom, task = phantom_of(anatomy), settings.task if anatomy[1] == NAMED else settings.arch_task
+    wire = task.guidewire()
+    entry = task.entry if anatomy[1] == NAMED else DESCENDING
+    simulation = Simulation(phantom, wire.scaled(max(wire.length, 0.312)), ACCURACY["fast"], entry=entry)
+    usual = [target for target in TARGETS if target in phantom.targets]
+    ways = _ways(phantom, usual or settings.targets, simulation)
+    found: list[Frame] = []
+    for number in range(4 * count):
+        if len(found) >= count or not ways:
+            break
+        arms = rooms.arms(settings.arms_for(task), number)
+        way = ways[int(generator.integers(len(ways)))]
+        try:
+            shapes = pushed_shapes(simulation, way, generator)
+        except ValueError:  # too short a wire for this one
+            continue
+        for points in shapes:
+            nodes = with_shaft(points, simulation.vessel.direction)
+            frame = _frame(phantom, arms, nodes, size_px, int(generator.integers(2**31)))
+            if frame is not None:
+                found.append(frame)
+    return found[:count]
+
+
+def _ways(phantom: Phantom, targets: Sequence[str], simulation: Any) -> list[np.ndarray]:
+    from cathsim.devices.wire_placement import plan_way
+    from cathsim.planning.path import UnreachableError
+
+    ways = []
+    for target in targets:
+        try:
+            ways.append(plan_way(simulation, phantom.target(target).position))
+        except UnreachableError:
+            continue
+    return ways
+
+
+def _frame(phantom: Phantom, arms: CArms, nodes: np.ndarray, size_px: int, seed: int) -> Frame | None:
+    """Pictures and curves of one moment; None where a camera does not see enough of the wire."""
+    from cathsim.fluoroscopy.curve import smooth_curve
+    from cathsim.observations.c_arm_view import fluoroscope_of, images_of_shape
+    from guide3d.geometry.polyline import resample
+    from splineformer.image_input import picture_of
+    from splineformer.learning.augmentation import inside
+    from splineformer.navigation.fine_tuning import CURVE_POINTS
+
+    curve, _ = smooth_curve(nodes, _CURVE_M)
+    cameras = fluoroscope_of(phantom, arms).cameras
+    lines = []
+    for name in arms.cameras:
+        seen = inside((cameras[name].pixels(curve) + 0.5) / arms.image_size_px)
+        if seen is None:
+            return None
+        lines.append(resample(seen, count=CURVE_POINTS))
+    images = images_of_shape(phantom, arms, nodes, seed)
+    pictures = [picture_of(image, size_px, arms.image_size_px).pixels for image in images]
+    return np.stack(pictures), np.stack(lines)
+
 
 PERCEPTION = "perception"  # job and folder
 PREDICTOR, RECORD, FRAMES = "predictor.pt", "perception.json", "frames.npz"
@@ -39,29 +205,18 @@ _PREPARING = 0.3  # of the job's time
 
 @dataclass(frozen=True)
 class PerceptionJob:
-    """The fine-tuning of the perception network.
-
-    Attributes:
-        splineformer: model file of the stage splineformer.
-        anatomies: whose wires are shown.
-        teacher: file of a policy that steers some of the wires; None: all are laid.
-    """
+    """The fine-tuning of the perception network."""
 
     folder: Path
     settings: NavigationSettings
-    splineformer: Path
-    anatomies: tuple[Anatomy, ...]
+    splineformer: Path  # model file of the stage splineformer
+    anatomies: tuple[Anatomy, ...]  # whose wires are shown
     seed: int
-    teacher: Path | None = None
+    teacher: Path | None = None  # file of a policy that steers some of the wires; None: all are laid
 
 
 def fine_tune_perception(job: PerceptionJob, report: Report) -> dict[str, Any]:
-    """Trains the SplineFormer further.
-
-    Returns:
-        ``images``, ``epochs``, and before and after the tip's and the curve's mean and median error on anatomies kept
-        apart, px of 1,024.
-    """
+    """Trains the SplineFormer further: ``images``, ``epochs``, errors before and after on other anatomies, px."""
     from guide3d.learning.training import finished
     from splineformer.navigation.fine_tuning import fine_tune
     from splineformer.predictor import Predictor
@@ -95,11 +250,7 @@ def fine_tune_perception(job: PerceptionJob, report: Report) -> dict[str, Any]:
 
 
 def load_perception(folder: Path, device: str = "cpu") -> PerceptionNetwork:
-    """The perception network of a finished job.
-
-    Args:
-        device: where it reads images.
-    """
+    """The perception network of a finished job, on the device where it reads images."""
     import torch
 
     from splineformer.navigation.perception import PerceptionNetwork

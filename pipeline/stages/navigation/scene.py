@@ -1,4 +1,4 @@
-"""Scenes of the navigation: anatomies under the C-arms, and what a navigator is given of them.
+"""Scenes of the navigation: anatomies under the C-arms, logged episodes there, and what a navigator is given of them.
 
 A navigator is given images, the target's marks and what the contrast run shows, and nothing else of the simulation.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,16 +24,25 @@ from cathsim.observations.c_arm_view import (
 )
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.clutter import clutter_of
+from pipeline.episodes import EpisodeReader
+from pipeline.recording.replay import checked_values, recorded_phantom
 from pipeline.stages.learning.task import REWARD_OF_EVALUATION
 from pipeline.task import Task
 
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
     from cathsim.anatomy import Phantom
+    from cathsim.observations.c_arm_view import CArms
     from enn.imitation.advised_episodes import EpisodeStart
-    from splineformer.navigation.navigator_perception import EpisodeView, NavigatorPerceptionSettings
+    from enn.imitation.sequence_cloning import AdvisedEpisode
+    from splineformer.navigation.navigator_perception import (
+        EpisodeView,
+        NavigatorPerception,
+        NavigatorPerceptionSettings,
+    )
     from splineformer.navigation.space_map import Hull, SpaceMap
     from splineformer.navigation.vessel_map import VesselMap
+
 
 RESOLUTION = 1e-3  # m, of the anatomies' grids
 NAMED = -1  # seed of an anatomy that has a name of its own
@@ -59,11 +69,7 @@ def room_for(anatomies: Sequence[Anatomy]) -> None:
 
 
 def among_clutter(arms: CArms, amount: float, generator: np.random.Generator) -> CArms:
-    """The C-arms with clutter in the way that a generator draws, or as they are where there is to be none.
-
-    Args:
-        amount: as of `pipeline.clutter.clutter_of`.
-    """
+    """The C-arms with so much clutter (`pipeline.clutter.clutter_of`) in the way, or as they are without."""
     draw = clutter_of(amount)
     if draw is None:
         return arms
@@ -128,13 +134,7 @@ def view_of(
     arms: CArms,
     images: Callable[[], Sequence[np.ndarray]],
 ) -> EpisodeView:
-    """A navigator's view of an episode, before its first decision.
-
-    Args:
-        settings: of the navigator's perception.
-        arms: whose cameras see it.
-        images: gives the moment's image of each camera.
-    """
+    """A navigator's view of an episode, before its first decision; `images` gives the moment's image of each camera."""
     from splineformer.navigation.navigator_perception import EpisodeView
 
     place = phantom, target, arms
@@ -180,14 +180,7 @@ def scene_of(
     observe_every: int = 1,
     clutter: float = 0.0,
 ) -> Scene:
-    """A scene.
-
-    Args:
-        task: wire, limits and start; its images are those of a teacher.
-        arms: of the navigator's images; the wire that they show is the task's.
-        observe_every: as of `cathsim.NavigateEnv`.
-        clutter: how much of it is in the way, always the same in an anatomy.
-    """
+    """A scene of a task's wire, limits and start under the C-arms; an anatomy's clutter is always the same."""
     phantom = phantom_of(anatomy)
     seen = _among_its_own(phantom, replace(arms, wire=task.wire), clutter)
     arguments = {"reward": REWARD_OF_EVALUATION, "observe_every": observe_every, **task.arguments(phantom.name)}
@@ -204,14 +197,7 @@ def episode_starts(
     action_repeat: int,
     clutter: Mapping[Anatomy, float] | None = None,
 ) -> Iterator[EpisodeStart]:
-    """Starts of advised episodes, each scene made when its turn comes and closed when the episode has ended.
-
-    Args:
-        cases: anatomy and target of each.
-        settings: of the navigator's perception.
-        action_repeat: steps that the navigator holds an action: what lies between is not observed.
-        clutter: how much of it is in the way, by anatomy; where one is not named there is none.
-    """
+    """Starts of advised episodes, each scene made when its turn comes and closed when the episode has ended."""
     from enn.imitation.advised_episodes import EpisodeStart
 
     for (anatomy, target), seed in zip(cases, seeds, strict=True):
@@ -221,3 +207,32 @@ def episode_starts(
             return scene.view(settings)
 
         yield EpisodeStart(scene.environment, seed, begin, scene.environment.close, target)
+
+
+def episode_of_log(log: Path, arms: CArms, perception: NavigatorPerception, action_repeat: int) -> AdvisedEpisode:
+    """A logged episode as the navigator would have seen it, an image, drawn of the wire's logged shape, a decision."""
+    from cathsim.observations.c_arm_view import images_of_shape, with_shaft
+    from enn.imitation.sequence_cloning import AdvisedEpisode
+
+    with EpisodeReader(log) as episode:
+        info, outcome = episode.info, episode.outcome
+        arrays = episode.load_arrays(pictures=False)
+    with checked_values(info, "phantom"):
+        phantom = recorded_phantom(info)
+    direction = phantom.entry(info.entry).direction
+    steps = range(0, len(arrays["action"]) - 1, action_repeat)
+    images = [
+        images_of_shape(phantom, arms, with_shaft(arrays["wire_points"][step], direction), (info.seed, step))
+        for step in steps
+    ]
+    readings = perception.network([image for several in images for image in several])
+    count = len(arms.cameras)
+    view = view_of(perception.settings, phantom, info.target, arms, list)
+    features, actions = [], [np.zeros(2, np.float32)]
+    for number, step in enumerate(steps):
+        features.append(view.look(readings[number * count : (number + 1) * count], actions[-1]))
+        # what the expert did while a decision of the navigator would have been held
+        done = arrays["action"][step + 1 : step + 1 + action_repeat]
+        actions.append(done.mean(axis=0).astype(np.float32))
+    nothing = np.zeros((len(features), 0), np.float32)
+    return AdvisedEpisode(np.stack(features), np.stack(actions[1:]), nothing, bool(outcome.success), info.target)

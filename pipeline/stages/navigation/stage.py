@@ -5,16 +5,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pipeline.anatomies.known import require_known_phantoms, require_known_targets
-from pipeline.anatomies.settings import check_anatomies, settle
+from pipeline.anatomies.settings import check_anatomies, require_known_phantoms, require_known_targets, settle
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.human import FOLDER as HUMAN
 from pipeline.recording.human import SUFFIX
 from pipeline.recording.trials import POLICY, Origin
 from pipeline.seeds import perception_arches, training_arches, unseen_arches
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.gpu_memory import LEARNT_BATCH, network_gb, policy_gb
-from pipeline.stages.learning.aids import navigation_note
+from pipeline.stages.imitation import ImitationJob, imitate
+from pipeline.stages.job_memory import LEARNT_BATCH, network_gb, policy_gb
+from pipeline.stages.learning.aids import note, of_navigator
 from pipeline.stages.learning.expert_episodes import (
     expert_folder,
     expert_logs,
@@ -22,14 +22,22 @@ from pipeline.stages.learning.expert_episodes import (
     read_episodes,
     require_expert,
 )
-from pipeline.stages.learning.imitation import ImitationJob, imitate
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.navigation.film import FILMS, FilmJob, film_trials
 from pipeline.stages.navigation.jobs import LOGS, PRELOAD, Course, LogsJob, NavigatorJob, navigate, see_logs
 from pipeline.stages.navigation.perception import PERCEPTION, PerceptionJob, fine_tune_perception
 from pipeline.stages.navigation.scene import NAMED, Anatomy
 from pipeline.stages.navigation.settings import NavigationSettings
-from pipeline.stages.navigation.tables import ARCHES, DAGGER, PIXELS, figures, row_of, tables
+from pipeline.stages.navigation.tables import (
+    ARCHES,
+    DAGGER,
+    FILMS,
+    PIXELS,
+    FilmJob,
+    figures,
+    film_trials,
+    row_of,
+    tables,
+)
 from pipeline.stages.navigation.trials import TrialSet
 from pipeline.stages.networks.training import PREDICTOR
 from pipeline.stages.unseen.task import TEST_PHANTOM, training_arch
@@ -44,11 +52,7 @@ _SECONDS = {"frame": 0.06, "episode": 1.2, "advised": 2.4, "trial": 2.0}  # gues
 
 
 def check_navigation(settings: NavigationSettings) -> None:
-    """Refuses unknown phantoms and targets.
-
-    Raises:
-        ConfigurationError: listing the valid names.
-    """
+    """Refuses unknown phantoms and targets."""
     require_known_phantoms(settings.transfer_phantoms)
     check_anatomies(settings)
     if settings.arches or settings.test_arches:
@@ -70,19 +74,12 @@ def run_navigation(settings: NavigationSettings, context: StageContext) -> Resul
     outcomes = run_jobs(
         context.folder, jobs, workers=settings.workers, label="navigators", preload=PRELOAD, device=settings.device
     )
-    notes = {"navigation": navigation_note(job.given for job in jobs if isinstance(job.given, NavigatorJob))}
+    notes = {"navigation": note((job.given for job in jobs if isinstance(job.given, NavigatorJob)), of_navigator)}
     return Results(tables(settings, context, outcomes), figures(settings, context.path, outcomes), notes)
 
 
 def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
-    """The jobs: the perception network, the experts' episodes seen through it, navigators, rivals, films.
-
-    Args:
-        context: where experts, teachers and the SplineFormer lie, and where to write.
-
-    Raises:
-        StageError: an earlier stage left no expert, no episodes or no teacher.
-    """
+    """The jobs: the perception network, the experts' episodes seen through it, navigators, rivals, films."""
     reading_gb = network_gb(settings.splineformer, "desk")
     seen: list[Job] = []
     courses: list[Course] = []

@@ -26,24 +26,19 @@ if TYPE_CHECKING:
     from enn.imitation.recurrent_policy import RecurrentPolicy
     from splineformer.navigation.navigator_perception import NavigatorPerception
 
+
 EVALUATION = "evaluation"
 
 
 @dataclass(frozen=True)
 class TrialSet:
-    """Trials on held-out starts.
-
-    Attributes:
-        anatomies: one after the other.
-        trials: in each, for each target.
-        clutter: in the images.
-    """
+    """Trials on held-out starts."""
 
     name: str
-    anatomies: tuple[Anatomy, ...]
-    trials: int
+    anatomies: tuple[Anatomy, ...]  # one after the other
+    trials: int  # in each, for each target
     task: Task
-    clutter: float = 0.0
+    clutter: float = 0.0  # in the images
 
 
 def run_tests(
@@ -58,17 +53,9 @@ def run_tests(
 ) -> list[dict[str, Any]]:
     """Puts a navigator to its trials; those whose log is there are not repeated.
 
-    Args:
-        settings: of the stage: targets and cameras.
-        origin: kept in the logs; its seed is that of the training.
-        report: takes the share done and a few words.
-
     Returns:
         A row for each set and target: success, mean time of successful trials, forces, failure modes, number, and in
         how many anatomies the target lies outside the cameras' images, where there is no trial.
-
-    Raises:
-        StageError: it does so in all anatomies of a set.
     """
     rows = []
     cells = [(test, target) for test in tests for target in settings.targets]

@@ -7,8 +7,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Le
 
-from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
-from pipeline.settings.kinds import NOT_EMPTY, UNIQUE, CountOrNone, Device, JobSettings, PathText, Seed, one_of
+from pipeline.settings import kinds
 from pipeline.store.errors import ConfigurationError
 
 # What predicts a shape: the shape network as the thesis's table has it, with the thesis's loss alone, and 3D-FGRN.
@@ -19,63 +18,63 @@ SPLINEFORMER_VARIANTS = ("published", "ordered")
 SPLINEFORMER_SIZES = ("thesis", "thesis_large", "desk", "smoke")
 DISTURBANCES = ("none", "noise", "low_contrast", "occlusion")
 
-_ShapeRows = Annotated[list[Annotated[str, one_of(*SHAPE_ROWS)]], UNIQUE, NOT_EMPTY]
-_SegmentationRows = Annotated[list[Annotated[str, one_of(*SEGMENTATION_ROWS)]], UNIQUE, NOT_EMPTY]
+_ShapeRows = Annotated[list[Annotated[str, kinds.one_of(*SHAPE_ROWS)]], kinds.UNIQUE, kinds.NOT_EMPTY]
+_SegmentationRows = Annotated[list[Annotated[str, kinds.one_of(*SEGMENTATION_ROWS)]], kinds.UNIQUE, kinds.NOT_EMPTY]
 
-_Variants = Annotated[list[Annotated[str, one_of(*SPLINEFORMER_VARIANTS)]], UNIQUE, NOT_EMPTY]
-_Disturbances = Annotated[list[Annotated[str, one_of(*DISTURBANCES)]], UNIQUE, NOT_EMPTY]
+_Variants = Annotated[list[Annotated[str, kinds.one_of(*SPLINEFORMER_VARIANTS)]], kinds.UNIQUE, kinds.NOT_EMPTY]
+_Disturbances = Annotated[list[Annotated[str, kinds.one_of(*DISTURBANCES)]], kinds.UNIQUE, kinds.NOT_EMPTY]
 
 
-@validated()
-class TrainingSettings(JobSettings):
+@kinds.validated()
+class TrainingSettings(kinds.JobSettings):
     """What the stages have in common."""
 
-    size: Annotated[str, one_of(*NETWORK_SIZES)] = "desk"  # of networks and training: see the package's recipes
-    epochs: CountOrNone = 0  # 0: the recipe's own number
-    split_seed: Seed = 0  # of the split by acquisition
+    size: Annotated[str, kinds.one_of(*NETWORK_SIZES)] = "desk"  # of networks and training: see the package's recipes
+    epochs: kinds.CountOrNone = 0  # 0: the recipe's own number
+    split_seed: kinds.Seed = 0  # of the split by acquisition
     processes: Annotated[int, Ge(1), Le(64)] = 1  # that train one network together, by torchrun: one a GPU
-    device: Device = field(default="auto", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
+    # of the networks: see pipeline.jobs.gpus
+    device: kinds.Device = field(default="auto", metadata=kinds.NO_EFFECT_ON_RESULTS)
 
 
-@validated()
+@kinds.validated()
 class NetworkSettings(TrainingSettings):
     """Settings of a stage that trains a network a row of its table."""
 
-    rows: Annotated[list[str], UNIQUE, NOT_EMPTY] = field(default_factory=list)  # networks to train
+    rows: Annotated[list[str], kinds.UNIQUE, kinds.NOT_EMPTY] = field(default_factory=list)  # networks to train
 
 
-@validated()
+@kinds.validated()
 class ShapeSettings(NetworkSettings):
     """Settings of shape prediction."""
 
     name: str = "shape"
     rows: _ShapeRows = field(default_factory=lambda: ["spherical", "cartesian", "fgrn"])
-    pretrained: PathText | None = None  # weights of the vision transformer, under timm's or torchvision's names
+    pretrained: kinds.PathText | None = None  # weights of the vision transformer, under timm's or torchvision's names
 
 
-@validated()
+@kinds.validated()
 class SegmentationSettings(NetworkSettings):
     """Settings of segmentation."""
 
     name: str = "segmentation"
     rows: _SegmentationRows = field(default_factory=lambda: list(SEGMENTATION_ROWS))
-    test_images: CountOrNone = 120  # of the test acquisitions, evenly chosen; 0: all
+    test_images: kinds.CountOrNone = 120  # of the test acquisitions, evenly chosen; 0: all
 
 
-@validated()
+@kinds.validated()
 class SplineformerSettings(TrainingSettings):
     """Settings of SplineFormer."""
 
     name: str = "splineformer"
     variants: _Variants = field(default_factory=lambda: list(SPLINEFORMER_VARIANTS))  # to train, see splineformer.build
-    size: Annotated[str, one_of(*SPLINEFORMER_SIZES)] = "desk"
-    rival: Annotated[str, one_of(*SEGMENTATION_ROWS)] = (
-        "unet"  # network of the stage segmentation whose masks are traced
-    )
+    size: Annotated[str, kinds.one_of(*SPLINEFORMER_SIZES)] = "desk"
+    # network of the stage segmentation whose masks are traced
+    rival: Annotated[str, kinds.one_of(*SEGMENTATION_ROWS)] = "unet"
     # under which images are read
     disturbances: _Disturbances = field(default_factory=lambda: list(DISTURBANCES))
-    test_images: CountOrNone = 360  # of the test acquisitions, evenly chosen; 0: all
-    disturbed_images: CountOrNone = 40  # of those, under each disturbance; 0: all
+    test_images: kinds.CountOrNone = 360  # of the test acquisitions, evenly chosen; 0: all
+    disturbed_images: kinds.CountOrNone = 40  # of those, under each disturbance; 0: all
 
     def __post_init__(self) -> None:
         """Checks that there is something to compare with, and that the variant has the size."""

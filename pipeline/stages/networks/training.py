@@ -1,53 +1,83 @@
-"""Network jobs: one training, in this process or by torchrun in several, through a package's own command line."""
+"""Network jobs: a training by a package's own command line, here or by torchrun, then tests on unseen acquisitions."""
 
 from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Sequence
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.jobs.worker import Report
+import numpy as np
+
+from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.worker import OPTIMISER, Report
 from pipeline.recording.curves import Curves
-from pipeline.stages.guide3d.folder import read_source
-from pipeline.stages.networks.torchrun import train_together
+from pipeline.stages import StageContext
+from pipeline.stages.guide3d.folder import open_dataset, read_source
+from pipeline.stages.job_memory import network_gb
+from pipeline.stages.networks.settings import TrainingSettings
+from pipeline.store.atomic_files import atomic_path, write_json
+from pipeline.store.errors import StageError
 from pipeline.store.written_files import note
+from pipeline.tables import Figure, Results
 
 if TYPE_CHECKING:
+    from guide3d.dataset.dataset import Dataset
     from guide3d.learning.training import FitProgress
+
+
+_SECONDS_BETWEEN_LOOKS = 1.0
+
+
+def train_together(module: str, words: Sequence[str], processes: int, report: Report) -> None:
+    """Starts torchrun on a module and waits; what `report` raises stops it, which leaves the last checkpoint."""
+    command = [
+        sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes),
+        "-m", module, *words,
+    ]  # fmt: skip
+    # a file, not a pipe: one that nobody reads while the processes run would fill and stop them
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
+        running = subprocess.Popen(command, stderr=errors, env={**os.environ})
+        try:
+            while running.poll() is None:
+                time.sleep(_SECONDS_BETWEEN_LOOKS)
+                report(0.5, f"{processes} processes")
+        finally:
+            if running.poll() is None:
+                running.terminate()
+            running.wait()
+        if running.returncode:
+            errors.seek(0)
+            lines = [line.strip() for line in errors if line.strip()]
+            raise StageError(
+                f"torchrun ended with code {running.returncode}: {lines[0] if lines else 'no word of why'}"
+            )
+
 
 PREDICTOR, TRAINING = "predictor.pt", "training.json"
 
 
 @dataclass(frozen=True)
 class TrainingJob:
-    """A training by a package's own command line.
-
-    Attributes:
-        guide3d: folder of the stage guide3d, which knows the data set.
-        pictures: folder of prepared pictures, which trainings share.
-        network: as the command line calls it.
-        settings: of the stage; `TrainingSettings` and what the stage adds to them.
-    """
+    """A training by a package's own command line."""
 
     folder: Path
-    guide3d: Path
-    pictures: Path
-    network: str
-    settings: Any
+    guide3d: Path  # folder of the stage guide3d, which knows the data set
+    pictures: Path  # folder of prepared pictures, which trainings share
+    network: str  # as the command line calls it
+    settings: Any  # of the stage; `TrainingSettings` and what the stage adds to them
     seed: int
 
 
 def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[str], report: Report) -> dict[str, Any]:
-    """Trains a network or goes on with it, here or by torchrun in several processes; returns ``training.json``'s table.
-
-    Args:
-        module: with the command line's ``arguments`` and ``train``.
-        words: of the command line that only this module has.
-        places: of the data set that it takes.
-    """
+    """Trains a network or goes on with it, here or by torchrun in several processes; gives ``training.json``."""
     table = job.folder / TRAINING
     if table.is_file() and (job.folder / PREDICTOR).is_file():
         return dict(json.loads(table.read_text(encoding="utf-8")))
@@ -92,3 +122,114 @@ def training_figures(training: dict[str, Any], predictor: Any) -> dict[str, Any]
         "cpu_min": rows[-1]["cpu_s"] / 60,
         "curve": [[row["epoch"], row["loss"], row["validation"]] for row in rows],
     }
+
+
+PICTURES = ".cache/pictures"  # made again from the data set when needed
+
+Tables = Callable[[Any, dict[str, Any]], dict[str, Any]]
+Figures = Callable[[Any, dict[str, Any], StageContext], list[Figure]]
+
+
+def training_job(
+    network: str,
+    learn: Callable[[TrainingJob, Any], Any],
+    settings: TrainingSettings,
+    context: StageContext,
+    weight: float = 1.0,
+) -> Job:
+    """The job that trains one network, named and with a folder after it, with a GPU for each of its processes."""
+    given = TrainingJob(
+        folder=context.path / network,
+        guide3d=context.inputs["guide3d"],
+        pictures=context.path / PICTURES,
+        network=network,
+        settings=settings,
+        seed=context.seed,
+    )
+    gpu_gb = network_gb(network, settings.size)
+    return Job(network, learn, given, weight=weight, gpu_gb=gpu_gb, gpus=settings.processes)
+
+
+def cost_cells(outcome: dict[str, Any]) -> dict[str, Any]:
+    """A network's size in millions of weights, and its training in epochs and minutes of processor time."""
+    return {"parameters_m": outcome["parameters"] / 1e6, "epochs": outcome["epochs"], "cpu_min": outcome["cpu_min"]}
+
+
+def train_and_compare(
+    settings: TrainingSettings,
+    context: StageContext,
+    jobs: Sequence[Job],
+    tables: Tables,
+    figures: Figures,
+    *,
+    label: str,
+    preload: Sequence[str],
+) -> Results:
+    """Trains every network and makes tables and figures of settings and outcomes."""
+    outcomes = run_jobs(
+        context.folder, list(jobs), workers=settings.workers, label=label, preload=preload, device=settings.device
+    )
+    return Results(tables(settings, outcomes), figures(settings, outcomes, context))
+
+
+PRELOAD = ("guide3d.train", "guide3d.learning.evaluation", OPTIMISER)
+EXAMPLES = "examples.npz"
+
+# predictor, figures and examples of a trained network, from its job, the data set and the test acquisitions
+_Evaluate = Callable[[TrainingJob, "Dataset", tuple[str, ...], Report], tuple[Any, dict[str, Any], dict[str, Any]]]
+
+
+def learn_shape(job: TrainingJob, report: Report) -> dict[str, Any]:
+    """Trains a network of the shape and compares its curves with the true ones; see `evaluate_shape`."""
+    return _learn(job, report, job.folder / "shape.json", _evaluate_shape, np.savez)
+
+
+def learn_segmentation(job: TrainingJob, report: Report) -> dict[str, Any]:
+    """Trains a segmentation network and compares its masks with the annotated ones; see `evaluate_segmentation`."""
+    return _learn(job, report, job.folder / "segmentation.json", _evaluate_segmentation, np.savez_compressed)
+
+
+def _learn(
+    job: TrainingJob, report: Report, file: Path, evaluate: _Evaluate, save: Callable[..., None]
+) -> dict[str, Any]:
+    if not file.is_file():
+        from guide3d.dataset.dataset import split
+
+        training = train_network(job, report)
+        data = open_dataset(job.guide3d)
+        test = split(data, seed=job.settings.split_seed).test
+        predictor, figures, examples = evaluate(job, data, test, report)
+        with atomic_path(job.folder / EXAMPLES) as temporary:
+            save(temporary, **examples)
+        trained_with = {name: int(n) for name, n in predictor.metadata.items() if name.startswith("training_")}
+        figures |= training_figures(training, predictor) | trained_with | {"acquisitions": len(test)}
+        write_json(file, figures)
+    return dict(json.loads(file.read_text(encoding="utf-8")))
+
+
+def train_network(job: TrainingJob, report: Report) -> dict[str, Any]:
+    """Trains a network, or goes on with its training; returns what ``training.json`` holds."""
+    words = ["--network", job.network]
+    if getattr(job.settings, "pretrained", None) is not None and job.network != "fgrn":  # that has no transformer
+        words += ["--pretrained", job.settings.pretrained]
+    return train("guide3d.train", job, words, ("images", "calibration", "curves"), report)
+
+
+def _evaluate_shape(job: TrainingJob, data: Dataset, test: tuple[str, ...], report: Report) -> Any:
+    from guide3d.learning.evaluation import evaluate_shape
+    from guide3d.learning.predictor import FGRNPredictor, ShapePredictor
+
+    kind: Any = FGRNPredictor if job.network == "fgrn" else ShapePredictor
+    predictor = kind.load(job.folder / PREDICTOR, report.device)
+    return predictor, *evaluate_shape(predictor, data, test, job.pictures)
+
+
+def _evaluate_segmentation(job: TrainingJob, data: Dataset, test: tuple[str, ...], report: Report) -> Any:
+    from guide3d.learning.evaluation import evaluate_segmentation
+    from guide3d.learning.predictor import SegmentationPredictor
+
+    def progress(number: int, of: int) -> None:
+        report(0.9 + 0.1 * number / of, f"image {number + 1} of {of}")
+
+    predictor = SegmentationPredictor.load(job.folder / PREDICTOR, report.device)
+    return predictor, *evaluate_segmentation(predictor, data, test, job.settings.test_images, job.pictures, progress)

@@ -1,17 +1,19 @@
-"""A rehearsal's job, and the environments over copies of the scan that it takes place in."""
+"""A rehearsal's job, the environments over copies of the scan that it takes place in, and its hyper-parameters."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.anatomy_file import load_anatomy
-from pipeline.jobs.job import OPTIMISER
+from pipeline.jobs.engines.local import available_workers
+from pipeline.jobs.worker import OPTIMISER
 from pipeline.recording.trials import Origin
 from pipeline.seeds import training_copies
+from pipeline.stages.learning.settings import with_hyperparameters
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.unseen.task import REWARD_OF_EVALUATION, REWARD_OF_TRAINING, ROADMAP_KEYS
 from pipeline.task import Task
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
     from cathsim.rehearsal.environment import NavigateCopiesEnv
     from enn.device_trials import Tried
     from enn.reinforcement.rehearsal_rules import RehearsalRules
+    from enn.reinforcement.training import TrainingSettings
+
 
 SCAN, COPIES = "scan", "copies"  # sets of tests, and their folders
 # Modules that every job needs.
@@ -28,34 +32,23 @@ PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipe
 
 @dataclass(frozen=True)
 class RehearsalJob:
-    """A rehearsal.
-
-    Attributes:
-        task: with the length of the wire filled in.
-        start: the policy to start from; None: from nothing.
-        tested: for tests, the row of the table; None: for the training.
-        copies: of a test: seeds.
-        shown_by: of demonstrations: the policies that may give them; the first is `start`, where there is one.
-        part: of demonstrations and trials: its number among those that are made beside each other.
-        turn: of demonstrations: its number (`pipeline.stages.rehearsal.turns`).
-        force_price: of the training's reward, 1/N; None: what the settings say without trials.
-        tried: how the policy to start from fared in trials of its devices; None: there were none.
-    """
+    """A rehearsal."""
 
     folder: Path
     origin: Origin
     settings: RehearsalSettings
-    task: Task
+    task: Task  # with the length of the wire filled in
     target: str
-    start: Path | None = None
+    start: Path | None = None  # the policy to start from; None: from nothing
     policy: Path | None = None
-    tested: str | None = None
-    copies: tuple[int, ...] = ()
+    tested: str | None = None  # for tests, the row of the table; None: for the training
+    copies: tuple[int, ...] = ()  # of a test: seeds
+    # of demonstrations: the policies that may give them; the first is `start`, where there is one
     shown_by: tuple[Path, ...] = ()
-    part: int = 0
-    turn: int = 0
-    force_price: float | None = None
-    tried: Tried | None = None
+    part: int = 0  # of demonstrations and trials: its number among those that are made beside each other
+    turn: int = 0  # of demonstrations: its number (`pipeline.stages.rehearsal.demonstrations`)
+    force_price: float | None = None  # of the training's reward, 1/N; None: what the settings say without trials
+    tried: Tried | None = None  # how the policy to start from fared in trials of its devices; None: there were none
 
     @property
     def training_cases(self) -> tuple[int, ...]:
@@ -83,11 +76,7 @@ def copies_environment(
     observe_every: int = 1,
     observation: Sequence[str] = ROADMAP_KEYS,
 ) -> NavigateCopiesEnv:
-    """An environment over copies; that of a training has the shaped reward and its physics.
-
-    Args:
-        observe_every: as of `cathsim.NavigateEnv`.
-    """
+    """An environment over copies; that of a training has the shaped reward and its physics."""
     from cathsim.rehearsal.environment import NavigateCopiesEnv
     from cathsim.rehearsal.perturbation import Perturbation
 
@@ -119,3 +108,36 @@ def copies_environment(
         **job.task.devices(),
         **job.task.rules(),
     )
+
+
+MOST_THREADS = 4  # of a training, unless the settings say; more gain nothing (docs/results/computing.md)
+
+
+def threads_of(settings: RehearsalSettings) -> int:
+    """Threads that step the environments: as many as there are cores, within reason."""
+    return settings.threads or min(available_workers(), MOST_THREADS)
+
+
+def training_settings(
+    job: RehearsalJob, device: str, *, fewer: bool = False, evaluations: int | None = None
+) -> TrainingSettings:
+    """Settings of the training but for its start's; `fewer`: a share of the decisions at a higher rate (SAC)."""
+    settings = job.settings
+    share = settings.share_of_decisions if fewer else 1.0
+    training = replace(
+        job.rules.training(settings.algorithm, settings.decisions, share=share, evaluations=evaluations),
+        hidden=(settings.hidden, settings.hidden),
+        n_envs=settings.environments,
+        threads=threads_of(settings),
+        evaluation_episodes=settings.validation_copies + 1,
+        tensorboard=True,
+        device=device,
+    )
+    return with_hyperparameters(training, settings.training)
+
+
+def held_steps(job: RehearsalJob) -> int:
+    """Steps for which the training holds an action: as the policy that it starts from does."""
+    from enn.policy import Policy
+
+    return training_settings(job, "cpu").action_repeat if job.start is None else Policy.load(job.start).action_repeat

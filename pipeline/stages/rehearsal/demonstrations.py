@@ -1,10 +1,12 @@
 """Demonstrations of a rehearsal: episodes in its training's copies in which some policy reached the target.
 
-Who plays says `pipeline.stages.rehearsal.turns`. The sampling expert plays copy by copy until enough episodes have
-arrived. It presses gently, and plays as usual, too, where few of these episodes arrive.
+Copies are divided among processes, which play a turn beside each other. Whose turn it is depends on the files of those
+before, so that it is the same however often the work was interrupted. Rules: `enn.reinforcement.rehearsal_rules`. The
+sampling expert plays copy by copy until enough episodes have arrived. It presses gently, and plays as usual, too, where
+few of these episodes arrive.
 
 One file an episode, ``demonstrations/<policy or expert>_<copy>_<turn>.npz`` in the stage's folder
-(`pipeline.recording.demonstration_files`).
+(`pipeline.stages.unseen.demonstrations`).
 """
 
 from __future__ import annotations
@@ -15,19 +17,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.jobs.freed_memory import map_simulations
-from pipeline.jobs.worker import Report
-from pipeline.recording.demonstration_files import ARRIVED, arrived, demonstration_arrays, read_demonstration
+from pipeline.jobs.worker import Report, map_simulations
 from pipeline.seeds import rehearsal_demonstration_seed
-from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.hyperparameters import held_steps
-from pipeline.stages.rehearsal.turns import (
-    DEMONSTRATIONS,
-    EXPERT,
-    demonstration_file,
-    policy_names,
-    turn_of,
-)
+from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment, held_steps
+from pipeline.stages.unseen.demonstrations import ARRIVED, arrived, demonstration_arrays, read_demonstration
 from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import stopping_the_stage
@@ -39,7 +32,55 @@ if TYPE_CHECKING:
     from enn.imitation.dagger import Act
     from enn.imitation.images.policy import ImagePolicy
     from enn.policy import Policy
+    from enn.reinforcement.rehearsal_rules import Turn
     from enn.trajectory import Trajectory
+
+
+DEMONSTRATIONS = "demonstrations"  # folder, and first part of the jobs' names
+EXPERT = "expert"
+
+
+def turn_of(job: RehearsalJob) -> Turn[Path] | None:
+    """Who plays in the job's turn; None: enough is shown, or nobody is left who may show more."""
+    turns = job.rules.turns(job.shown_by, job.start, job.tried)
+    try:
+        turn = next(turns)
+        for _ in range(job.turn):
+            turn = turns.send(_outcomes(job, turn))
+    except StopIteration:
+        return None
+    return turn
+
+
+def first_turn(job: RehearsalJob) -> list[bool]:
+    """Where the policy that a rehearsal starts from arrives in its demonstrations; empty where it did not play all."""
+    if job.start is None:
+        return []
+    files = [demonstration_file(job, job.start.stem, copy, 0) for copy in job.training_cases]
+    return [arrived(file) for file in files] if all(file.is_file() for file in files) else []
+
+
+def _outcomes(job: RehearsalJob, turn: Turn[Path]) -> list[bool]:
+    """Where the episodes of a turn arrived."""
+    if turn.policy is None:
+        return [arrived(file) for file in sorted((job.folder / DEMONSTRATIONS).glob(f"{EXPERT}_*.npz"))]
+    name = policy_names(job)[turn.policy]
+    return [arrived(demonstration_file(job, name, copy, turn.number)) for copy in job.training_cases]
+
+
+def demonstration_file(job: RehearsalJob, name: str, copy: int, number: int) -> Path:
+    """The file of an episode of a policy, or of the expert, in a copy and turn."""
+    return job.folder / DEMONSTRATIONS / f"{name}_{copy}_{number}.npz"
+
+
+def policy_names(job: RehearsalJob) -> dict[Path, str]:
+    """Stems of the policies' files; where several have one, all but the first get a number."""
+    names: dict[Path, str] = {}
+    for path in job.shown_by:
+        alike = sum(other.stem == path.stem for other in names)
+        names[path] = f"{path.stem}{alike + 1}" if alike else path.stem
+    return names
+
 
 PARTS = 2  # of the copies, beside each other
 ENOUGH, LEAST = 6, 3  # episodes of the expert that arrive, in each part; fewer gentle ones: it plays as usual, too
@@ -48,13 +89,7 @@ TRIED = {True: 5, False: 3}  # episodes of a gentle expert, of the usual one: it
 
 
 def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
-    """Lets those whose turn it is play the part's copies, an episode in each.
-
-    Episodes whose file is there are not played again.
-
-    Returns:
-        By the name of the policy, or "expert": episodes played, and how many of them arrived.
-    """
+    """Lets the policy, or "expert", whose turn it is play an episode in each of the part's copies: played, arrived."""
     map_simulations()
     turn, copies = turn_of(job), job.training_cases
     if turn is None:

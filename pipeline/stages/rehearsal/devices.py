@@ -12,10 +12,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from enn.device_trials import Trial, Tried, gentlest, try_in_copies, try_until_gentle
-from pipeline.anatomies.take_offs import CATHETER, SOFTER_WIRES, WITH_POLICIES, softened, with_catheter_where_steep
-from pipeline.jobs.freed_memory import map_simulations
+from pipeline.anatomies.devices import CATHETER, SOFTER_WIRES, WITH_POLICIES, softened, with_catheter_where_steep
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.jobs.worker import Report
+from pipeline.jobs.worker import Report, map_simulations
 from pipeline.recording.trials import Origin
 from pipeline.seeds import device_trial_seed, training_copies
 from pipeline.stages.rehearsal.copies import PRELOAD, RehearsalJob, copies_environment
@@ -42,14 +41,8 @@ def with_chosen_devices(
 ) -> tuple[Task, Tried | None]:
     """The task with the devices that bring the wire to the target, and says so in the log.
 
-    Args:
-        task: without a catheter the choice is open.
-
     Returns:
         Also how the policy to start from fared with these devices; None where the shape of the take-off decided.
-
-    Raises:
-        ValueError: as of `starting_policy`.
     """
     in_branch = phantom.target(target).branch != phantom.tree.root.name
     choice = task.catheter is None and task.entry == DESCENDING and in_branch

@@ -1,25 +1,22 @@
-"""Tests of a rehearsal: logged episodes in the scan and in copies that nothing was trained or chosen in."""
+"""Tests of a rehearsal: logged episodes in the scan and in copies that it was not trained in, and a film of one."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from pipeline.jobs.worker import Report
-from pipeline.recording.trials import controllers, retrying, run_trials
+from pipeline.recording.trials import controllers, recorded, retrying, run_trials
 from pipeline.seeds import ANATOMY_COPIES, held_out_seeds
 from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob, copies_environment
+from pipeline.store.atomic_files import atomic_path
 
 
 def play(job: RehearsalJob, report: Report) -> dict[str, Any]:
-    """Logs an episode in each copy of a test, or several on the scan, whose log is not there yet.
-
-    Returns:
-        Success of each episode in its first attempt and in any, its tip's depth at the end, m, and the contact forces
-        of its steps, N.
-    """
+    """Logs a test's missing episodes: success in the first attempt and any, depths in m, forces of its steps in N."""
     from enn.policy import Policy
     from enn.retrying import steps_of_attempts
     from pipeline.episodes import EpisodeReader
@@ -59,3 +56,47 @@ def play(job: RehearsalJob, report: Report) -> dict[str, Any]:
         forces.append(np.linalg.norm(arrays["resultant_force"][1:], axis=1).tolist())
     ended = {"success": first, "within_attempts": success, "depths": depths}
     return {**ended, "forces": forces, "logs": [str(log) for log in logs]}
+
+
+_USUAL_STEPS = 300  # of an episode, whose film has every second step; that of one twice as long every fourth
+
+
+def film_file(tested: str | None) -> str:
+    """Where the film of a row of the table lies, in the stage's folder."""
+    return f"{tested}.gif"
+
+
+def film_scan(job: RehearsalJob, report: Report) -> dict[str, Any]:
+    """Repeats and films the first episode in the scan that arrived, or the first: number, whether it arrived, steps."""
+    from cathsim.viewing.film import STRIDE, Film
+    from enn.policy import Policy
+    from enn.retrying import steps_of_attempts
+
+    assert job.policy is not None
+    settings, steps = job.settings, job.task.max_steps
+    seeds = held_out_seeds(job.origin.training_seed, settings.scan_episodes)
+    logs = job.folder / str(job.tested) / SCAN / "0"
+    known = [recorded(logs / f"{number:03d}.mcap", seed) for number, seed in enumerate(seeds)]
+    number = next((place for place, one in enumerate(known) if one is not None and one.success), 0)
+    task = replace(job.task, max_steps=steps_of_attempts(steps, settings.attempts))
+    environment = copies_environment(replace(job, task=task), (0,))
+    environment.reset(seed=0, options={"case": 0})
+    shown = environment.current
+    controller = retrying(controllers(Policy.load(job.policy), settings.mode), steps, settings.attempts)(seeds[number])
+    file = settings.anatomy_file
+    film = Film(STRIDE * math.ceil(task.max_steps / _USUAL_STEPS), None if file is None else file.room())
+    try:
+        observation, info = shown.reset(seed=seeds[number])
+        film.add(shown)
+        arrived = ended = False
+        while not ended:
+            observation, _, arrived, truncated, info = shown.step(controller(observation, info))
+            film.add(shown)
+            ended = arrived or truncated
+            report(shown.steps / task.max_steps, f"step {shown.steps}")
+        with atomic_path(job.folder / film_file(job.tested)) as temporary:
+            film.write(temporary)
+    finally:
+        film.close()
+        environment.close()
+    return {"episode": number, "arrived": bool(arrived), "steps": shown.steps}

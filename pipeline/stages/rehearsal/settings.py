@@ -8,21 +8,8 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from annotated_types import Ge, Le
 
 from pipeline.anatomies.settings import ChosenAnatomies
-from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
-from pipeline.settings.kinds import (
-    Accuracy,
-    Count,
-    Decisions,
-    Episodes,
-    FolderNames,
-    Hyperparameters,
-    JobSettings,
-    Processes,
-    Units,
-    Weight,
-    one_of,
-)
-from pipeline.stages.learning.starting_policy import StartingPolicySettings
+from pipeline.settings import kinds
+from pipeline.stages.learning.settings import StartingPolicySettings
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import DeviceSettings, Task
 
@@ -37,8 +24,8 @@ _Millimetres = Annotated[float, Ge(0), Le(20)]
 _Percent = Annotated[float, Ge(0), Le(90)]
 
 
-@validated()
-class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings, JobSettings):
+@kinds.validated()
+class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings, kinds.JobSettings):
     """Settings of a rehearsal; a wire of length 0 becomes as long as the way asks for, at least the preset.
 
     Without `policy` it starts from the stage unseen's, or a shipped one, with the same devices.
@@ -47,8 +34,8 @@ class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings,
     shows_ct: ClassVar[str | None] = "film"
 
     name: str = "rehearsal"
-    phantoms: FolderNames = field(default_factory=lambda: ["type_1"])  # one: that of the scan
-    targets: FolderNames = field(default_factory=lambda: ["lcca"])  # one: any of the anatomy's
+    phantoms: kinds.FolderNames = field(default_factory=lambda: ["type_1"])  # one: that of the scan
+    targets: kinds.FolderNames = field(default_factory=lambda: ["lcca"])  # one: any of the anatomy's
     choose_catheter: bool = True  # where none is named: by trials, of softer wires, too, or the shape of the take-off
     fit_steps: bool = True  # longer episodes than task.max_steps, where the way is long for them
     fresh: bool = False  # starts from nothing even where there is one
@@ -59,20 +46,20 @@ class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings,
     friction_pct: _Percent = 30.0
     breathing_mm: _Millimetres = 5.0
     breath_s: Annotated[float, Ge(0.5), Le(60)] = 4.0
-    copies: Count = 16  # that are trained in, beside the scan
-    validation_copies: Count = 15  # that choose the best policy, beside the scan
+    copies: kinds.Count = 16  # that are trained in, beside the scan
+    validation_copies: kinds.Count = 15  # that choose the best policy, beside the scan
     test_copies: Annotated[int, Ge(1), Le(1000)] = 30
-    scan_episodes: Episodes = 10  # on the scan itself
-    mode: Annotated[str, one_of("stochastic", "deterministic")] = "stochastic"  # of the tests' actions
+    scan_episodes: kinds.Episodes = 10  # on the scan itself
+    mode: Annotated[str, kinds.one_of("stochastic", "deterministic")] = "stochastic"  # of the tests' actions
     film: bool = True  # of an episode in the scan after the training
     # of a test's episode: what has not arrived after its steps is drawn back and tried again
     attempts: Annotated[int, Ge(1), Le(10)] = 1
     # episodes that arrive, of other policies of the same devices where that which it starts from seldom does; 0: none
     demonstrations: Annotated[int, Ge(0), Le(1000)] = 12
     # by the sampling expert: where policies show less than a third of them, always, or never
-    expert: Annotated[str, one_of("needed", "always", "never")] = "needed"
-    algorithm: Annotated[str, one_of(SAC, PPO)] = SAC
-    decisions: Decisions = 20_000
+    expert: Annotated[str, kinds.one_of("needed", "always", "never")] = "needed"
+    algorithm: Annotated[str, kinds.one_of(SAC, PPO)] = SAC
+    decisions: kinds.Decisions = 20_000
     # of them that is enough where the policy to start from arrives in three quarters of the training's copies, but not
     # in all, and in four fifths with trials and the validation's; SAC's rate is higher by as much. Where it arrives in
     # all and in all trials, two thirds of them at the usual rate. 1: all decisions
@@ -80,16 +67,16 @@ class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings,
     # at most, each as short as that share, where fewer than nine tenths of the training's latest episodes arrive (SAC)
     further_trainings: Annotated[int, Ge(0), Le(20)] = 2
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
-    hidden: Units = 256  # units of both layers, where it starts from nothing
-    training: Hyperparameters = None  # hyper-parameters: fields of enn's SacSettings or PpoSettings
+    hidden: kinds.Units = 256  # units of both layers, where it starts from nothing
+    training: kinds.Hyperparameters = None  # hyper-parameters: fields of enn's SacSettings or PpoSettings
     # of the training's reward, a newton and step; null: 0.3 for both devices, 0.1 for a wire alone, but 1 where it
     # always arrives in the trials and presses with more than 0.3 N
-    force_penalty: Weight | None = None
+    force_penalty: kinds.Weight | None = None
     force_threshold_n: Annotated[float, Ge(0), Le(100)] = 0.0  # contact force that costs nothing
-    path_penalty: Weight = 40.0  # a metre of the tip's way
-    accuracy: Accuracy = "accurate"  # tests are accurate
+    path_penalty: kinds.Weight = 40.0  # a metre of the tip's way
+    accuracy: kinds.Accuracy = "accurate"  # tests are accurate
     # that step the environments; 0: one a core, four at most
-    threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)
+    threads: kinds.Processes = field(default=0, metadata=kinds.NO_EFFECT_ON_RESULTS)
 
     def __post_init__(self) -> None:
         """Reads the files, and refuses what contradicts itself."""
@@ -102,11 +89,7 @@ class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings,
             raise ConfigurationError("stage.fresh=true starts from nothing: leave out stage.policy")
 
     def price_of_force(self, task: Task, tried: Tried | None = None) -> float:
-        """What a newton and step cost in the training's reward, with the devices of a task, 1/N.
-
-        Args:
-            tried: how the policy to start from fared with them, where there were trials.
-        """
+        """What a newton and step cost in training, 1/N, by the devices, and how the starting policy fared with them."""
         if self.force_penalty is not None:
             return self.force_penalty
         if tried is not None and not task.two_devices:  # what it need not learn any more is to arrive

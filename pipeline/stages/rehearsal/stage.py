@@ -12,29 +12,27 @@ import numpy as np
 
 from enn.device_trials import Tried
 from pipeline.anatomies.anatomy_file import load_anatomy
-from pipeline.anatomies.fitting import fitted_steps, fitted_task
+from pipeline.anatomies.devices import fitted_steps, fitted_task, with_catheter_where_steep
 from pipeline.anatomies.settings import check_anatomies, settle
-from pipeline.anatomies.take_offs import with_catheter_where_steep
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import POLICY, Origin
 from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.gpu_memory import policy_gb
-from pipeline.stages.learning.hyperparameters import with_hyperparameters
+from pipeline.stages.job_memory import policy_gb
+from pipeline.stages.learning.settings import with_hyperparameters
 from pipeline.stages.rehearsal.copies import COPIES, PRELOAD, SCAN, RehearsalJob
-from pipeline.stages.rehearsal.demonstrations import PARTS, nothing_to_record, record_demonstrations
-from pipeline.stages.rehearsal.devices import with_chosen_devices
-from pipeline.stages.rehearsal.episodes import play
-from pipeline.stages.rehearsal.film import film_file, film_scan
-from pipeline.stages.rehearsal.settings import RehearsalSettings
-from pipeline.stages.rehearsal.starting_policy import (
-    advising_policies,
-    policy_hashes,
-    starting_policy,
-    with_devices_of,
+from pipeline.stages.rehearsal.demonstrations import (
+    DEMONSTRATIONS,
+    EXPERT,
+    PARTS,
+    nothing_to_record,
+    record_demonstrations,
 )
+from pipeline.stages.rehearsal.devices import with_chosen_devices
+from pipeline.stages.rehearsal.episodes import film_file, film_scan, play
+from pipeline.stages.rehearsal.settings import RehearsalSettings
+from pipeline.stages.rehearsal.starting_policy import advising_policies, policy_hashes, starting_policy, with_devices_of
 from pipeline.stages.rehearsal.training import train
-from pipeline.stages.rehearsal.turns import DEMONSTRATIONS, EXPERT
 from pipeline.store.errors import ConfigurationError
 from pipeline.tables import Figure, Results
 from pipeline.task import Task, require_feeder, require_known_task

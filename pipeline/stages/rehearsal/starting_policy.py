@@ -24,12 +24,6 @@ def starting_policy(settings: RehearsalSettings, run_path: Path, seed: int, task
     One that is not given by name must have been trained to steer as many devices: with the same catheter, if there is
     such a one, else with one of the same shape in another size, else with any. The stage unseen's in the same run comes
     first, then those that come with enn.
-
-    Returns:
-        Its file; None: nothing fits, or nothing is wanted.
-
-    Raises:
-        ValueError: the run's own, or a shipped one, is damaged or of a format that this version does not read.
     """
     if settings.fresh:
         return None
@@ -48,9 +42,6 @@ def with_devices_of(path: Path, task: Task) -> Task:
     """A task with the catheter that a given policy was trained with, where the task names none.
 
     A policy may start the training with another catheter than its own, if one is named.
-
-    Raises:
-        ValueError: it is no policy by a roadmap, or steers another number of devices than the task has.
     """
     from enn.policy import Policy
 
@@ -83,9 +74,6 @@ def advising_policies(run_path: Path, seed: int, task: Task, start: Path | None)
 
     Returns:
         Their files: the one that the rehearsal starts from first, then those by a roadmap, then those by X-ray images.
-
-    Raises:
-        ValueError: as of `starting_policy`.
     """
     steering = [(file, _read(file)) for file in known_policies(run_path, seed)]
     steering = [(file, one) for file, one in steering if one.steers(task)]
@@ -119,16 +107,12 @@ def policy_hashes(run_path: Path) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class _Trained:
-    """What a policy's file says of what it sees and steers; whatever sees neither a roadmap nor images is of no use.
-
-    Attributes:
-        actions: shape of its actions.
-    """
+    """What a policy's file says of what it sees and steers; whatever sees neither a roadmap nor images is of no use."""
 
     by_roadmap: bool
     by_images: bool
     critics: bool
-    actions: tuple[int, ...]
+    actions: tuple[int, ...]  # shape of its actions
     catheter: str | None
     pace: str
 

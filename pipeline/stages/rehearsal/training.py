@@ -10,20 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.jobs.freed_memory import map_simulations
-from pipeline.jobs.worker import Report
+from pipeline.jobs.worker import Report, map_simulations
 from pipeline.recording.trials import POLICY
 from pipeline.seeds import validation_copies
 from pipeline.stages.learning.training import words
-from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.demonstrations import read_demonstrations
-from pipeline.stages.rehearsal.hyperparameters import (
-    held_steps,
-    threads_of,
-    training_settings,
-)
+from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment, held_steps, threads_of, training_settings
+from pipeline.stages.rehearsal.demonstrations import first_turn, read_demonstrations
 from pipeline.stages.rehearsal.settings import SAC
-from pipeline.stages.rehearsal.turns import first_turn
 from pipeline.store.atomic_files import atomic_path, write_arrays
 from pipeline.store.costs import processor_s
 from pipeline.store.errors import stopping_the_stage
@@ -40,11 +33,7 @@ _LAID = 0.1  # of the training's job
 
 
 def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
-    """Lays starts and trains, each only where it lacks; trains further where that did not bring it there often enough.
-
-    Returns:
-        Time and decisions, of all trainings together.
-    """
+    """Lays starts and trains, each only where it lacks, and further while it seldom arrives: times, decisions."""
     from enn.policy import Policy
     from enn.reinforcement.checkpoint import CheckpointError
     from enn.reinforcement.rehearsal import first_evaluation, rehearse

@@ -99,11 +99,7 @@ class ImagePolicyJob(PolicyJob):
 
 
 def train_image_policy(job: ImagePolicyJob, report: Report) -> dict[str, Any]:
-    """Trains the image policy round by round and tests it; each part only where it lacks.
-
-    Returns:
-        ``training_s`` and a summary for each test set, target and mode.
-    """
+    """Trains the image policy round by round and tests it, each where it lacks: ``training_s`` and summaries."""
     from enn.imitation.images.perception import load_image_policy
 
     record, file = job.own_folder / RECORD, job.own_folder / IMAGE_POLICY

@@ -9,18 +9,38 @@ from typing import TypeVar
 
 from pipeline.jobs.pool import Job
 from pipeline.recording.trials import Origin
-from pipeline.seeds import unseen_arches
-from pipeline.stages.gpu_memory import policy_gb
-from pipeline.stages.unseen.arches import arches_of
-from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, DemonstrationsJob, record_demonstrations
-from pipeline.stages.unseen.held_out import cluttered, misregistered, test_sets
+from pipeline.seeds import training_arches, unseen_arches, validation_arches
+from pipeline.stages.job_memory import policy_gb
+from pipeline.stages.unseen.demonstrations import (
+    DEMONSTRATIONS,
+    STARTS,
+    DemonstrationsJob,
+    StartsJob,
+    lay_starts,
+    record_demonstrations,
+)
 from pipeline.stages.unseen.image_policy import ImagePolicyJob, train_image_policy
-from pipeline.stages.unseen.jobs import AnatomiesJob, RoadmapJob, build_anatomies, train_roadmap
-from pipeline.stages.unseen.roadmap_training import EVALUATIONS, policy_to_start_from, training_settings
+from pipeline.stages.unseen.roadmap import (
+    EVALUATIONS,
+    AnatomiesJob,
+    RoadmapJob,
+    build_anatomies,
+    policy_to_start_from,
+    train_roadmap,
+    training_settings,
+)
 from pipeline.stages.unseen.settings import UnseenSettings
-from pipeline.stages.unseen.starts import STARTS, StartsJob, lay_starts
-from pipeline.stages.unseen.task import IMAGE, ROADMAP, XRAY, UnseenTask, arch_of_test, training_arch
-from pipeline.stages.unseen.trials import HeldOutSet
+from pipeline.stages.unseen.task import (
+    IMAGE,
+    ROADMAP,
+    VARIETY,
+    XRAY,
+    UnseenTask,
+    arch_of_test,
+    training_arch,
+    with_steep_take_off,
+)
+from pipeline.stages.unseen.trials import HeldOutSet, cluttered, misregistered, test_sets
 from pipeline.task import decision_steps
 
 _Part = TypeVar("_Part")
@@ -32,6 +52,9 @@ _PARTS = 2  # jobs that demonstrate beside each other
 # guesses
 _SECONDS = {"anatomy": 0.8, "starts": 1.2, "decision": 10e-3, "demonstration": 10.0, "advised": 0.6, "test": 0.4,
             "xray": 1.5}  # fmt: skip
+
+
+_MOST_TRIED = 1_000  # arches, to find those with a steep take-off
 
 
 @dataclass(frozen=True)
@@ -51,15 +74,7 @@ class _Run:
 
 
 def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) -> list[Job]:
-    """The jobs: anatomies first, then the roadmap policies, the image policies' teacher before the others.
-
-    Args:
-        run_seed: of the run; also which random arches are trained on.
-        variant: kept in the logs: the budget, whose sizes the policies have.
-
-    Returns:
-        In the order in which they should start.
-    """
+    """The jobs in their order: anatomies, roadmap policies, and the image policies' teacher before the others."""
     task = UnseenTask(settings.learnt_targets(), settings.task, settings.accuracy, settings.arches)
     images = [XRAY] * settings.xray + [IMAGE] * settings.image
     curve = sorted({*settings.curve, settings.anatomies}) if settings.curve else []
@@ -78,6 +93,19 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
         after = _keys(prepared) + ((ROADMAP, *images) if count == most else ())
         jobs.append(_of_the_curve(run, count, after, demonstrated=bool(shown)))
     return jobs
+
+
+def arches_of(settings: UnseenSettings, run_seed: int, count: int) -> tuple[list[int], list[int]]:
+    """The arches that are trained in, so many, and those that choose the best policy."""
+    least, chosen_by = settings.least_set_back_mm, settings.validation_anatomies
+    every = 1 if settings.arches == VARIETY else 2
+    if not least:
+        return list(training_arches(run_seed, count)), list(validation_arches(chosen_by, every))
+    targets, tried = settings.learnt_targets(), _MOST_TRIED
+    return (
+        with_steep_take_off(training_arches(run_seed, tried), targets, least, count, settings.arches),
+        with_steep_take_off(validation_arches(tried // 2, every), targets, least, chosen_by, settings.arches),
+    )
 
 
 def _keys(jobs: Sequence[Job]) -> tuple[str, ...]:

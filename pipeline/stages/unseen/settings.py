@@ -7,26 +7,10 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from annotated_types import Ge, Le
 
-from pipeline.anatomies.known import GENERATED_TARGETS, TARGETS
-from pipeline.anatomies.settings import ChosenAnatomies
+from pipeline.anatomies.settings import GENERATED_TARGETS, TARGETS, ChosenAnatomies
 from pipeline.clutter import require_clutter_fits
-from pipeline.settings.checks import validated
-from pipeline.settings.kinds import (
-    UNIQUE,
-    Accuracy,
-    Count,
-    CountOrNone,
-    Decisions,
-    Episodes,
-    FolderNames,
-    Hyperparameters,
-    JobSettings,
-    PathText,
-    SomeFolderNames,
-    Units,
-    one_of,
-)
-from pipeline.stages.learning.starting_policy import StartingPolicySettings
+from pipeline.settings import kinds
+from pipeline.stages.learning.settings import StartingPolicySettings
 from pipeline.stages.unseen.task import TEST_PHANTOM, TRAINING_KINDS, VARIETY
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import DESCENDING, NO_WIRE, Task, task_in_random_arches
@@ -37,65 +21,68 @@ if TYPE_CHECKING:
 ONE_VIEW = ("frontal",)
 LEAST_FIELD_MM = 160.0  # whose upper 4/9 hold `TARGETS` of random arches, up to 63 mm above the arch
 LEAST_WIDE_FIELD_MM = 200.0  # with RSA and RCCA, up to 88 mm beside the arch's middle and 75 mm above it
-_Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], UNIQUE]
+_Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], kinds.UNIQUE]
 
 
-@validated()
-class UnseenSettings(ChosenAnatomies, StartingPolicySettings, JobSettings):
+@kinds.validated()
+class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings):
     """Settings of the policies for anatomies that were never seen; `policy` starts the main one by a roadmap."""
 
     needs_anatomy: ClassVar[bool] = False
     shows_ct: ClassVar[str | None] = "xray"
 
     name: str = "unseen"
-    own_entry: PathText = DESCENDING  # filled in: where wires come in in `phantoms`
+    own_entry: kinds.PathText = DESCENDING  # filled in: where wires come in in `phantoms`
     # that policies are trained and tested in: random_steep and random_trunk have more arches of a rare shape, among
     # others; arch_variety has six branching types, and targets are points of its own
-    arches: Annotated[str, one_of(*TRAINING_KINDS)] = TEST_PHANTOM
+    arches: Annotated[str, kinds.one_of(*TRAINING_KINDS)] = TEST_PHANTOM
     points: Annotated[int, Ge(1), Le(20)] = 3  # that each arch of arch_variety has as targets
-    targets: FolderNames = field(default_factory=lambda: list(TARGETS))  # of every policy in random arches
-    own_targets: FolderNames = field(default_factory=list)  # of the tests in `phantoms`; none: those of the policies
-    accuracy: Accuracy = "fast"  # of the physics that policies are trained in; tests are accurate
-    anatomies: Count = 160  # random arches that the roadmap policy is trained on
+    targets: kinds.FolderNames = field(default_factory=lambda: list(TARGETS))  # of every policy in random arches
+    # of the tests in `phantoms`; none: those of the policies
+    own_targets: kinds.FolderNames = field(default_factory=list)
+    accuracy: kinds.Accuracy = "fast"  # of the physics that policies are trained in; tests are accurate
+    anatomies: kinds.Count = 160  # random arches that the roadmap policy is trained on
     # of the steepest target of every arch that is trained in or chosen by, `cathsim.anatomy.vessel_tree`;
     # 0: any arch
     least_set_back_mm: Annotated[float, Ge(0), Le(100)] = 0.0
-    curve: Annotated[list[Count], UNIQUE] = field(default_factory=list)  # further numbers of arches, a policy each
-    demonstrations: CountOrNone = 0  # that the sampling expert tries, in as many arches
+    # further numbers of arches, a policy each
+    curve: Annotated[list[kinds.Count], kinds.UNIQUE] = field(default_factory=list)
+    demonstrations: kinds.CountOrNone = 0  # that the sampling expert tries, in as many arches
     # of the roadmap policy's training, whose success rose until 48,000; 0: that of `policy` is taken as it is
-    decisions: CountOrNone = 48_000
-    curve_decisions: Decisions = 12_000  # of each of the curve's policies, the one on `anatomies` arches among them
-    hidden: Units = 256  # units of each of their two layers
-    training: Hyperparameters = None  # their hyper-parameters: fields of enn's SacSettings or PpoSettings
-    validation_anatomies: Count = 16  # random arches, neither trained on nor tested, to keep the best policy by
-    validation_episodes: Episodes = 48  # in them
+    decisions: kinds.CountOrNone = 48_000
+    # of each of the curve's policies, the one on `anatomies` arches among them
+    curve_decisions: kinds.Decisions = 12_000
+    hidden: kinds.Units = 256  # units of each of their two layers
+    training: kinds.Hyperparameters = None  # their hyper-parameters: fields of enn's SacSettings or PpoSettings
+    validation_anatomies: kinds.Count = 16  # random arches, neither trained on nor tested, to keep the best policy by
+    validation_episodes: kinds.Episodes = 48  # in them
     # also the policy that observes images without noise and the wire's true mask: what noise and segmentation cost
     image: bool = False
     xray: bool = True  # also the one that sees noisy X-ray images and a contrast run, and finds the wire itself
     # of noisy X-ray, an image of each a decision: two are those of a bi-planar fluoroscope
-    views: SomeFolderNames = field(default_factory=lambda: list(ONE_VIEW))
+    views: kinds.SomeFolderNames = field(default_factory=lambda: list(ONE_VIEW))
     # side of the square that they show, about the arch, mm in the plane of the isocentre; 0: all of the anatomy
     field_mm: Annotated[float, Ge(0), Le(400)] = 0.0
     # of clutter in X-ray images, 1 as in guide3d's random fluoroscopy: in those that the wire's network learns from, in
     # every second one of the lumen's, in every second environment of the rounds, in a further set of tests; 0: none
     clutter: Annotated[float, Ge(0), Le(4)] = 1.0
-    clutter_anatomies: Count = 20  # unseen arches of that set
-    image_anatomies: Count = 128  # arches that each is trained on
-    segmenter_epochs: Count = 30
-    wire_epochs: Count = 6  # of the network that finds the wire
-    rounds: Count = 6  # of advised episodes
-    advised_episodes: Count = 120  # a round
-    epochs: Count = 20  # over all episodes so far, a round
+    clutter_anatomies: kinds.Count = 20  # unseen arches of that set
+    image_anatomies: kinds.Count = 128  # arches that each is trained on
+    segmenter_epochs: kinds.Count = 30
+    wire_epochs: kinds.Count = 6  # of the network that finds the wire
+    rounds: kinds.Count = 6  # of advised episodes
+    advised_episodes: kinds.Count = 120  # a round
+    epochs: kinds.Count = 20  # over all episodes so far, a round
     test_anatomies: Annotated[int, Ge(1), Le(500)] = 50  # unseen random arches
-    phantoms: FolderNames = field(  # to test in, none of them trained on
+    phantoms: kinds.FolderNames = field(  # to test in, none of them trained on
         default_factory=lambda: ["type_1", "type_2", "type_3", "bovine", "type_1_aneurysm"]
     )
-    named_episodes: Episodes = 5  # on each, for each target
-    mesh: PathText | None = None  # scanned anatomy; left out where the file is missing
+    named_episodes: kinds.Episodes = 5  # on each, for each target
+    mesh: kinds.PathText | None = None  # scanned anatomy; left out where the file is missing
     mesh_episodes: Annotated[int, Ge(1), Le(500)] = 10
     # further wires: presets, "softer", "stiffer"
-    wires: FolderNames = field(default_factory=lambda: ["thesis", "softer", "stiffer"])
-    wire_anatomies: Count = 10  # unseen arches that each is tried on
+    wires: kinds.FolderNames = field(default_factory=lambda: ["thesis", "softer", "stiffer"])
+    wire_anatomies: kinds.Count = 10  # unseen arches that each is tried on
     # errors of the roadmap's registration that its policy is tried with, mm an axis; 0 is the test without any
     registration_noise_mm: _Noises = field(default_factory=lambda: [0.0, 2.0, 4.0])
     task: Task = field(default_factory=task_in_random_arches)

@@ -8,28 +8,68 @@ contrast run before the episode.
 
 from __future__ import annotations
 
-from pipeline.anatomies.known import require_known_entry, require_known_phantoms, require_known_targets
-from pipeline.anatomies.settings import settle
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.anatomies.settings import require_known_entry, require_known_phantoms, require_known_targets, settle
 from pipeline.evaluations.tables import log_summary
-from pipeline.jobs.pool import run_jobs
+from pipeline.jobs.pool import Job, run_jobs
 from pipeline.stages import Stage, StageContext
-from pipeline.stages.unseen.jobs import PRELOAD
 from pipeline.stages.unseen.plan import ROADMAP_TESTS, plan
-from pipeline.stages.unseen.roadmap_training import policy_to_start_from
+from pipeline.stages.unseen.roadmap import PRELOAD, RoadmapJob, policy_to_start_from
 from pipeline.stages.unseen.settings import UnseenSettings
-from pipeline.stages.unseen.tables import curve, registration
-from pipeline.stages.unseen.task import VARIETY
+from pipeline.stages.unseen.task import IMAGE, ROADMAP, VARIETY, XRAY
+from pipeline.stages.unseen.trials import MISREGISTERED, UNSEEN, PolicyJob
 from pipeline.store.errors import ConfigurationError
 from pipeline.tables import Results
 from pipeline.task import require_feeder, require_known_task
 
+CURVE = "roadmap_curve"  # in the table of the curve: the policies with equally many decisions
+
+
+def registration(settings: UnseenSettings, tests: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Row "<noise> mm" to success of the roadmap policy on unseen arches with that error of its registration."""
+    table = {}
+    for noise in settings.registration_noise_mm:
+        name = f"{MISREGISTERED} {noise:g} mm" if noise else UNSEEN
+        table[f"{noise:g} mm"] = _success(tests, name)
+    return table
+
+
+def curve(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Row "<policy>/<number of training anatomies>" to success on unseen arches; the curve's are first."""
+    table: dict[str, dict[str, Any]] = {}
+    for job in sorted(jobs, key=_place):
+        if not isinstance(job.given, PolicyJob) or not job.given.tests:
+            continue
+        row, anatomies = job.given.origin.row, len(job.given.anatomies)
+        kind = CURVE if row.startswith(f"{ROADMAP} ") else row
+        training = job.given.settings if isinstance(job.given, RoadmapJob) else None
+        decisions = None if training is None else training.decisions
+        success = _success(outcomes[job.key]["tests"], UNSEEN)
+        table[f"{kind}/{anatomies}"] = {"decisions": decisions, **success}
+    return table
+
+
+def _place(job: Job) -> tuple[int, int]:
+    """Where a policy stands in the curve's table: the curve's by their arches, the main one, the image policies."""
+    row = getattr(getattr(job.given, "origin", None), "row", "")
+    order = [ROADMAP, IMAGE, XRAY]
+    return (1 + order.index(row), 0) if row in order else (0, len(getattr(job.given, "anatomies", ())))
+
+
+def _success(tests: Sequence[dict[str, Any]], test_set: str) -> dict[str, Any]:
+    """Success in a set of tests: of all targets together, and of each."""
+    rows = [row for row in tests if row["test_set"] == test_set and row["mode"] == "deterministic"]
+    together = float(np.average([row["success_pct"] for row in rows], weights=[row["n"] for row in rows]))
+    each = {f"success_{row['target']}_pct": row["success_pct"] for row in rows if row["target"] != "lsa"}
+    return {"success_pct": together, **each, "n": sum(row["n"] for row in rows)}
+
 
 def check_unseen(settings: UnseenSettings) -> None:
-    """Refuses unknown phantoms, targets, wires and views.
-
-    Raises:
-        ConfigurationError: listing the valid names.
-    """
+    """Refuses unknown phantoms, targets, wires and views."""
     from cathsim import GUIDEWIRES
     from cathsim.fluoroscopy.projector import VIEWS
 
@@ -71,10 +111,4 @@ def run_unseen(settings: UnseenSettings, context: StageContext) -> Results:
     return Results(tables)
 
 
-STAGE = Stage(
-    settings=UnseenSettings,
-    run=run_unseen,
-    prepare=settle,
-    check=check_unseen,
-    repeated=True,
-)
+STAGE = Stage(settings=UnseenSettings, run=run_unseen, prepare=settle, check=check_unseen, repeated=True)

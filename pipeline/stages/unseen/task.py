@@ -1,19 +1,23 @@
-"""Task of the stage `unseen`: several targets in many anatomies, and the environments for it."""
+"""Task of the stage `unseen`: several targets in many anatomies, which these are, and the environments for it."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
-from pipeline.anatomies.fitting import fitted_task
+from pipeline.anatomies.devices import fitted_task, set_back_mm
 from pipeline.stages.learning.task import REWARD_OF_EVALUATION, REWARD_OF_TRAINING
+from pipeline.store.errors import ConfigurationError
 from pipeline.task import DESCENDING, Task
 
 if TYPE_CHECKING:
     from cathsim import Guidewire, NavigateEnv
     from cathsim.many_anatomies import NavigateManyEnv
+
 
 ROADMAP, IMAGE, XRAY = "roadmap", "image_true_mask", "xray"  # rows: what a policy sees
 TEST_PHANTOM, VARIETY = "random", "arch_variety"
@@ -33,11 +37,7 @@ RESOLUTION = 1e-3  # m: at 1.5 mm thin walls open, and ways become short cuts
 
 
 def training_arch(seed: int, arches: str = TEST_PHANTOM) -> tuple[str, int]:
-    """The training anatomy of a seed: its kind and the seed.
-
-    Args:
-        arches: a name of TRAINING_KINDS.
-    """
+    """The training anatomy of a seed, its kind and the seed; `arches` is a name of TRAINING_KINDS."""
     kinds = TRAINING_KINDS[arches]
     return kinds[seed % len(kinds)], seed
 
@@ -50,19 +50,13 @@ def arch_of_test(seed: int, arches: str = TEST_PHANTOM) -> tuple[str, int]:
 
 @dataclass(frozen=True)
 class UnseenTask:
-    """A task with several targets in many anatomies.
+    """A task with several targets in many anatomies."""
 
-    Attributes:
-        targets: names, each as likely in training; "point_1" and so on are points that each arch has of its own.
-        task: wire, images, limits and start; the wires of the tests are as long as its own.
-        accuracy: of the training's physics; tests always have the accurate one.
-        arches: that it takes place in, a name of TRAINING_KINDS.
-    """
-
+    # names, each as likely in training; "point_1" and so on are points that each arch has of its own
     targets: tuple[str, ...]
-    task: Task
-    accuracy: str = "fast"
-    arches: str = TEST_PHANTOM
+    task: Task  # wire, images, limits and start; the wires of the tests are as long as its own
+    accuracy: str = "fast"  # of the training's physics; tests always have the accurate one
+    arches: str = TEST_PHANTOM  # that it takes place in, a name of TRAINING_KINDS
 
     def wire(self, kind: str) -> Guidewire:
         """A wire of the tests: a preset's name, or "softer" and "stiffer", half and twice as stiff as the task's."""
@@ -115,14 +109,7 @@ class UnseenTask:
         registration_noise: float = 0.0,
         entry: str = DESCENDING,
     ) -> NavigateEnv:
-        """An environment of a test.
-
-        Args:
-            phantom: a named phantom, a file, or the seed of a random arch.
-            wire: as `wire` takes it; in a file's anatomy, in arches of rare shapes and from another entry longer, where
-                the way asks for it.
-            registration_noise: of the roadmap, m an axis.
-        """
+        """An environment of a test."""
         from cathsim import NavigateEnv
 
         if isinstance(phantom, int):
@@ -143,3 +130,32 @@ class UnseenTask:
             registration_noise=registration_noise,
             **tried.task.rules(),
         )
+
+
+_OFTEN = 10  # arches between two lines of the log
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def with_steep_take_off(
+    seeds: Iterable[int], targets: Sequence[str], least_mm: float, count: int, arches: str = TEST_PHANTOM
+) -> list[int]:
+    """The first so many seeds of arches with a target set back by `least_mm` or more; they are built on the way."""
+    from cathsim import load_phantom
+
+    def steep(seed: int) -> bool:
+        kind, own = training_arch(seed, arches)
+        phantom = load_phantom(kind, seed=own, resolution=RESOLUTION)
+        return max(set_back_mm(phantom, target) for target in targets) >= least_mm
+
+    found = []
+    for seed in islice(filter(steep, seeds), count):
+        found.append(seed)
+        if len(found) % _OFTEN == 0 or len(found) == count:
+            _LOGGER.info("%d of %d arches with a target set back by %g mm: up to %d", len(found), count, least_mm, seed)
+    if len(found) < count:
+        raise ConfigurationError(
+            f"only {len(found)} of the arches have a target set back by {least_mm:g} mm, {count} are wanted: lower "
+            "stage.least_set_back_mm or the number of arches"
+        )
+    return found

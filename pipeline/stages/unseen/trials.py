@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.recording.trials import Controller, Origin, run_trials, summary
-from pipeline.seeds import held_out_seeds
+from pipeline.seeds import held_out_seeds, unseen_arches
+from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.task import DESCENDING
 
 if TYPE_CHECKING:
@@ -20,45 +22,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class HeldOutSet:
-    """Anatomies and a wire that a policy has not been trained with.
-
-    Attributes:
-        phantoms: names, files, or seeds of random arches.
-        episodes: on each, for each target.
-        wire: a preset, "softer" or "stiffer".
-        modes: "deterministic", "stochastic".
-        registration_noise: of the roadmap, m an axis.
-        targets: in these anatomies; none: those of the policy.
-        entry: in these anatomies.
-        clutter: in X-ray images.
-    """
+    """Anatomies and a wire that a policy has not been trained with."""
 
     name: str
-    phantoms: tuple[str | int | AnatomyFile, ...]
-    episodes: int = 1
-    wire: str = "default"
-    modes: tuple[str, ...] = ("deterministic",)
-    registration_noise: float = 0.0
-    targets: tuple[str, ...] = ()
-    entry: str = DESCENDING
-    clutter: float = 0.0
+    phantoms: tuple[str | int | AnatomyFile, ...]  # names, files, or seeds of random arches
+    episodes: int = 1  # on each, for each target
+    wire: str = "default"  # a preset, "softer" or "stiffer"
+    modes: tuple[str, ...] = ("deterministic",)  # "deterministic", "stochastic"
+    registration_noise: float = 0.0  # of the roadmap, m an axis
+    targets: tuple[str, ...] = ()  # in these anatomies; none: those of the policy
+    entry: str = DESCENDING  # in these anatomies
+    clutter: float = 0.0  # in X-ray images
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyJob:
-    """A policy to train and to test.
-
-    Attributes:
-        origin: kept in the logs; its row and seed name the policy's folder, its seed is that of everything.
-        anatomies: seeds of the random arches trained on.
-        tests: that the policy is put to.
-    """
+    """A policy to train and to test."""
 
     folder: Path
-    origin: Origin
+    origin: Origin  # kept in the logs; its row and seed name the policy's folder, its seed is that of everything
     task: UnseenTask
-    anatomies: tuple[int, ...]
-    tests: tuple[HeldOutSet, ...] = ()
+    anatomies: tuple[int, ...]  # seeds of the random arches trained on
+    tests: tuple[HeldOutSet, ...] = ()  # that the policy is put to
 
     @property
     def seed(self) -> int:
@@ -84,12 +69,6 @@ def run_tests(
     seen: Callable[[Any, float, XRayScene | None], Any] = lambda environment, clutter, room: environment,
 ) -> list[dict[str, Any]]:
     """Puts a policy to its tests; episodes whose log is there are not repeated.
-
-    Args:
-        job: whose tests.
-        controllers: gives, for a mode, the policy for the episode of a seed.
-        report: takes the share done and a few words.
-        seen: the environment as the policy sees it, with so much clutter, in a room of its own or the usual one.
 
     Returns:
         A row for each test set, target and mode: their names and the summary of the episodes.
@@ -124,3 +103,45 @@ def run_tests(
             report(done / total, f"{test.name} {target} {won}/{len(metrics)}")
         rows.append({"test_set": test.name, "target": target, "mode": mode, **summary(metrics)})
     return rows
+
+
+REAL_MESH = "real_mesh"
+UNSEEN, MISREGISTERED, CLUTTERED = "unseen", "misregistered", "unseen clutter"  # sets of tests
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def test_sets(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
+    """A policy's tests: unseen random arches first, named phantoms, the mesh if it is there, other wires."""
+    unseen = tuple(unseen_arches(settings.test_anatomies))
+    wire = settings.task.wire
+    tests = [HeldOutSet(UNSEEN, unseen, wire=wire, modes=("deterministic", "stochastic"))]
+    own: dict[str, Any] = {"wire": wire, "targets": tuple(settings.own_targets), "entry": settings.own_entry}
+    for name in settings.phantoms:
+        count = settings.mesh_episodes if name == settings.file_name else settings.named_episodes
+        tests.append(HeldOutSet(name, (settings.anatomy(name),), count, **own))
+    if settings.mesh is not None:
+        if Path(settings.mesh).exists():
+            tests.append(HeldOutSet(REAL_MESH, (AnatomyFile(settings.mesh),), settings.mesh_episodes, wire))
+        else:
+            _LOGGER.warning("there is no mesh %s: the test on a scanned anatomy is left out", settings.mesh)
+    tests += [HeldOutSet(f"{UNSEEN} {kind}", unseen[: settings.wire_anatomies], wire=kind) for kind in settings.wires]
+    return tuple(tests)
+
+
+def cluttered(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
+    """The test of the X-ray policy among clutter, on the first of the unseen arches."""
+    arches = tuple(unseen_arches(settings.test_anatomies))[: settings.clutter_anatomies]
+    return (
+        (HeldOutSet(CLUTTERED, arches, wire=settings.task.wire, clutter=settings.clutter),) if settings.clutter else ()
+    )
+
+
+def misregistered(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
+    """The tests of the roadmap policy with errors of the registration, on the same arches and starts as without."""
+    arches = tuple(unseen_arches(settings.test_anatomies))
+    return tuple(
+        HeldOutSet(f"{MISREGISTERED} {noise:g} mm", arches, registration_noise=noise / 1e3)
+        for noise in settings.registration_noise_mm
+        if noise
+    )

@@ -13,8 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from pipeline.episodes.export.episode import open_episode
-from pipeline.episodes.export.layout import common_layout
+from pipeline.episodes.export.layout import common_layout, open_episode
 from pipeline.recording.record import record_episode
 
 PROJECT_ROOT = Path(__file__).resolve().parents[3]

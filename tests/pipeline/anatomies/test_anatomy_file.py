@@ -9,7 +9,7 @@ import pytest
 
 from cathsim import load_phantom
 from pipeline.anatomies.anatomy_file import AnatomyFile, world_point
-from pipeline.anatomies.known import (
+from pipeline.anatomies.settings import (
     GENERATED_TARGETS,
     require_known_entry,
     require_known_phantoms,

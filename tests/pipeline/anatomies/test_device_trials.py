@@ -19,7 +19,7 @@ from enn.device_trials import (
     soonest,
     try_in_copies,
 )
-from pipeline.anatomies.take_offs import best_in_copies
+from pipeline.anatomies.devices import best_in_copies
 from pipeline.task import Task
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.settings.checks import settings_that_matter
+from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages.expert import ExpertSettings
 from pipeline.stages.learning.settings import EnnSettings
 from pipeline.stages.navigation.settings import NavigationSettings

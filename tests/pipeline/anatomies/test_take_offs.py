@@ -13,7 +13,7 @@ from cathsim.anatomy.generator.arch_parameters import ArchParameters
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.phantom import locate_targets
 from cathsim.anatomy.vessel_tree import set_back
-from pipeline.anatomies.take_offs import STEEP_MM, softened, with_catheter_where_steep
+from pipeline.anatomies.devices import STEEP_MM, softened, with_catheter_where_steep
 from pipeline.task import Task
 
 

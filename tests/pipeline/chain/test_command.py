@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from pipeline.chain.command import main
+from pipeline.chain import main
 from pipeline.store.manifest import read_manifest
 from tests.pipeline.chain.starting import start
 

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from pipeline.chain.running import worded
+from pipeline.chain import worded
 from pipeline.store.manifest import read_manifest
 from tests.pipeline.chain.starting import start
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.chain.steps import Step, concerns, steps_of, steps_to_the_end, waits_for
+from pipeline.chain import Step, concerns, steps_of, steps_to_the_end, waits_for
 from pipeline.stages import available_stages
 
 

@@ -10,7 +10,7 @@ from PIL import Image
 
 from cathsim import load_phantom
 from enn import retrying
-from pipeline.demo.command import EXIT_USAGE, GIF, LOG, MP4, main
+from pipeline.demo.__main__ import EXIT_USAGE, GIF, LOG, MP4, main
 from pipeline.demo.film import TITLE_PX, VIEW_PX
 from pipeline.episodes import EpisodeReader
 from tests.pipeline.demo.small_policies import TASK_OF_DEMO, ship

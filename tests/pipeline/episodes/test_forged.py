@@ -19,14 +19,13 @@ from PIL import Image
 
 from pipeline.episodes import EpisodeReader, EpisodeReadError, check
 from pipeline.episodes.__main__ import main
-from pipeline.episodes.annotate import annotate, read_annotation
 from pipeline.episodes.encoding.container import McapFile
-from pipeline.episodes.encoding.protobuf_wire import FIXED64, VARINT, delimited, tag, varint
 from pipeline.episodes.encoding.scan import open_chunk
 from pipeline.episodes.encoding.schema import topic_messages
-from pipeline.episodes.encoding.step_codec import decode_step, encode_step
-from pipeline.episodes.errors import ContainerError
+from pipeline.episodes.encoding.step_codec import FIXED64, VARINT, decode_step, delimited, encode_step, tag, varint
 from pipeline.episodes.metadata import _checksum, open_episode, open_outcome, seal_outcome
+from pipeline.episodes.records import ContainerError
+from pipeline.episodes.recover import annotate, read_annotation
 from pipeline.episodes.writer import schema_data
 
 SECONDS = 2.0  # generous beside the hundredth of a second that a refusal takes, for machines that are busy
@@ -262,7 +261,7 @@ def test_an_index_that_points_beyond_the_file_is_refused(field, log_path, monkey
             setattr(index, f"chunk_{'start_offset' if field == 'offset' else 'length'}", 2**62)
         return summary
 
-    monkeypatch.setattr(reader, "read_summary", forged)
+    monkeypatch.setattr(reader.scan, "read_summary", forged)
     with pytest.raises(EpisodeReadError, match="is not where the index says"):
         EpisodeReader(log_path)
 

@@ -27,9 +27,9 @@ from PIL import Image
 
 from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriter, check, recover
 from pipeline.episodes.__main__ import main
-from pipeline.episodes.annotate import annotate, read_annotation
 from pipeline.episodes.encoding.schema import Step
 from pipeline.episodes.metadata import _checksum
+from pipeline.episodes.recover import annotate, read_annotation
 
 IMAGE, MASK, SIDE = "/camera/frontal/image", "/camera/frontal/mask", "/camera/side/image"
 Message = tuple[str, int, bytes]  # topic, log time, payload

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import pytest
 
-import pipeline.evaluations.reading as reading_module
+import pipeline.evaluations.logs as reading_module
 from pipeline.evaluations.logs import (
+    CACHE,
     evaluation_folders,
     read_evaluation,
+    read_logs,
 )
-from pipeline.evaluations.reading import CACHE, read_logs
 from pipeline.evaluations.tables import tables_from_logs
 from tests.pipeline.evaluations.evaluation_logs import write_row
 
@@ -64,7 +65,7 @@ def test_known_logs_are_not_read_again_until_they_change(tmp_path: Path, monkeyp
     os.utime(paths[0], ns=(1, 1))
     assert read(tmp_path, cache=cache).evaluations[0].metrics.force_max == pytest.approx(0.7)
     assert asked == [paths[0]]
-    monkeypatch.setattr("pipeline.evaluations.reading.METRICS_VERSION", "other")
+    monkeypatch.setattr("pipeline.evaluations.logs.METRICS_VERSION", "other")
     read(tmp_path, cache=cache)
     assert len(asked) == 4, "another version computes them again"
     cache.write_text("{")

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import pipeline.evaluations.reading as reading_module
+import pipeline.evaluations.logs as reading_module
 from cathsim.metrics.episodes import wilson_interval
 from pipeline.evaluations.logs import (
     changed_settings,
     evaluation_folders,
+    read_logs,
 )
-from pipeline.evaluations.reading import read_logs
 from pipeline.evaluations.statistics import shortest_paths
 from pipeline.evaluations.tables import learning_tables, log_summary, tables_from_logs
 from pipeline.store.errors import StageError

@@ -12,7 +12,7 @@ SCRIPT = """
 import gc
 from pathlib import Path
 import mujoco
-from pipeline.jobs.freed_memory import map_simulations, return_freed_memory
+from pipeline.jobs.worker import map_simulations, return_freed_memory
 
 def taken():
     lines = Path("/proc/self/status").read_text().splitlines()

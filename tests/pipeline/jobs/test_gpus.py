@@ -12,9 +12,9 @@ from pipeline.jobs.gpus import Gpu, check_device, find_gpus, gpus_of
 from pipeline.jobs.machine import Machine
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Message, Report
-from pipeline.settings.checks import settings_that_matter
+from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages import available_stages, load_stage
-from pipeline.stages.gpu_memory import CONTEXT_GB, network_gb, policy_gb
+from pipeline.stages.job_memory import CONTEXT_GB, network_gb, policy_gb
 from pipeline.stages.learning.settings import BaselinesSettings
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.run_folder import Identity, RunFolder
@@ -189,7 +189,7 @@ def test_jobs_wait_for_the_processors_memory(folder: RunFolder) -> None:
 def test_every_training_of_the_thesis_fits_16_gb() -> None:
     from enn.networks.features import modality_keys
     from enn.reinforcement.training import THESIS_PPO, THESIS_SAC
-    from pipeline.stages.learning.memory import PROCESS_GB, training_gb
+    from pipeline.stages.job_memory import PROCESS_GB, training_gb
     from pipeline.stages.learning.task import LearningTask
     from pipeline.task import Task
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.jobs.gpus import Gpu
-from pipeline.jobs.job import Job
 from pipeline.jobs.machine import FOLDER, Machine, shared_machine
+from pipeline.jobs.worker import Job
 from tests.pipeline.jobs.toy_training import square
 
 GB = 1_000_000_000

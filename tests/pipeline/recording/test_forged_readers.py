@@ -11,9 +11,9 @@ import pytest
 
 from cathsim import NavigateEnv
 from pipeline.episodes import EpisodeInfo, EpisodeOutcome, EpisodeReader, EpisodeReadError, EpisodeWriter
-from pipeline.episodes.annotate import annotate
+from pipeline.episodes.recover import annotate
 from pipeline.evaluations.forces import read_forces
-from pipeline.evaluations.reading import read_logs
+from pipeline.evaluations.logs import read_logs
 from pipeline.recording.record import record_episode
 from pipeline.recording.replay import ReplayError, replay
 from pipeline.stages.user_study import UserStudySettings, figures, gather

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.evaluations.logs import evaluation_folders
-from pipeline.report.curves import Curve, join_seeds, read_columns, read_curves
+from pipeline.report.learning_plots import Curve, join_seeds, read_columns, read_curves
 from tests.pipeline.evaluations.evaluation_logs import write_curve
 
 

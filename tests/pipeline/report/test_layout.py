@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.report.figures import ShownFigure
-from pipeline.report.layout import BEYOND, arrange, choose_film
+from pipeline.report.page import BEYOND, arrange, choose_film
 from pipeline.report.tables import report_tables
 
 MEASURED = {

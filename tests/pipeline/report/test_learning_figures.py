@@ -8,12 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pipeline.evaluations.logs import evaluation_folders
-from pipeline.evaluations.reading import read_logs
+from pipeline.evaluations.logs import evaluation_folders, read_logs
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.report import learning_figures, learning_plots
-from pipeline.report.curves import read_curves
 from pipeline.report.learning_figures import Material, draw_learning, task_words
+from pipeline.report.learning_plots import read_curves
 from tests.pipeline.evaluations.evaluation_logs import write_curve, write_evaluation, write_row
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from pipeline.report.curves import Curve
-from pipeline.report.learning_plots import Point, draw_front, draw_generalisation, draw_training
+from pipeline.report.learning_plots import Curve, Point, draw_front, draw_generalisation, draw_training
 
 
 def curve(x: list[float], y: list[float]) -> Curve:

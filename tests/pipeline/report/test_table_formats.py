@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pipeline.report.intervals import OverSeeds
-from pipeline.report.table_formats import as_csv, as_latex, format_over_seeds
-from pipeline.report.tables import metrics, report_tables
+from pipeline.report.tables import as_csv, as_latex, format_over_seeds, metrics, report_tables
 from pipeline.tables import format_cell
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_dir
 
-from pipeline.chain.steps import chosen_value
+from pipeline.chain import chosen_value
 from pipeline.config import CONFIG_DIRECTORY, register_schemas
 from pipeline.launch import main
 from pipeline.settings.quoting import quoted, unquoted, with_quoted_paths

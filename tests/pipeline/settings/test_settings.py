@@ -15,8 +15,8 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from pipeline.config import RunConfig, anatomy_not_taken, run_config
-from pipeline.explain import one_line
-from pipeline.settings.checks import sentence
+from pipeline.launch import one_line
+from pipeline.settings.kinds import sentence
 from pipeline.stages import available_stages, load_stage
 from pipeline.stages.expert import ExpertSettings
 from pipeline.store.errors import ConfigurationError

@@ -13,9 +13,8 @@ import torch
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
-from pipeline.stages.baselines import plan, training_settings
+from pipeline.stages.baselines import PathJob, follow, plan, training_settings
 from pipeline.stages.learning.expert_episodes import read_episode, readable
-from pipeline.stages.learning.path_following import PathJob, follow
 from pipeline.stages.learning.settings import BaselinesSettings
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import ConfigurationError, StageError

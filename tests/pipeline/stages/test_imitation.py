@@ -15,7 +15,7 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import MODES
 from pipeline.seeds import held_out_seeds
 from pipeline.stages import imitation
-from pipeline.stages.learning.imitation import imitate
+from pipeline.stages.imitation import imitate
 from pipeline.stages.learning.settings import ImitationSettings
 from pipeline.store.errors import ConfigurationError, StageError
 from tests.pipeline.stages.small_expert import TASK, context, in_this_process, write_expert

@@ -21,13 +21,11 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.stages.learning.advised_rounds import read_episodes
 from pipeline.stages.navigation import stage as navigation
-from pipeline.stages.navigation.film import NavigationFilm
-from pipeline.stages.navigation.frames import frames_in
 from pipeline.stages.navigation.jobs import NAVIGATOR, Course, cases_in_view, load_navigator, navigate, success_of
-from pipeline.stages.navigation.logged_episodes import episode_of_log
-from pipeline.stages.navigation.perception import PerceptionJob, load_perception
-from pipeline.stages.navigation.scene import NAMED, scene_of, space_of, vessels_of
+from pipeline.stages.navigation.perception import PerceptionJob, frames_in, load_perception
+from pipeline.stages.navigation.scene import NAMED, episode_of_log, scene_of, space_of, vessels_of
 from pipeline.stages.navigation.settings import NavigationSettings
+from pipeline.stages.navigation.tables import NavigationFilm
 from pipeline.stages.navigation.trials import TrialSet, count_failures, run_tests
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import TASK as KEY

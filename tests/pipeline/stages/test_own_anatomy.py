@@ -16,7 +16,7 @@ from cathsim import load_phantom
 from cathsim.anatomy import import_mesh
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.episodes import EpisodeReader
-from pipeline.episodes.errors import EpisodeReadError
+from pipeline.episodes.records import EpisodeReadError
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.recording.record import record_episode
 from pipeline.recording.replay import film_of, replay
@@ -141,10 +141,10 @@ def test_unseen_tests_in_the_file_what_it_has_learnt_in_random_arches(
     mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pipeline.stages.unseen.plan.training_arch", lambda seed, arches: ("random", 3))
-    monkeypatch.setattr("pipeline.stages.unseen.arches.training_arches", lambda run, count: range(3, 3 + count))
+    monkeypatch.setattr("pipeline.stages.unseen.task.training_arches", lambda run, count: range(3, 3 + count))
     for module in ("plan", "held_out"):
         monkeypatch.setattr(f"pipeline.stages.unseen.{module}.unseen_arches", lambda count: range(3, 3 + count))
-    monkeypatch.setattr("pipeline.stages.unseen.arches.validation_arches", lambda count, every: range(3, 3 + count))
+    monkeypatch.setattr("pipeline.stages.unseen.task.validation_arches", lambda count, every: range(3, 3 + count))
     monkeypatch.setattr("pipeline.stages.unseen.task.training_arch", lambda seed, arches: ("random", 3))
     folder = run_stage("unseen", tmp_path, f"phantom.file='{mesh}'", "phantom.unit=mm", NAMES, f"target={TARGET}")
     (log,) = folder.rglob("my_patient/*.mcap")

@@ -22,7 +22,7 @@ from pipeline.stages.expert import ExpertSettings, Trial, record_trial
 from pipeline.stages.learning.settings import EnnSettings
 from pipeline.stages.phantoms import PhantomsSettings, run_phantoms
 from pipeline.stages.rehearsal.copies import SCAN
-from pipeline.stages.rehearsal.film import film_scan
+from pipeline.stages.rehearsal.episodes import film_scan
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.task import XRAY
 from pipeline.stages.unseen.trials import HeldOutSet, run_tests

@@ -30,7 +30,7 @@ from __future__ import annotations
 from dataclasses import field
 from typing import Any
 
-from pipeline.settings.checks import NO_EFFECT_ON_RESULTS, validated
+from pipeline.settings.kinds import NO_EFFECT_ON_RESULTS, validated
 from pipeline.settings.kinds import Count, Seed
 from pipeline.stages import Stage
 from pipeline.store.atomic_files import write_json

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.store.atomic_files import atomic_path, remove_unfinished, write_json, write_text
-from pipeline.store.system_errors import is_no_room
+from pipeline.store.errors import is_no_room
 
 
 def write_half(target: Path) -> None:

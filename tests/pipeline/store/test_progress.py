@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.store.progress import progress, progress_line
+from pipeline.store.run_folder import progress, progress_line
 
 
 def test_progress_passes_everything_on_and_estimates_the_rest() -> None:

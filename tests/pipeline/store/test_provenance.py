@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from pipeline.settings.checks import settings_that_matter
+from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages.expert import ExpertSettings
 from pipeline.store.provenance import hash_file, hash_value, machine, present_commit, software_versions
 

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.episodes.encoding.protobuf_wire import varint
 from pipeline.episodes.encoding.schema import STEP_FIELDS, Step
-from pipeline.episodes.encoding.step_codec import decode_step, encode_step
+from pipeline.episodes.encoding.step_codec import decode_step, encode_step, varint
 from pipeline.episodes.records import StepRecord
 
 

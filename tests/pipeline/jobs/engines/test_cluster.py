@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.jobs import pool
-from pipeline.jobs.engines.cluster import ClusterEngine
+from pipeline.jobs.engines.cluster import JOBS, ClusterEngine, end_earlier_jobs
 from pipeline.jobs.engines.settings import RaySettings
-from pipeline.jobs.engines.shared_files import JOBS, end_earlier_jobs
 from pipeline.jobs.engines.task import Task, run_task
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.store.costs import kept_costs

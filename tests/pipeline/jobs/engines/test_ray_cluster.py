@@ -10,10 +10,9 @@ from typing import Any
 
 import pytest
 
-from pipeline.jobs.engines.choice import chosen_engine
 from pipeline.jobs.engines.ray_cluster import RayExecutor
 from pipeline.jobs.engines.settings import RaySettings
-from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.pool import Job, chosen_engine, run_jobs
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.jobs.toy_training import Toy, square, train

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.jobs.engines.choice import chosen_engine
 from pipeline.jobs.engines.cluster import Needs
 from pipeline.jobs.engines.settings import SlurmSettings
 from pipeline.jobs.engines.slurm import SlurmExecutor
-from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.pool import Job, chosen_engine, run_jobs
 from pipeline.store.errors import StageError
 from pipeline.store.run_folder import Identity, RunFolder
 from tests.pipeline.jobs.toy_training import Toy, square, train

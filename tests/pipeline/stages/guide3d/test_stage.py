@@ -11,9 +11,9 @@ import pytest
 
 from guide3d.dataset.dataset import Dataset
 from pipeline.stages.guide3d import stage as guide3d
+from pipeline.stages.guide3d.figures import reconstruction_tables
 from pipeline.stages.guide3d.folder import open_dataset
 from pipeline.stages.guide3d.settings import Guide3dSettings
-from pipeline.stages.guide3d.tables import reconstruction_tables
 from pipeline.store.errors import ConfigurationError, StageError
 from tests.guide3d.dataset.drawn_dataset import write_dataset
 from tests.pipeline.stages.small_expert import context, in_this_process

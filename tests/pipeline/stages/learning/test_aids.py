@@ -9,8 +9,9 @@ from enn.imitation.behaviour_cloning import cloning_settings
 from enn.imitation.dagger import DaggerSettings
 from enn.reinforcement import DESK_SAC, THESIS_SAC
 from pipeline.recording.trials import Origin
-from pipeline.stages.learning.aids import imitation_note, note_of, training_note
-from pipeline.stages.learning.imitation import ImitationJob
+from pipeline.stages.imitation import ImitationJob, of_imitation
+from pipeline.stages.learning.aids import note as note_of_jobs
+from pipeline.stages.learning.aids import note_of, of_training
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.learning.training import PolicyTrainingJob
 from pipeline.stages.report import notes_of
@@ -38,7 +39,7 @@ THESIS = replace(
 
 
 def test_a_desk_training_names_every_aid() -> None:
-    note = training_note([DESK])
+    note = note_of_jobs([DESK], of_training)
     for aid in (
         "shaped reward of training (geodesic, less 40 a metre of the tip's path)",
         f"{100 * DESK_SAC.reset_bank_share:.0f} % of the resets along the path, to states of demonstrations and own "
@@ -55,15 +56,15 @@ def test_a_desk_training_names_every_aid() -> None:
 
 
 def test_other_physics_in_training_are_named() -> None:
-    note = training_note([replace(DESK, task=replace(DESK.task, accuracy="fast"))])
+    note = note_of_jobs([replace(DESK, task=replace(DESK.task, accuracy="fast"))], of_training)
     assert "trained in fast physics, chosen and tested in accurate ones" in note
-    assert "physics" not in training_note([DESK])
+    assert "physics" not in note_of_jobs([DESK], of_training)
 
 
 def test_what_a_training_does_not_have_is_not_named() -> None:
-    note = training_note([THESIS])
+    note = note_of_jobs([THESIS], of_training)
     assert note == f"How the measured rows were made: 2 actions; images of 80 px; {THESIS_SAC.decisions:,} decisions."
-    alone = training_note([replace(DESK, demonstrations=(), keys=("joints",))])
+    alone = note_of_jobs([replace(DESK, demonstrations=(), keys=("joints",))], of_training)
     assert "planner" not in alone
     assert "demonstrations" not in alone
     assert "px" not in alone
@@ -72,7 +73,7 @@ def test_what_a_training_does_not_have_is_not_named() -> None:
 def test_rows_that_were_made_alike_are_named_together() -> None:
     other = replace(DESK, origin=Origin("enn", "V", 0, "desk"))
     other_observation = replace(DESK, origin=Origin("enn", "I", 0, "desk"), keys=("joints",))
-    note = training_note([DESK, other, other_observation])
+    note = note_of_jobs([DESK, other, other_observation], of_training)
     assert note.count("shaped reward") == 1
     assert note.endswith("I+V+M, V: images of 80 px.")
     assert (
@@ -85,11 +86,11 @@ def test_imitation_says_whose_weight_matches_features() -> None:
     cloning = cloning_settings("thesis", ("image",), feature_matching=0.1)
     job = ImitationJob(Path("s"), Origin("imitation", "dagger", 0, "thesis"), cloning, LearningTask("type_1", "bca"),
                        Path("e"), 10, 30, 5, rounds=DaggerSettings(rounds=3))  # fmt: skip
-    note = imitation_note([job])
+    note = note_of_jobs([job], of_imitation)
     assert "thesis network, from 10 episodes" in note
     assert "features matched with weight 0.1, which is ours" in note
     assert "3 rounds of 10 own episodes" in note
-    assert "features" not in imitation_note([replace(job, settings=replace(cloning, feature_matching=0.0))])
+    assert "features" not in note_of_jobs([replace(job, settings=replace(cloning, feature_matching=0.0))], of_imitation)
 
 
 def test_the_report_gathers_notes_of_a_sweep_once(tmp_path: Path) -> None:

@@ -10,8 +10,7 @@ import pytest
 
 from pipeline.jobs.worker import Report
 from pipeline.recording.record import record_episode
-from pipeline.stages.learning.force import TEST_EVERY
-from pipeline.stages.learning.force_from_shape import ShapeForceJob, forces_from_shape, test_frames
+from pipeline.stages.learning.force import TEST_EVERY, ShapeForceJob, forces_from_shape, test_frames
 from pipeline.stages.learning.task import LearningTask
 from pipeline.task import Task
 

@@ -9,9 +9,8 @@ import pytest
 from enn.reinforcement import DESK_PPO, DESK_SAC
 from pipeline.stages.baselines import training_settings as of_baselines
 from pipeline.stages.enn import training_settings as of_enn
-from pipeline.stages.learning.hyperparameters import with_hyperparameters
-from pipeline.stages.learning.settings import BaselinesSettings, EnnSettings
-from pipeline.stages.unseen.roadmap_training import training_settings as of_unseen
+from pipeline.stages.learning.settings import BaselinesSettings, EnnSettings, with_hyperparameters
+from pipeline.stages.unseen.roadmap import training_settings as of_unseen
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.store.errors import ConfigurationError
 from tests.pipeline.composed import composed

@@ -11,9 +11,9 @@ import pytest
 from pipeline.jobs.worker import Report
 from pipeline.stages import segmentation, shape
 from pipeline.stages.guide3d.folder import Source
-from pipeline.stages.networks import stage as network_stage
-from pipeline.stages.networks.evaluation import learn_shape, train_network
+from pipeline.stages.networks import training as network_stage
 from pipeline.stages.networks.settings import SegmentationSettings, ShapeSettings
+from pipeline.stages.networks.training import learn_shape, train_network
 from pipeline.store.errors import ConfigurationError, StageError
 from tests.guide3d.learning.drawn_data import draw
 from tests.pipeline.event_scalars import scalars

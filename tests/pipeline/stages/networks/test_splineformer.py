@@ -14,13 +14,13 @@ from guide3d.learning.build import SEGMENTER_SIZES
 from guide3d.learning.picture_store import Preprocessing
 from guide3d.learning.predictor import SegmentationPredictor, built
 from pipeline.jobs.worker import Report
-from pipeline.plots.splineformer import draw_attention, draw_comparison, draw_errors
+from pipeline.plots.networks import draw_attention, draw_comparison, draw_errors
 from pipeline.stages import splineformer
+from pipeline.stages import splineformer as splineformer_jobs
 from pipeline.stages.guide3d.folder import Source
-from pipeline.stages.networks import splineformer as splineformer_jobs
-from pipeline.stages.networks import stage as network_stage
+from pipeline.stages.networks import training as network_stage
 from pipeline.stages.networks.settings import SplineformerSettings
-from pipeline.stages.networks.splineformer import EXAMPLES, compare, learn_variant
+from pipeline.stages.splineformer import EXAMPLES, compare, learn_variant
 from pipeline.store.errors import ConfigurationError, StageError
 from splineformer.comparison.evaluation import ReadCurve, Reader
 from tests.guide3d.learning.drawn_data import draw

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.stages.networks.torchrun import train_together
+from pipeline.stages.networks.training import train_together
 from pipeline.store.errors import StageError
 
 TALKER = """

@@ -17,11 +17,15 @@ from enn.reinforcement.rehearsal_rules import Turn
 from enn.trajectory import Trajectory
 from pipeline.jobs.worker import Report
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record_demonstrations
+from pipeline.stages.rehearsal.demonstrations import (
+    demonstration_file,
+    read_demonstrations,
+    record_demonstrations,
+    turn_of,
+)
 from pipeline.stages.rehearsal.stage import plan, shown_by
 from pipeline.stages.rehearsal.starting_policy import advising_policies
 from pipeline.stages.rehearsal.training import train
-from pipeline.stages.rehearsal.turns import demonstration_file, turn_of
 from pipeline.store.atomic_files import write_arrays
 from pipeline.task import Task
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, all_demonstrations, job_of

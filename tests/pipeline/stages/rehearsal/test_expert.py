@@ -12,10 +12,14 @@ import pytest
 
 from enn.reinforcement.rehearsal_rules import Turn
 from pipeline.jobs.worker import Report
-from pipeline.stages.rehearsal.demonstrations import read_demonstrations, record_demonstrations
+from pipeline.stages.rehearsal.demonstrations import (
+    demonstration_file,
+    read_demonstrations,
+    record_demonstrations,
+    turn_of,
+)
 from pipeline.stages.rehearsal.stage import plan
 from pipeline.stages.rehearsal.training import train
-from pipeline.stages.rehearsal.turns import demonstration_file, turn_of
 from pipeline.store.atomic_files import write_arrays
 from pipeline.task import Task
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of

@@ -11,9 +11,8 @@ import pytest
 
 from enn.device_trials import Tried
 from enn.reinforcement.rehearsal_rules import in_share
-from pipeline.stages.rehearsal.copies import RehearsalJob
-from pipeline.stages.rehearsal.hyperparameters import training_settings
-from pipeline.stages.rehearsal.turns import first_turn
+from pipeline.stages.rehearsal.copies import RehearsalJob, training_settings
+from pipeline.stages.rehearsal.demonstrations import first_turn
 from pipeline.store.atomic_files import write_arrays
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
 
@@ -22,7 +21,7 @@ from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
 def test_a_training_has_a_thread_for_each_core_within_reason(
     cores: int, asked: int, threads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pipeline.stages.rehearsal.hyperparameters.available_workers", lambda: cores)
+    monkeypatch.setattr("pipeline.stages.rehearsal.copies.available_workers", lambda: cores)
     assert training_settings(job_of(tmp_path, threads=asked), "cpu").threads == threads
 
 

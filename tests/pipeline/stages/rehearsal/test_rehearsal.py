@@ -12,14 +12,13 @@ import pytest
 
 from cathsim import load_phantom
 from enn.policy import Policy
-from pipeline.anatomies.fitting import fitted_steps, fitted_task
+from pipeline.anatomies.devices import fitted_steps, fitted_task
 from pipeline.anatomies.settings import check_anatomies
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
 from pipeline.seeds import ANATOMY_COPIES
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.episodes import play
-from pipeline.stages.rehearsal.film import film_scan
+from pipeline.stages.rehearsal.episodes import film_scan, play
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.stage import check_rehearsal, plan, row, run_rehearsal
 from pipeline.stages.rehearsal.training import train

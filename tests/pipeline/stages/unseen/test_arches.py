@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from cathsim import load_phantom
-from pipeline.anatomies.take_offs import set_back_mm
+from pipeline.anatomies.devices import set_back_mm
 from pipeline.seeds import unseen_arches
-from pipeline.stages.unseen import arches
-from pipeline.stages.unseen.jobs import (
+from pipeline.stages.unseen import task as arches
+from pipeline.stages.unseen.plan import plan
+from pipeline.stages.unseen.roadmap import (
     AnatomiesJob,
 )
-from pipeline.stages.unseen.plan import plan
 from pipeline.stages.unseen.task import UnseenTask, training_arch
 from pipeline.store.errors import ConfigurationError
 from tests.pipeline.stages.unseen.small_unseen import small_settings, variety
@@ -34,7 +34,7 @@ def test_steep_arches_are_trained_in_and_chosen_by(tmp_path: Path, monkeypatch: 
         assert (list(targets), least_mm, kind) == (["bca", "lcca", "lsa"], 13.0, "random")
         return list(seeds)[::10][:count]
 
-    monkeypatch.setattr("pipeline.stages.unseen.arches.with_steep_take_off", every_tenth)
+    monkeypatch.setattr("pipeline.stages.unseen.task.with_steep_take_off", every_tenth)
     wanted = small_settings(least_set_back_mm=13.0, image=False, xray=False, curve=[], test_anatomies=5)
     jobs = {job.key: job.given for job in plan(wanted, tmp_path, 1, "desk")}
     assert jobs["roadmap"].anatomies == tuple(range(1000, 1080, 10))

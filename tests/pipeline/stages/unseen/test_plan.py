@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from pipeline.seeds import unseen_arches, validation_arches
-from pipeline.stages.unseen.jobs import (
+from pipeline.stages.unseen.demonstrations import StartsJob
+from pipeline.stages.unseen.plan import plan
+from pipeline.stages.unseen.roadmap import (
     AnatomiesJob,
     RoadmapJob,
 )
-from pipeline.stages.unseen.plan import plan
-from pipeline.stages.unseen.starts import StartsJob
-from pipeline.stages.unseen.tables import registration
+from pipeline.stages.unseen.stage import registration
 from pipeline.stages.unseen.task import training_arch
 from tests.pipeline.stages.unseen.small_unseen import TASK, small_settings
 

@@ -11,10 +11,10 @@ from enn.policy import Policy
 from enn.shipped import weight_files
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from pipeline.jobs.worker import Report
-from pipeline.stages.unseen.jobs import (
+from pipeline.stages.unseen.plan import plan
+from pipeline.stages.unseen.roadmap import (
     train_roadmap,
 )
-from pipeline.stages.unseen.plan import plan
 from pipeline.stages.unseen.stage import check_unseen
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task

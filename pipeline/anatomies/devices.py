@@ -1,21 +1,62 @@
-"""Devices for an anatomy, by how far an ostium lies behind the top of the arch, or by episodes in copies of it."""
+"""Devices for an anatomy, as long as its ways, by how far an ostium lies behind the top of the arch, or by trials."""
 
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from pipeline.anatomies.fitting import fitted_task
-from pipeline.task import DESCENDING, Task
+from pipeline.task import DESCENDING, NO_WIRE, Task, entry_place
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
     from cathsim.anatomy.point_target import TargetLike
     from enn.device_trials import Tried
     from enn.policy import Policy
+
+
+_LEAST_TIMES, _TIMES = 2.0, 3.0  # of the steps that a way takes at full speed: the fewest of an episode; a long one's
+_ROOM = 0.03  # m of wire beyond the way to the target and what lies in the sheath
+
+_LOGGER = logging.getLogger(__name__)
+
+
+def fitted_task(task: Task, phantom: Phantom, targets: Sequence[Any]) -> Task:
+    """The task with a wire that reaches targets (names, or points in m) from its entry, where its length is open."""
+    from cathsim.anatomy.entry import entry_name
+    from cathsim.devices.arena import RESERVE
+
+    ways = [phantom.way_length(target, entry_name(entry_place(task.entry), target)) for target in targets]
+    if task.wire_length_mm or task.wire == NO_WIRE:
+        return task
+    needed = max(ways) + RESERVE + _ROOM
+    return task if needed <= task.guidewire().length else replace(task, wire_length_mm=10.0 * math.ceil(100.0 * needed))
+
+
+def fitted_steps(task: Task, phantom: Phantom, target: Any) -> Task:
+    """The task with three times a straight way's steps, in hundreds, where its own are less than twice them."""
+    from cathsim.anatomy.entry import entry_name
+    from cathsim.robot.pace import named_pace
+
+    way = phantom.way_length(target, entry_name(entry_place(task.entry), target))
+    straight = way / named_pace(task.pace).translation
+    if task.max_steps >= _LEAST_TIMES * straight:
+        return task
+    steps = 100 * math.ceil(_TIMES * straight / 100)
+    _LOGGER.warning(
+        "the way to %s of %s is %.0f mm long, for which %d steps are few: episodes last %d (stage.fit_steps=false: "
+        "task.max_steps)",
+        target,
+        phantom.name,
+        1e3 * way,
+        task.max_steps,
+        steps,
+    )
+    return replace(task, max_steps=steps)
+
 
 # mm; a policy of the wire alone reached most targets below it, and few of those far beyond (docs/results/generalist.md)
 STEEP_MM = 13.0
@@ -29,25 +70,14 @@ CATHETER_BETTER_MM = 5.0
 SHARE = 0.5  # of what may differ on the day, by which the copies for a choice differ from the scan
 _BETTER_MM = {("generalist_jb2", "lcca"): 0.0, ("generalist_jb2", "lsa"): 0.0}  # of others: policy and branch
 
-_LOGGER = logging.getLogger(__name__)
-
 
 def catheter_better_mm(policy: str, branch: str) -> float:
-    """The set-back, mm, from which on a policy of wire and catheter reaches more targets than that of the wire alone.
-
-    Args:
-        policy: its name among the shipped ones, or a file.
-        branch: that the target lies in.
-    """
+    """The set-back, mm, from which on a policy reaches more targets in a branch with a catheter than without."""
     return _BETTER_MM.get((policy, branch), CATHETER_BETTER_MM)
 
 
 def set_back_mm(phantom: Phantom, target: TargetLike) -> float:
-    """How far the ostium of a target's branch lies behind the top of the arch, mm.
-
-    Raises:
-        ValueError: the target lies in the aorta itself.
-    """
+    """How far the ostium of a target's branch lies behind the top of the arch, mm; a ValueError in the aorta itself."""
     from cathsim.anatomy.vessel_tree import set_back
 
     return 1e3 * set_back(phantom.tree, phantom.target(target).branch)
@@ -57,9 +87,6 @@ def with_catheter_where_steep(phantom: Phantom, target: TargetLike, task: Task, 
     """The task with a catheter over the wire, where a wire alone comes from below and the ostium is set back so far.
 
     Says so in the log.
-
-    Args:
-        choose: False: the task stays as it is, and the log names the catheter.
     """
     place = phantom.target(target)
     if task.catheter is not None or task.entry != DESCENDING or place.branch == phantom.tree.root.name:
@@ -96,15 +123,7 @@ def softened(task: Task) -> Task:
 def best_in_copies(
     policies: Sequence[Policy], tasks: Sequence[Task], phantom: Phantom, target: TargetLike, *, usual: int, seed: int
 ) -> int:
-    """Number of the policy whose devices are to be taken in an anatomy, by episodes in copies of it.
-
-    Args:
-        policies: by a roadmap.
-        tasks: of each, its devices and rules; their wires are longer where the way asks for it.
-        target: its name, or a point in m.
-        usual: as of `enn.device_trials.best_devices`.
-        seed: of the first episode of each.
-    """
+    """Number of the policy whose devices, their wires as long as the way asks for, do best in copies of an anatomy."""
     from cathsim.rehearsal.environment import NavigateCopiesEnv
     from cathsim.rehearsal.perturbation import Perturbation
     from enn.device_trials import TRIALS, Tried, best_devices, try_in_copies

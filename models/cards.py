@@ -1,4 +1,4 @@
-"""Index of the shipped models and facts in their cards: ``python -m pipeline.model_cards`` writes them from the files.
+"""Index of the shipped models and facts in their cards: ``python models/cards.py`` writes them from the files.
 
 A model is ``packages/<package>/src/<package>/weights/<name>.pt`` and its card ``<name>.md``. A card is written by hand
 but for its table: file, size, SHA-256 and format. ``models/README.md`` lists all; its table is written here, too.
@@ -25,15 +25,10 @@ _ROWS = re.compile(r"^\| name \|.*?(?=^$)", re.DOTALL | re.MULTILINE)
 
 @dataclass(frozen=True)
 class ShippedModel:
-    """A file of weights with its card.
+    """A file of weights with its card."""
 
-    Attributes:
-        root: of the repository.
-        path: of the file.
-    """
-
-    root: Path
-    path: Path
+    root: Path  # of the repository
+    path: Path  # of the file
 
     @property
     def card(self) -> Path:
@@ -56,11 +51,7 @@ class ShippedModel:
         return f"{self.path.stat().st_size / 1e6:.2f} MB"
 
     def form(self) -> str:
-        """The format that the file says that it has.
-
-        Raises:
-            ValueError: the file is damaged.
-        """
+        """The format that the file says that it has; a ValueError where it is damaged."""
         from guide3d.learning.model_file import read_content
 
         content: dict[str, Any] = read_content(self.path)
@@ -85,11 +76,7 @@ def shipped_models(root: Path = PROJECT_ROOT) -> list[ShippedModel]:
 
 
 def written(root: Path = PROJECT_ROOT) -> dict[Path, str]:
-    """What the cards and the index ought to hold, by path.
-
-    Raises:
-        ValueError: a card lacks its table or a section, or the files are too large together.
-    """
+    """What cards and index ought to hold, by path; a ValueError where one lacks a part, or the files are too large."""
     models = shipped_models(root)
     total = sum(model.path.stat().st_size for model in models)
     if total > LIMIT_BYTES:
@@ -115,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         texts = written()
     except ValueError as error:
-        print(error, file=sys.stderr)  # noqa: T201 - the last word of a command line
+        print(error, file=sys.stderr)
         return 1
     for path, text in texts.items():
         path.write_text(text, encoding="utf-8")

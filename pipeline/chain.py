@@ -1,4 +1,4 @@
-"""Runs the steps of a chain, each in a process of its own, as if called by itself.
+"""Chains of stages, each in a process of its own: ``python -m pipeline.chain all -- budget=desk name=desk``.
 
 One after the other, a stage has the terminal, with its own progress. Beside each other, stages that do not need one
 another share the machine (`pipeline.jobs.machine`), and each line begins with the step's name.
@@ -13,15 +13,78 @@ import sys
 import threading
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from types import FrameType
 from typing import IO, Any
 
 from enn.reinforcement.free_memory import available_bytes
-from pipeline.chain.steps import Step, concerns, steps_to_the_end, waits_for
 from pipeline.jobs.engines.local import available_workers
 from pipeline.jobs.machine import shared_machine
-from pipeline.printing import say
+from pipeline.printing import say, written
+from pipeline.settings.quoting import unquoted
+from pipeline.stages import available_stages, load_stage, settings_of
+
+
+@dataclass(frozen=True)
+class Step:
+    """A stage of a chain, and the seed that it runs with; None: that of the overrides."""
+
+    stage: str
+    seed: int | None = None
+
+    def __str__(self) -> str:
+        return self.stage if self.seed is None else f"{self.stage} with seed {self.seed}"
+
+
+def steps_of(stages: Sequence[str], seeds: int) -> list[Step]:
+    """What a chain runs, in order: repeated stages once for each of so many seeds."""
+    if seeds == 1:
+        return [Step(stage) for stage in stages]
+    return [Step(stage, seed or None) for stage in stages for seed in range(seeds if load_stage(stage).repeated else 1)]
+
+
+def waits_for(steps: Sequence[Step], place: int) -> list[int]:
+    """Places of the earlier steps that must be done before a step may start: those of stages that it reads or uses."""
+    stage = load_stage(steps[place].stage)
+    return [
+        k for k, earlier in enumerate(steps[:place]) if stage.gathers or earlier.stage in (*stage.reads, *stage.uses)
+    ]
+
+
+def steps_to_the_end(steps: Sequence[Step]) -> list[int]:
+    """How many steps the longest chain has that begins with each: the step, one that waits for it, and so on."""
+    count = [1] * len(steps)
+    for place in reversed(range(len(steps))):
+        for earlier in waits_for(steps, place):
+            count[earlier] = max(count[earlier], count[place] + 1)
+    return count
+
+
+def chosen_value(overrides: Sequence[str], key: str, default: str) -> str:
+    """The value of a setting among overrides: the last one counts."""
+    found = (word.partition("=")[2] for word in reversed(overrides) if word.startswith(f"{key}="))
+    return next(map(unquoted, found), default)
+
+
+def after_inputs(stages: Sequence[str]) -> list[str]:
+    """The stages and all that they read, directly or not, in order."""
+    wanted, todo = set[str](), list(stages)
+    while todo:
+        name = todo.pop()
+        wanted.add(name)
+        todo += load_stage(name).reads
+    return [name for name in available_stages() if name in wanted]
+
+
+def concerns(override: str, stage: str) -> bool:
+    """Whether an override is for a stage: `stage.KEY` is for those that have the setting, `stage@NAME.KEY` for one."""
+    group, _, key = override.lstrip("+~").partition("=")[0].partition(".")
+    group, _, only = group.partition("@")
+    if group != "stage" or not key:
+        return True
+    names = {item.name for item in fields(settings_of(stage))}
+    return only in ("", stage) and key.partition(".")[0] in names
+
 
 _SECONDS_BETWEEN_LOOKS = 0.1
 _GB = 1e9
@@ -38,14 +101,7 @@ class _Running:
 
 
 def run(steps: Sequence[Step], overrides: Sequence[str], beside: int = 1) -> int:
-    """Runs the steps; it ends with the first that fails, and asks those beside that one to stop.
-
-    Args:
-        beside: steps at the same time.
-
-    Returns:
-        0, or the exit code of the step that failed, 128 + N where signal N ended it.
-    """
+    """Runs the steps, so many beside each other, until one fails, whose exit code it gives: 128 + N after signal N."""
     room = shared_machine(available_workers(), available_bytes() / _GB) if beside > 1 else contextlib.nullcontext()
     with room, _Processes() as processes:
         return _Chain(steps, overrides, beside, processes).run()
@@ -145,11 +201,7 @@ class _Processes:
             signal.signal(number, former)
 
     def start(self, place: int, command: Sequence[str], *, name: str | None) -> None:
-        """Starts a process.
-
-        Args:
-            name: that its lines are told with; None: it has the terminal.
-        """
+        """Starts a process; its lines are told with the name, and without one it has the terminal."""
         if name is None:
             process = subprocess.Popen(command, text=True)
             self.under_way.append(_Running(place, process))
@@ -189,3 +241,72 @@ def worded(minutes: float) -> str:
         return f"{60 * minutes:.0f} s"
     hours, rest = divmod(round(minutes), 60)
     return f"{hours} h {rest:02d} min" if hours else f"{rest} min"
+
+
+_USAGE = """\
+{command} [--seeds N] [--beside N] all|[--inputs] STAGE ... -- [OVERRIDE ...]
+
+Runs all stages, or some, one after the other, and says how far it is.
+
+  --inputs     the stages after those that they read
+  --seeds N    stages whose figures depend on the seed run with seeds 0 to N - 1; the report shows means and intervals
+  --beside N   up to N stages that do not need each other run at the same time and share cores, memory and GPUs
+
+Overrides go to every stage, e.g. budget=desk name=desk engine=ray, stage.KEY=VALUE to those that have the setting, e.g.
+stage.device=cuda, and stage@NAME.KEY=VALUE to one. It ends with the first stage that fails; the same command goes on
+from there.
+"""
+_EXIT_USAGE = 2
+_ALL, _INPUTS, _SEEDS, _BESIDE = "all", "--inputs", "--seeds", "--beside"
+_MOST_SEEDS = 20  # that pipeline.seeds has ranges for
+_MOST_BESIDE = 64
+
+
+def main(arguments: list[str]) -> int:
+    """Runs the command line; gives 0, or the exit code of the stage that failed."""
+    if "--help" in arguments or "-h" in arguments:
+        say(_USAGE.format(command=written("chain")))
+        return 0
+    cut = arguments.index("--") if "--" in arguments else len(arguments)
+    stages, overrides = arguments[:cut], arguments[cut + 1 :]
+    try:
+        seeds, beside = _taken(stages, _SEEDS, _MOST_SEEDS), _taken(stages, _BESIDE, _MOST_BESIDE)
+        if seeds > 1 and any(word.startswith("seed=") for word in overrides):
+            raise ValueError(f"{_SEEDS} counts from seed 0 on: leave seed=… out, or {_SEEDS}")
+    except ValueError as error:
+        say(str(error), error=True)
+        return _EXIT_USAGE
+    with_inputs = _INPUTS in stages
+    stages = [name for name in stages if name != _INPUTS]
+    stages = list(available_stages()) if stages == [_ALL] else stages
+    unknown = [name for name in stages if name not in available_stages()]
+    if unknown or not stages:
+        problem = f"unknown stage {unknown[0]!r}" if unknown else "no stage is named"
+        if unknown and (setting := next((word for word in stages if "=" in word), None)):
+            say(f"{setting} is no stage: settings stand behind --, after the stages", error=True)
+            return _EXIT_USAGE
+        say(f"{problem}: choose from {_ALL}, {', '.join(available_stages())}", error=True)
+        return _EXIT_USAGE
+    if with_inputs:
+        stages = after_inputs(stages)
+    foreign = [word for word in overrides if not any(concerns(word, stage) for stage in stages)]
+    if foreign:
+        say(f"no stage of the chain has the setting {foreign[0]!r}: name its stage, or leave it out", error=True)
+        return _EXIT_USAGE
+    return run(steps_of(stages, seeds), overrides, beside)
+
+
+def _taken(words: list[str], option: str, largest: int) -> int:
+    """Takes an option and its number out of the words before the overrides; 1 where it is not there."""
+    if option not in words:
+        return 1
+    place = words.index(option)
+    number = words[place + 1] if place + 1 < len(words) else ""
+    del words[place : place + 2]
+    if not number.isdecimal() or not 1 <= int(number) <= largest:
+        raise ValueError(f"{option} needs a whole number from 1 to {largest}, got {number or 'nothing'!r}")
+    return int(number)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

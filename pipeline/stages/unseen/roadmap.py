@@ -1,6 +1,6 @@
-"""Jobs of the stage `unseen`: anatomies and roadmap policies, and their logged episodes.
+"""Roadmap policies of the stage `unseen`, and the anatomies that they learn in.
 
-A policy's folder, ``<row>/seed<k>/``, draws as::
+A policy's folder, ``<row>/seed<k>/``, holds::
 
     policy.pt  training.csv  training.json
     checkpoint/                                   until it is finished
@@ -16,22 +16,75 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.jobs.freed_memory import map_simulations
-from pipeline.jobs.job import OPTIMISER
-from pipeline.jobs.worker import Report
+from pipeline.jobs.worker import OPTIMISER, Report, map_simulations
 from pipeline.recording.trials import POLICY, Controller
+from pipeline.stages.learning.settings import with_hyperparameters
 from pipeline.stages.learning.training import words
-from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, read_demonstrations
-from pipeline.stages.unseen.starts import STARTS, read_starts
+from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, STARTS, read_demonstrations, read_starts
+from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.task import RESOLUTION, ROADMAP_KEYS
 from pipeline.stages.unseen.trials import PolicyJob, run_tests
 from pipeline.store.atomic_files import atomic_path
-from pipeline.store.errors import stopping_the_stage
-from pipeline.task import TASK
+from pipeline.store.errors import ConfigurationError, stopping_the_stage
+from pipeline.task import MOTION, TASK, decision_steps, differences, task_from
 
 if TYPE_CHECKING:
     from enn.policy import Policy
     from enn.reinforcement.training import TrainingSettings
+
+
+EVALUATIONS = 5  # of a training
+_ACTS_FIRST = 0.05  # of the decisions, where a training starts from a policy: it fills the replay buffer
+
+
+def training_settings(
+    settings: UnseenSettings,
+    anatomies: int,
+    decisions: int,
+    evaluations: int = EVALUATIONS,
+    start: Policy | None = None,
+) -> TrainingSettings:
+    """Those of the roadmap policies on so many anatomies; the best of `evaluations` on the validation's decides."""
+    from enn.reinforcement.rehearsal import MANY_CASES, starting_from
+
+    training = replace(
+        MANY_CASES,
+        hidden=(settings.hidden, settings.hidden),
+        decisions=decisions,
+        buffer_size=max(decisions, 1000),
+        learning_starts=min(MANY_CASES.learning_starts, decisions // 4),
+        action_repeat=decision_steps(settings.task),
+        reset_bank_cases=anatomies * len(settings.learnt_targets()),
+        evaluate_every=max(decisions // evaluations, 1),
+        evaluation_episodes=settings.validation_episodes,
+        tensorboard=True,
+    )
+    if start is not None:
+        training = starting_from(training, start, _ACTS_FIRST)
+    return with_hyperparameters(training, settings.training)
+
+
+def policy_to_start_from(settings: UnseenSettings) -> Policy | None:
+    """The policy of `stage.policy`, if there is one."""
+    if settings.policy is None:
+        return None
+    from enn.policy import Policy
+
+    try:
+        policy = Policy.load(Path(str(settings.policy)))
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"stage.policy={settings.policy} can't be read: {error}") from None
+    if policy.keys != ROADMAP_KEYS or (settings.decisions and not policy.critics):
+        with_critics = " that was saved with critics" if settings.decisions else ""
+        raise ConfigurationError(
+            f"stage.policy={settings.policy} is no policy by a roadmap{with_critics}: give such a one"
+        )
+    task = task_from(policy.metadata.get(TASK))
+    if not settings.decisions and task is not None and (differing := differences(settings.task, task, MOTION)):
+        values = ", ".join(f"stage.task.{name}={getattr(task, name)}" for name in differing)
+        raise ConfigurationError(f"stage.policy={settings.policy} was trained with {values}: give the stage the same")
+    return policy
+
 
 PRELOAD = (
     "cathsim.many_anatomies",
@@ -44,34 +97,21 @@ PRELOAD = (
 
 @dataclass(frozen=True)
 class AnatomiesJob:
-    """Random arches to build into the cache.
+    """Random arches to build into the cache."""
 
-    Attributes:
-        arches: kind and seed of each.
-        targets: whose ways are laid out in them.
-    """
-
-    arches: tuple[tuple[str, int], ...]
-    targets: tuple[str, ...]
+    arches: tuple[tuple[str, int], ...]  # kind and seed of each
+    targets: tuple[str, ...]  # whose ways are laid out in them
 
 
 @dataclass(frozen=True, kw_only=True)
 class RoadmapJob(PolicyJob):
-    """A policy on the local roadmap.
+    """A policy on the local roadmap."""
 
-    Attributes:
-        settings: of its training; None: the policy of `start` is taken as it is.
-        validated: seeds of random arches that the best policy is chosen by; none: those trained on.
-        demonstrated: whether it learns from the stage's demonstrations in its anatomies.
-        laid: whether the stage's laid starts in its anatomies go into the reset bank.
-        start: file of the policy that it starts from; None: from nothing.
-    """
-
-    settings: TrainingSettings | None
-    validated: tuple[int, ...] = ()
-    demonstrated: bool = False
-    laid: bool = True
-    start: Path | None = None
+    settings: TrainingSettings | None  # of its training; None: the policy of `start` is taken as it is
+    validated: tuple[int, ...] = ()  # seeds of random arches that the best policy is chosen by; none: those trained on
+    demonstrated: bool = False  # whether it learns from the stage's demonstrations in its anatomies
+    laid: bool = True  # whether the stage's laid starts in its anatomies go into the reset bank
+    start: Path | None = None  # file of the policy that it starts from; None: from nothing
 
 
 def build_anatomies(job: AnatomiesJob, report: Report) -> dict[str, Any]:
@@ -87,11 +127,7 @@ def build_anatomies(job: AnatomiesJob, report: Report) -> dict[str, Any]:
 
 
 def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
-    """Trains a policy on the roadmap and tests it; each part only where it lacks.
-
-    Returns:
-        ``training_s`` and a summary for each test set, target and mode.
-    """
+    """Trains a policy on the roadmap and tests it, each where it lacks: ``training_s`` and summaries."""
     map_simulations()
     policy, training_s = _taken_over(job) if job.settings is None else _trained(job, job.settings, report)
 

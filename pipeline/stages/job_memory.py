@@ -1,11 +1,24 @@
-"""GPU memory that a job is expected to need: an estimate from its images and batches, before anything has run.
+"""Memory that a job is expected to need, beside the processor and on a GPU: an estimate, before anything has run.
 
-While a job runs its process tells what it really uses, and `pipeline.jobs.gpus` goes by that where it is more.
+While a job runs its process tells what it really uses of a GPU, and `pipeline.jobs.gpus` goes by that where it is more.
 """
 
 from __future__ import annotations
 
+import functools
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
 from pipeline.jobs.gpus import CUDA_CONTEXT_BYTES
+from pipeline.stages.learning.task import LearningTask
+from pipeline.task import DESCENDING
+
+if TYPE_CHECKING:
+    import gymnasium
+
+    from enn.reinforcement.training import TrainingSettings
+
 
 _GB = 1e9
 CONTEXT_GB = CUDA_CONTEXT_BYTES / _GB
@@ -33,11 +46,7 @@ _MORE = 1.0  # what the allocator cannot use and workspaces of convolutions, bes
 
 
 def policy_gb(image_px: int, channels: int, batch: int = 0) -> float:
-    """For a policy, a student or a force predictor.
-
-    Args:
-        channels: grey images that it sees at once; 0: vectors alone.
-    """
+    """For a policy, a student or a force predictor that sees so many grey images at once; 0: vectors alone."""
     pixels = max(batch * _PASSES, _LEAST_BATCH) * max(channels, 0) * image_px**2
     return CONTEXT_GB + _WEIGHTS_GB + pixels * _BYTES_A_PIXEL / _GB
 
@@ -64,3 +73,48 @@ def _seen(network: str, size: str) -> tuple[int, int]:
         return recipe.crop_px, recipe.fit.batch_size
     kept = fgrn_recipe(size) if network == "fgrn" else shape_recipe(size)
     return kept.preprocessing.size_px, kept.fit.batch_size
+
+
+PROCESS_GB = 1.0  # torch, simulator and networks; an estimate
+_CHANNELS = {"image": 1, "mask": 1, "sequential": 3}  # of the observations that are images
+_ROLLOUT_BYTES = 4  # a number of an observation in PPO's roll-out, which holds floats
+
+
+def training_gb(task: LearningTask, keys: tuple[str, ...], settings: TrainingSettings, *, encoded: bool) -> float:
+    """Memory of one training, nearly all of it replay buffer or roll-out; features of an encoder take little."""
+    if encoded:
+        return PROCESS_GB
+    from enn.reinforcement.replay import nbytes_needed
+    from enn.reinforcement.training.settings import PpoSettings, SacSettings
+
+    arguments = {**task.task.arguments(), "entry": DESCENDING}  # another anatomy may not have that of the task
+    observations, actions = _spaces(tuple(sorted(arguments.items())), keys)
+    if isinstance(settings, SacSettings):
+        needed = nbytes_needed(observations, settings.buffer_size, actions, half=settings.half)
+    else:
+        assert isinstance(settings, PpoSettings)
+        numbers = sum(int(np.prod(space.shape or ())) for space in observations.spaces.values())
+        needed = _ROLLOUT_BYTES * settings.n_steps * settings.n_envs * numbers
+    return PROCESS_GB + needed / _GB
+
+
+def training_gpu_gb(image_px: int, keys: tuple[str, ...], batch: int = 0) -> float:
+    """GPU memory of one training with so many samples an update; 0: it learns from an encoder's features."""
+    return policy_gb(image_px, sum(_CHANNELS.get(key, 0) for key in keys), batch)
+
+
+@functools.cache
+def _spaces(
+    arguments: tuple[tuple[str, Any], ...], keys: tuple[str, ...]
+) -> tuple[gymnasium.spaces.Dict, gymnasium.spaces.Box]:
+    """What an environment gives and takes; that depends on neither anatomy nor target."""
+    import gymnasium
+
+    environment = gymnasium.make(
+        "cathsim:cathsim/Navigate-v0", observation=keys, disable_env_checker=True, **dict(arguments)
+    )
+    observations, acts = environment.observation_space, environment.action_space
+    environment.close()
+    assert isinstance(observations, gymnasium.spaces.Dict)
+    assert isinstance(acts, gymnasium.spaces.Box)
+    return observations, acts

@@ -1,1 +1,0 @@
-"""Several stages of a run: in which order, and beside each other or not."""
