@@ -22,6 +22,7 @@ endonav COMMAND [ARGUMENTS]
   episodes COMMAND FILE    look at episode logs, check, film and export them
   models [NAME]            list the trained models that are shipped, or print the card of one
   demo                     a shipped policy steers through an unseen arch or yours: film, log and page in runs/demo
+  evaluate [CLAIM ...]     measure what is claimed, as the protocol says: a file of results for each claim
   console                  steer the wire yourself, in the browser (needs endonav-cathsim[console])
   info                     what a report of a problem needs: versions, processor, rendering, GPUs, caches
   --version
@@ -94,7 +95,8 @@ def _info(arguments: list[str]) -> int:
 # A function, or the module whose `main` takes the arguments.
 _COMMANDS: dict[str, Callable[[list[str]], int] | str] = {
     "stages": "pipeline.launch", "chain": "pipeline.chain", "episodes": "pipeline.episodes.__main__",
-    "models": _models, "demo": "pipeline.demo.__main__", "console": "pipeline.console", "info": _info,
+    "models": _models, "demo": "pipeline.demo.__main__", "evaluate": "pipeline.protocol.command",
+    "console": "pipeline.console", "info": _info,
 }  # fmt: skip
 
 

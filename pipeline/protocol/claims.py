@@ -1,0 +1,108 @@
+"""Claims of the protocol: read from `evaluation/protocol.yaml`, where each is declared once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass as checked
+
+from pipeline.store.errors import ConfigurationError
+from pipeline.store.provenance import PROJECT_ROOT
+
+_STRICT = ConfigDict(extra="forbid")
+Positive = Annotated[int, Field(gt=0)]
+NEXT_SEED = 1000  # between the first anatomies, or scenes, of two seeds of a claim
+
+
+@checked(frozen=True, kw_only=True, config=_STRICT)
+class Navigation:
+    """Shipped policies steer to targets in drawn arches.
+
+    Attributes:
+        arches: kind of the arches, as `pipeline.stages.unseen.task.TEST_KINDS`.
+        first, count: seed of the first one, and how many.
+        policies: names; the second plays where an ostium is set back far.
+        attempts, steps: of an episode, and the steps of each.
+    """
+
+    kind: Literal["navigation"]
+    title: str
+    limits: str
+    arches: Literal["random", "random_steep", "random_trunk"]
+    first: Positive
+    count: Positive
+    targets: tuple[str, ...]
+    policies: tuple[str, ...]
+    attempts: Positive = 1
+    steps: Positive = 300
+
+
+@checked(frozen=True, kw_only=True, config=_STRICT)
+class Reconstruction:
+    """Drawn wires are reconstructed from two views."""
+
+    kind: Literal["reconstruction"]
+    title: str
+    limits: str
+    first: Positive  # seed of the scenes
+    count: Positive
+    noise_px: Annotated[float, Field(ge=0)]
+
+
+Claim = Annotated[Navigation | Reconstruction, Field(discriminator="kind")]
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """All claims, by name, and the version that they are of."""
+
+    version: int
+    claims: Mapping[str, Navigation | Reconstruction]
+
+    def require(self, names: list[str]) -> None:
+        """Refuses names of no claim.
+
+        Raises:
+            ConfigurationError: listing the claims.
+        """
+        unknown = [name for name in names if name not in self.claims]
+        if unknown:
+            raise ConfigurationError(f"there is no claim {unknown[0]!r}: choose from {', '.join(self.claims)}")
+
+
+def read_protocol(path: Path | None = None) -> Protocol:
+    """Reads the protocol, by default the project's.
+
+    Raises:
+        ConfigurationError: it is missing, or an entry is not understood.
+    """
+    path = path or _own()
+    try:
+        content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+        claims = TypeAdapter(dict[str, Claim]).validate_python(content["claims"])
+        return Protocol(int(content["version"]), claims)
+    except OSError as error:
+        raise ConfigurationError(f"{path} cannot be read: {error.strerror}") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise ConfigurationError(f"{path}: claims.{place}: {first['msg']}") from None
+    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
+        raise ConfigurationError(f"{path} is no protocol: expected `version` and `claims` ({error})") from None
+
+
+def declared(claim: Navigation | Reconstruction, *, words: bool = True) -> dict[str, Any]:
+    """A claim's entry as plain numbers and text; without `words` only what its figures depend on."""
+    entry = asdict(claim)
+    return entry if words else {key: value for key, value in entry.items() if key not in ("title", "limits")}
+
+
+def _own() -> Path:
+    """The protocol of the tree, or of the installed package."""
+    tree = PROJECT_ROOT / "evaluation" / "protocol.yaml"
+    return tree if tree.is_file() else Path(__file__).resolve().parents[1] / "evaluation" / "protocol.yaml"

@@ -1,0 +1,66 @@
+"""The command `endonav evaluate`: measures claims of the protocol and writes a file of results for each."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from pipeline.printing import say
+from pipeline.protocol.claims import read_protocol
+from pipeline.store.errors import ConfigurationError
+
+_FINE, _USAGE = 0, 2
+
+
+def main(arguments: list[str]) -> int:
+    """Runs the command; 2 for wrong usage."""
+    parser = argparse.ArgumentParser(prog="endonav evaluate", description=__doc__)
+    parser.add_argument("claims", nargs="*", metavar="CLAIM", help="without: all")
+    parser.add_argument("--seeds", type=int, default=1, help="times that each is measured, on other anatomies (1)")
+    parser.add_argument("--workers", type=int, default=2, help="processes (2)")
+    parser.add_argument("--to", type=Path, default=Path("results"), metavar="FOLDER", help="of the results (results)")
+    parser.add_argument("--protocol", type=Path, metavar="FILE", help="instead of the project's")
+    parser.add_argument("--list", action="store_true", help="print the claims and leave")
+    given = parser.parse_args(arguments)
+    try:
+        protocol = read_protocol(given.protocol)
+        protocol.require(given.claims)
+        if min(given.seeds, given.workers) < 1:
+            raise ConfigurationError("--seeds and --workers are 1 at least")
+        if given.list:
+            say("\n".join(f"{name}: {claim.title}. {claim.limits}" for name, claim in protocol.claims.items()))
+            return _FINE
+        os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers are as many as there are to be
+        from pipeline.protocol.run import measure
+
+        for name in given.claims or protocol.claims:
+            result = measure(name, protocol, given.to, seeds=given.seeds, workers=given.workers, tell=_tell)
+            say(_line(name, result["summary"]))
+    except (ConfigurationError, OSError) as error:
+        say(f"endonav evaluate: {error}", error=True)
+        return _USAGE
+    except KeyboardInterrupt:
+        say(
+            f"stopped; the cases that were played are kept in {given.to}: the same command goes on from there",
+            error=True,
+        )
+        raise
+    return _FINE
+
+
+def _tell(name: str, done: int, count: int) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r{name}: {done} of {count} cases" + "\n" * (done == count))
+
+
+def _line(name: str, summary: dict[str, Any]) -> str:
+    parts = [f"{summary['cases']} cases in {summary['anatomies']} anatomies"]
+    parts += [
+        f"{key} {value['mean']:g} ({value['low']:g} to {value['high']:g})"
+        for key, value in summary.items()
+        if isinstance(value, dict)
+    ]
+    return f"{name}: {', '.join(parts)}"

@@ -1,0 +1,44 @@
+"""Cases of a claim of reconstruction: a drawn wire each, clicked in two views."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any
+
+from pipeline.protocol.claims import NEXT_SEED, Reconstruction
+
+
+def cases(claim: Reconstruction, seed: int) -> Iterator[dict[str, Any]]:
+    """Each case: the scene's number and the seed that its wire is drawn with."""
+    for number in range(claim.count):
+        yield {"anatomy": f"scene_{claim.first + NEXT_SEED * seed}_{number}", "number": number, "seed": seed}
+
+
+def play(claim: Reconstruction, case: dict[str, Any]) -> dict[str, Any]:
+    """Reconstructs a case's wire.
+
+    Returns:
+        `success` (whether there is a curve), `mean_mm` (distance at equal shares of both lengths), `max_mm` and
+        `tip_mm`.
+    """
+    from guide3d.geometry.metrics import curve_metrics
+    from guide3d.reconstruction.reconstruction import reconstruct
+
+    scene = _scenes(claim, case["seed"])[case["number"]]
+    try:
+        curve = reconstruct(*scene.cameras, *scene.points).curve_mm
+    except ValueError as error:
+        return {"success": False, "reason": str(error)}
+    found = curve_metrics(curve, scene.curve_mm)
+    return {"success": True} | {
+        name: round(float(found[key]), 3)
+        for name, key in (("mean_mm", "mers"), ("max_mm", "max_ed"), ("tip_mm", "mete"))
+    }
+
+
+@lru_cache(maxsize=2)
+def _scenes(claim: Reconstruction, seed: int) -> list[Any]:
+    from guide3d.reconstruction.synthetic_scene import scenes
+
+    return list(scenes(claim.count, claim.first + NEXT_SEED * seed, claim.noise_px))

@@ -1,0 +1,155 @@
+"""One claim measured: its cases played in processes, kept as they come, and summed up with intervals."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cathsim.metrics.intervals import wilson_interval
+from pipeline.protocol import navigation, reconstruction
+from pipeline.protocol.claims import Navigation, Protocol, Reconstruction, declared
+from pipeline.store.atomic_files import atomic_path
+from pipeline.store.provenance import hash_file, hash_value, present_commit, software_versions
+
+KINDS = {"navigation": navigation, "reconstruction": reconstruction}
+_DRAWS = 4000  # of the bootstrap
+
+
+def measure(
+    name: str,
+    protocol: Protocol,
+    folder: Path,
+    *,
+    seeds: int = 1,
+    workers: int = 2,
+    tell: Callable[[str, int, int], None] = lambda *_: None,
+) -> dict[str, Any]:
+    """Plays the cases of a claim that were not played yet, and writes `<folder>/<name>.json`.
+
+    Cases that another commit, other weights or another entry of the protocol gave are moved to `<name>.old.jsonl`: code
+    is not mixed.
+
+    Args:
+        seeds: how many times the claim is measured, on other anatomies each time.
+        workers: processes.
+        tell: called with the name, how many cases are done, and how many there are.
+
+    Returns:
+        What is written.
+    """
+    claim = protocol.claims[name]
+    made_by = {
+        "commit": present_commit(),
+        "weights": _weights(claim),
+        "claim": hash_value(declared(claim, words=False)),
+    }
+    journal = folder / f"{name}.jsonl"
+    played = _played(journal, made_by)
+    wanted = [case for seed in range(seeds) for case in KINDS[claim.kind].cases(claim, seed)]
+    left = [case for case in wanted if hash_value(case) not in played]
+    tell(name, len(wanted) - len(left), len(wanted))
+    with journal.open("a", encoding="utf-8") as file, _pool(workers) as pool:
+        try:
+            futures = {pool.submit(play, claim, case): case for case in left}
+            for done, future in enumerate(as_completed(futures), len(wanted) - len(left) + 1):
+                case, outcome = futures[future], future.result()
+                played[hash_value(case)] = outcome
+                file.write(json.dumps({"case": case, "outcome": outcome}) + "\n")
+                file.flush()
+                tell(name, done, len(wanted))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+    outcomes = [{**case, **played[hash_value(case)]} for case in wanted]
+    result = {
+        "claim": name,
+        "protocol": protocol.version,
+        "declared": declared(claim),
+        "seeds": seeds,
+        "made_by": made_by,
+        "versions": software_versions(),
+        "summary": summary(outcomes),
+        "cases": outcomes,
+    }
+    with atomic_path(folder / f"{name}.json") as path:
+        path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    return result
+
+
+def play(claim: Navigation | Reconstruction, case: Mapping[str, Any]) -> dict[str, Any]:
+    """A case's outcome."""
+    outcome: dict[str, Any] = KINDS[claim.kind].play(claim, case)
+    return outcome
+
+
+def summary(outcomes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Shares and means over cases, each with the 95 % interval of a bootstrap over anatomies.
+
+    Of a share the interval is as wide as Wilson's at least, since a bootstrap of equal cases has no width.
+    """
+    found: dict[str, Any] = {"cases": len(outcomes), "anatomies": len({one["anatomy"] for one in outcomes})}
+    for key in ("success", "straight"):
+        if key in outcomes[0]:
+            found[f"{key}_pct"] = _share([(one["anatomy"], one[key]) for one in outcomes])
+    for target in sorted({one["target"] for one in outcomes if "target" in one}):
+        chosen = [(one["anatomy"], one["success"]) for one in outcomes if one["target"] == target]
+        found[f"success_{target}_pct"] = _share(chosen)
+    for key in ("depth_mm", "force_p95_n", "mean_mm", "max_mm", "tip_mm", "steps"):
+        values = [(one["anatomy"], float(one[key])) for one in outcomes if key in one]
+        if values:
+            found[f"{key}_mean"] = _interval(values, 3)
+    if "force_max_n" in outcomes[0]:
+        found["force_max_n"] = max(one["force_max_n"] for one in outcomes)
+    return found
+
+
+def _share(values: Sequence[tuple[str, bool]]) -> dict[str, float]:
+    found = _interval([(name, 100.0 * success) for name, success in values], 1)
+    low, high = (100 * bound for bound in wilson_interval(sum(success for _, success in values), len(values)))
+    return found | {"low": round(min(found["low"], low), 1), "high": round(max(found["high"], high), 1)}
+
+
+def _interval(values: Sequence[tuple[str, float]], digits: int) -> dict[str, float]:
+    """Mean, and 95 % interval of a bootstrap that draws anatomies with all their cases."""
+    names = sorted({name for name, _ in values})
+    sums = np.array([[sum(v for n, v in values if n == name), sum(n == name for n, _ in values)] for name in names])
+    drawn = np.random.default_rng(0).integers(len(names), size=(_DRAWS, len(names)))
+    means = sums[drawn, 0].sum(axis=1) / sums[drawn, 1].sum(axis=1)
+    low, high = np.percentile(means, (2.5, 97.5))
+    mean = sums[:, 0].sum() / sums[:, 1].sum()
+    return {"mean": round(float(mean), digits), "low": round(float(low), digits), "high": round(float(high), digits)}
+
+
+def _pool(workers: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+
+
+def _weights(claim: Navigation | Reconstruction) -> dict[str, str]:
+    """The hash of each policy's file."""
+    if not isinstance(claim, Navigation):
+        return {}
+    from enn.shipped import weight_files
+
+    return {path.stem: hash_file(path) for path in weight_files() if path.stem in claim.policies}
+
+
+def _played(journal: Path, made_by: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Outcomes of the journal, by their case's hash; the journal begins anew where something else made it."""
+    journal.parent.mkdir(parents=True, exist_ok=True)
+    lines = journal.read_text(encoding="utf-8").splitlines() if journal.is_file() else []
+    if not lines or json.loads(lines[0]) != made_by:
+        if lines:
+            journal.replace(journal.with_suffix(".old.jsonl"))
+        journal.write_text(json.dumps(made_by) + "\n", encoding="utf-8")
+        return {}
+    whole = [line for line in lines[1:] if line.endswith("}}")]  # an interrupted write leaves half a line
+    if len(whole) < len(lines) - 1:
+        journal.write_text("\n".join([lines[0], *whole]) + "\n", encoding="utf-8")
+    records = [json.loads(line) for line in whole]
+    return {hash_value(record["case"]): record["outcome"] for record in records}

@@ -1,0 +1,120 @@
+"""The command `endonav evaluate`: claims are read strictly, cases are kept and not mixed, intervals are of anatomies."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+
+import pytest
+
+from pipeline.protocol.claims import read_protocol
+from pipeline.protocol.command import main
+from pipeline.protocol.run import summary
+from pipeline.store.errors import ConfigurationError
+
+SCENES = """
+version: 3
+claims:
+  wires:
+    kind: reconstruction
+    title: Wires
+    limits: drawn
+    first: 5
+    count: 6
+    noise_px: 1.0
+"""
+
+
+@pytest.fixture
+def protocol(tmp_path: Path) -> Path:
+    path = tmp_path / "protocol.yaml"
+    path.write_text(SCENES)
+    return path
+
+
+def _evaluate(protocol: Path, *words: str) -> int:
+    return main(["--protocol", str(protocol), "--to", str(protocol.parent / "results"), "--workers", "1", *words])
+
+
+def test_the_projects_protocol_names_shipped_policies_and_seeds_of_their_own() -> None:
+    import enn
+
+    claims = read_protocol().claims
+    assert all(name in enn.models() for claim in claims.values() for name in getattr(claim, "policies", ()))
+    ranges = sorted((claim.first, claim.count) for claim in claims.values())
+    assert all(a + count <= b for (a, count), (b, _) in itertools.pairwise(ranges))
+    assert all(count <= 1000 for _, count in ranges), "the next seed's anatomies begin 1000 later"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("count: 6", "count: 0", "count: .*greater than 0"),
+        ("noise_px: 1.0", "noise: 1.0", "noise"),
+        ("reconstruction", "reading", "reading"),
+        ("version: 3", "", "version"),
+        ("claims:", "claims: [", "no protocol"),
+    ],
+)
+def test_an_entry_that_is_not_understood_is_refused(protocol: Path, old: str, new: str, message: str) -> None:
+    protocol.write_text(SCENES.replace(old, new, 1))
+    with pytest.raises(ConfigurationError, match=message):
+        read_protocol(protocol)
+
+
+def test_wrong_words_end_in_a_sentence(protocol: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _evaluate(protocol, "curves") == 2
+    assert "there is no claim 'curves': choose from wires" in capsys.readouterr().err
+    assert _evaluate(protocol, "wires", "--seeds", "0") == 2
+    assert main(["--protocol", str(protocol.parent / "none.yaml")]) == 2
+
+
+def test_every_case_is_written_and_none_is_played_twice_unless_the_claim_changes(protocol: Path) -> None:
+    assert _evaluate(protocol) == 0
+    results, journal = (protocol.parent / "results" / name for name in ("wires.json", "wires.jsonl"))
+    first = json.loads(results.read_text())
+    assert (first["protocol"], first["claim"], len(first["cases"])) == (3, "wires", 6)
+    assert {"commit", "weights", "claim"} == set(first["made_by"])
+    assert all(case["success"] and case["mean_mm"] < 5 for case in first["cases"])
+    lines = journal.read_text().splitlines()
+    journal.write_text("\n".join(lines[:4]) + '\n{"case": {"anat')  # killed within a line
+    assert _evaluate(protocol) == 0
+    again = journal.read_text().splitlines()
+    assert (again[:4], len(again)) == (lines[:4], 7)
+    assert json.loads(results.read_text())["cases"] == first["cases"]
+    assert _evaluate(protocol, "--seeds", "2") == 0
+    second = json.loads(results.read_text())
+    assert second["cases"][:6] == first["cases"]
+    assert second["summary"]["anatomies"] == 12
+    protocol.write_text(SCENES.replace("noise_px: 1.0", "noise_px: 0.0"))
+    assert _evaluate(protocol) == 0
+    assert len(journal.with_suffix(".old.jsonl").read_text().splitlines()) == 13
+    assert json.loads(results.read_text())["summary"]["mean_mm_mean"]["mean"] < first["summary"]["mean_mm_mean"]["mean"]
+
+
+def test_cases_of_one_anatomy_belong_together() -> None:
+    apart = [{"anatomy": f"arch_{k}", "success": k % 2 == 0} for k in range(40)]
+    together = [{"anatomy": f"arch_{k // 10}", "success": k < 20} for k in range(40)]
+    width = [
+        summary(cases)["success_pct"]["high"] - summary(cases)["success_pct"]["low"] for cases in (apart, together)
+    ]
+    assert width[1] > 2 * width[0]
+    whole = summary([{"anatomy": f"arch_{k}", "success": True} for k in range(40)])["success_pct"]
+    assert whole["mean"] == whole["high"] == 100
+    assert 90 < whole["low"] < 93
+
+
+@pytest.mark.slow
+def test_shipped_policies_steer_in_a_drawn_arch(protocol: Path) -> None:
+    protocol.write_text(
+        "version: 1\nclaims: {steer: {kind: navigation, title: T, limits: L, arches: random, first: 7, count: 1, "
+        "targets: [bca], policies: [generalist, generalist_jb2]}}"
+    )
+    assert _evaluate(protocol) == 0
+    (case,) = json.loads((protocol.parent / "results" / "steer.json").read_text())["cases"]
+    assert case["success"]
+    assert case["branch"] == "bca"
+    assert case["depth_mm"] > 10
+    assert case["policy"] in ("generalist", "generalist_jb2")
+    assert 0 < case["force_p95_n"] <= case["force_max_n"]
