@@ -1,4 +1,4 @@
-"""The command `endonav evaluate`: claims are read strictly, cases are kept and not mixed, intervals are of anatomies."""
+"""The command `endonav evaluate`: claims are checked, cases are kept and not mixed; intervals are of anatomies."""
 
 from __future__ import annotations
 
