@@ -86,6 +86,17 @@ def test_fields_are_computed_when_asked_for_and_written(tmp_path: Path, monkeypa
     assert again.geodesic_distance(further, "lsa_end") == read.geodesic_distance(further, "lsa_end")
 
 
+def test_targets_at_a_depth_behind_an_ostium(phantom: Phantom) -> None:
+    target = phantom.target("rcca@25.5")
+    assert (target.branch, target.name) == ("rcca", "rcca@25.5")
+    assert target.arc - phantom.tree.ostium_arc("rcca") == pytest.approx(0.0255)
+    assert phantom.depths.place(target.position).depth == pytest.approx(0.0255, abs=1e-3)
+    with pytest.raises(ValueError, match=r"beyond the end of rcca.*choose rcca@\d+ or nearer"):
+        phantom.target("rcca@300")
+    with pytest.raises(ValueError, match="unknown target 'lca@20'"):
+        phantom.target("lca@20")
+
+
 def test_dimensions_are_those_of_an_aorta() -> None:
     row = load_phantom("type_1").dimensions()
     assert 80 < row["lumen_volume_ml"] < 300

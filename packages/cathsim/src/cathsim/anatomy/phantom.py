@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -29,6 +30,7 @@ from cathsim.anatomy.point_target import (
     Point,
     TargetLike,
     as_target,
+    depth_in_branch,
     drawn_point,
     nearest_branch,
     require_inside,
@@ -143,10 +145,11 @@ class Phantom:
         """The target of a name, or of a point (3,) m in the lumen, world frame.
 
         "point_1", "point_2" and so on are points on the centrelines of the aorta's branches, drawn by the phantom's
-        name and their number.
+        name and their number; "rcca@80" lies on the centreline of `rcca`, 80 mm behind its ostium.
 
         Raises:
-            ValueError: for an unknown name, listing the valid ones; for a point outside the lumen.
+            ValueError: for an unknown name, listing the valid ones; for a point outside the lumen, or beyond a branch's
+                end.
         """
         place = as_target(wanted)
         if not isinstance(place, str):
@@ -156,9 +159,21 @@ class Phantom:
             drawn = drawn_point(place, self.name, self.tree, self.grid)
             if drawn is not None:
                 return self._point_target(place, drawn)
+            if (along := depth_in_branch(place)) and along[0] in self.tree.names:
+                return self._target_along(place, *along)
             known = ", ".join(self.targets)
             raise ValueError(f"unknown target {place!r} in phantom {self.name!r}; choose from {known}.")
         return self.targets[place]
+
+    def _target_along(self, name: str, branch: str, depth: float) -> Target:
+        start, length = self.tree.ostium_arc(branch), self.tree[branch].length
+        if start + depth > length:
+            deepest = math.floor(1e3 * (length - start))
+            raise ValueError(
+                f"target {name} lies beyond the end of {branch} in phantom {self.name!r}: it goes on for {deepest} mm "
+                f"behind its ostium, so choose {branch}@{deepest} or nearer"
+            )
+        return Target(name, branch, self.tree[branch].point_at(start + depth), start + depth)
 
     def _point_target(self, name: str, place: Point) -> Target:
         branch, arc, aside = nearest_branch(place, self.tree)

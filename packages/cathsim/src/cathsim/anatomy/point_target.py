@@ -18,6 +18,7 @@ _DRAWN = re.compile(r"point_([1-9][0-9]{0,3})")
 _DRAWN_STREAM = 7  # of the random numbers of drawn points
 _FARTHEST = 10.0  # m: a coordinate beyond was meant in another unit
 _POINT = re.compile(r"point_(-?[0-9.]+)_(-?[0-9.]+)_(-?[0-9.]+)_mm")
+_ALONG = re.compile(r"(\w+)@([0-9]+(?:\.[0-9]+)?)")
 _DEEP = 1e-3  # m: a point this far inside the wall is well within the lumen
 
 
@@ -70,6 +71,12 @@ def drawn_point(name: str, phantom: str, tree: VesselTree, grid: SignedDistanceG
     generator = np.random.default_rng((_DRAWN_STREAM, int(numbered[1]), *phantom.encode()))
     x, y, z = points[int(generator.integers(len(points)))].tolist()
     return x, y, z
+
+
+def depth_in_branch(name: str) -> tuple[str, float] | None:
+    """The branch and the depth behind its ostium, m, that a target's name such as "rcca@80" (mm) stands for."""
+    found = _ALONG.fullmatch(name)
+    return None if found is None else (found[1], 1e-3 * float(found[2]))
 
 
 def require_inside(point: Point, grid: SignedDistanceGrid, phantom: str, what: str = "target") -> None:
