@@ -63,7 +63,7 @@ def play(claim: Navigation, case: dict[str, Any]) -> dict[str, Any]:
 
 def _which(claim: Navigation, case: dict[str, Any]) -> int:
     from cathsim.anatomy import load_phantom
-    from pipeline.anatomies.take_offs import catheter_better_mm, set_back_mm
+    from pipeline.anatomies.devices import catheter_better_mm, set_back_mm
 
     if len(claim.policies) == 1:
         return 0

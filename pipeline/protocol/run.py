@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from cathsim.metrics.intervals import wilson_interval
+from cathsim.metrics.episodes import wilson_interval
 from pipeline.protocol import navigation, reconstruction
 from pipeline.protocol.claims import Navigation, Protocol, Reconstruction, declared
 from pipeline.store.atomic_files import atomic_path
