@@ -52,7 +52,7 @@ def build(folder: str, output: Path) -> None:
         source = Path(copy) / "source"
         if folder == ".":
             source.mkdir()
-            for name in ("pipeline", "conf"):
+            for name in ("pipeline", "conf", "evaluation"):
                 shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns(*LEFT_BEHIND))
             for name in ("pyproject.toml", "README.md", "LICENSE"):
                 shutil.copyfile(ROOT / name, source / name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import os
 import re
 import shutil
@@ -96,7 +97,7 @@ def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("wheels")
     # a copy: building leaves files beside the sources, and stale ones there would end up in later builds
     ignored = shutil.ignore_patterns("build", "*.so", "*.egg-info", "__pycache__")
-    for name in ("pipeline", "conf", *(f"packages/{name}" for name in DISTRIBUTIONS)):
+    for name in ("pipeline", "conf", "evaluation", *(f"packages/{name}" for name in DISTRIBUTIONS)):
         shutil.copytree(PROJECT_ROOT / name, folder / "source" / name, ignore=ignored)
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copyfile(PROJECT_ROOT / name, folder / "source" / name)
@@ -156,6 +157,32 @@ def run_installed(installed: Path, cwd: Path, *arguments: str) -> str:
 
 
 @pytest.mark.slow
+def test_a_plainly_configured_pip_resolves_torch_and_what_the_project_pins(tmp_path: Path) -> None:
+    python, _ = environment_of(tmp_path / "environment", ())
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PIP_") or k in ("PIP_CERT", "PIP_PROXY")}
+    environment |= {"PIP_CONFIG_FILE": os.devnull, "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    pip = [sys.executable, "-m", "pip", "--python", python]
+    reached = subprocess.run(
+        [*pip, "--retries", "0", "--timeout", "15", "download", "-q", "--no-deps", "-d", tmp_path, "annotated-types"],
+        env=environment, capture_output=True, timeout=120, check=False,
+    )  # fmt: skip
+    if reached.returncode:
+        pytest.skip("no index is reachable with pip as it comes")
+    report = tmp_path / "report.json"
+    command = [*pip, "install", "-q", "--dry-run", "--report", report, "-c", PROJECT_ROOT / "constraints.txt"]
+    done = subprocess.run(
+        [*command, "./packages/guide3d", "./packages/splineformer"], cwd=PROJECT_ROOT, env=environment,
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    found = {one["metadata"]["name"]: one["metadata"]["version"] for one in json.loads(report.read_text())["install"]}
+    assert {"endonav-guide3d", "endonav-splineformer", "torch"} <= found.keys()
+    pins = (PROJECT_ROOT / "constraints.txt").read_text().lower().replace("_", "-")
+    named = [name for name in found if not name.startswith(("endonav-", *CUDA_DISTRIBUTIONS))]
+    assert not [name for name in named if f"\n{name}=={found[name]}\n".lower().replace("_", "-") not in pins]
+
+
+@pytest.mark.slow
 def test_the_pipeline_and_its_command_run_from_their_wheels(installed: Path, tmp_path: Path) -> None:
     (entries,) = installed.glob("endonav-*.dist-info/entry_points.txt")
     assert "endonav = pipeline.command:main" in entries.read_text()
@@ -163,6 +190,7 @@ def test_the_pipeline_and_its_command_run_from_their_wheels(installed: Path, tmp
     for word in (*available_stages(), *BUDGETS, "demo"):
         assert word in told
     assert "guide3d reader: " in run_installed(installed, tmp_path, "-m", "pipeline.command", "models")
+    assert "random_roadmap: " in run_installed(installed, tmp_path, "-m", "pipeline.command", "evaluate", "--list")
     stage = ("-m", "pipeline.command", "stages", "budget=smoke")
     run_installed(installed, tmp_path, *stage, "stage=phantoms", "stage.phantoms=[type_1]")
     run_installed(installed, tmp_path, *stage, "stage=report")
@@ -184,7 +212,8 @@ def test_native_wheels_are_for_every_python_and_one_platform(wheels: dict[str, P
 
 @pytest.mark.slow
 def test_wheels_hold_every_data_file_of_the_tree(installed: Path) -> None:
-    roots = {"pipeline": PROJECT_ROOT / "pipeline", "pipeline/conf": PROJECT_ROOT / "conf"}
+    roots = {"pipeline": PROJECT_ROOT / "pipeline"}
+    roots |= {f"pipeline/{name}": PROJECT_ROOT / name for name in ("conf", "evaluation")}
     roots |= {name: PROJECT_ROOT / "packages" / name / "src" / name for name in DISTRIBUTIONS}
     for inside, root in roots.items():
         wanted = {
