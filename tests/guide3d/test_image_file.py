@@ -166,6 +166,32 @@ def test_damaged_pngs_are_refused_without_another_word(tmp_path: Path, capfd: py
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.parametrize("progressive", [False, True])
+def test_damage_in_the_middle_of_a_jpeg_is_refused(
+    progressive: bool, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "image.jpg"
+    noise = np.random.default_rng(4).integers(0, 256, (96, 128), np.uint8)
+    Image.fromarray(noise).save(path, quality=90, progressive=progressive)
+    whole = path.read_bytes()
+    assert np.abs(read_grey_levels(path).astype(float) - noise).mean() < 20
+    path.write_bytes(whole[:2000] + bytes(400) + whole[2400:])
+    with pytest.raises(ImageError, match=r"image.jpg cannot be read: it is damaged$"):
+        read_grey_levels(path)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_damaged_run_length_bmp_is_one_sentence(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "image.bmp"
+    Image.fromarray(GREY).save(path)
+    data = bytearray(path.read_bytes())
+    data[28], data[30] = 4, 1  # run lengths of 8 bits in an image of 4
+    path.write_bytes(data)
+    with pytest.raises(ImageError, match=r"image.bmp cannot be read: it is damaged, or no image$"):
+        read_grey_levels(path)
+    assert capfd.readouterr().err == ""
+
+
 def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty.png").write_bytes(b"")
     (tmp_path / "text.png").write_text("no image")

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
+import re
+import tempfile
+import threading
 import zlib
 from collections.abc import Generator
 from pathlib import Path
@@ -18,6 +22,9 @@ from guide3d.opencv import cv2
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _PNG, _JPEG, _BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# libjpeg's words
+_DAMAGE = re.compile(rb"Corrupt JPEG data|Premature end of JPEG|Inconsistent progression|Invalid SOS")
+_PRINTING = threading.Lock()  # of this process's standard error
 _LARGEST_PX = 16_384  # of a side; a few bytes of a file can claim more than memory holds
 _LARGEST_FILE = 2 << 30  # bytes; TIFFs of many pages
 
@@ -125,7 +132,7 @@ def _read(path: Path, colours: bool) -> GreyLevels:
             return call_in_child(_only_page, path, data, colours, subject=f"image {path}")
         except UnreadableFileError as error:
             raise ImageError(str(error)) from None
-    return _decoded(path, data, colours)
+    return _without_prints(path, data, colours)
 
 
 def _content(path: Path) -> bytes:
@@ -149,6 +156,22 @@ def _content(path: Path) -> bytes:
     if fault:
         raise ImageError(f"image {path} cannot be read: {fault}")
     return data
+
+
+def _without_prints(path: Path, data: bytes, colours: bool) -> GreyLevels:
+    """As `_decoded`; refuses a JPEG in whose middle the decoder misses data, of which it tells by print alone."""
+    with _PRINTING, tempfile.TemporaryFile() as printed:
+        former = os.dup(2)
+        os.dup2(printed.fileno(), 2)
+        try:
+            levels = _decoded(path, data, colours)
+        finally:
+            os.dup2(former, 2)
+            os.close(former)
+        printed.seek(0)
+        if data.startswith(_JPEG) and _DAMAGE.search(printed.read()):
+            raise ImageError(f"image {path} cannot be read: it is damaged")
+    return levels
 
 
 def _decoded(path: Path, data: bytes, colours: bool, page: int = 0) -> GreyLevels:
