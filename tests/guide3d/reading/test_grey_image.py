@@ -28,6 +28,16 @@ def test_other_depths_are_brought_to_bytes(factor: float) -> None:
     assert "taken to 8 bits" in grey.messages[0]
 
 
+def test_saturated_pixels_and_a_pedestal_leave_the_contrast() -> None:
+    deep = 16 * GREY.astype(np.uint16) + 20_000
+    deep[:, :8] = 65_535  # 2.7 %
+    pixels = grey_image(deep).pixels
+    assert np.ptp(pixels[:, 8:].astype(float)) > 140
+    assert pixels[:, :8].min() == 255
+    plain = grey_image(deep[:, 8:] - 20_000).pixels.astype(float)
+    assert np.abs(grey_image(deep - 20_000).pixels[:, 8:] - plain).max() <= 2
+
+
 def test_channels_that_agree_are_grey_and_a_photograph_is_refused() -> None:
     assert np.array_equal(grey_image(np.repeat(GREY[..., None], 3, axis=2)).pixels, GREY)
     photograph = RNG.integers(0, 255, (256, 256, 3), dtype=np.uint8)

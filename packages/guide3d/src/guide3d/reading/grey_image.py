@@ -12,10 +12,12 @@ from guide3d.opencv import cv2
 
 SMALLEST_PX = 128  # of a side: a wire and what is around it
 READ_PX = 1024  # of the longer side: in images of that size the reader knows wires 1 to 4.5 px wide
-_SMALL_PX = 512  # of the longer side, below which a wire may be too thin to be seen
 _LARGEST = 1e30  # of real numbers, which are worked with in single precision
 _COLOUR = 12  # grey levels between the channels of a pixel that is coloured
 _COARSE = 8
+_SATURATED = 0.999  # share of pixels below the highest level; where fewer are, that is no level of the image
+_BRIGHTEST = 2.0  # above the brightest twentieth, as a share of the range without it: more are burnt-in letters
+_PEDESTAL = 0.5  # of the range: so much light is kept below the darkest pixels, where a constant is in all of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +52,11 @@ class GreyImage:
         return GreyImage(pixels, self.scales * (width / size[0], height / size[1]), not_exposed(pixels), self.messages)
 
     def at_known_scales(self) -> list[GreyImage]:
-        """The image as it is, or made smaller where it is large; and enlarged, too, where it is small."""
+        """The image of the side that the reader knows; a small one at half of it, too, where wide wires are known."""
         longer = max(self.pixels.shape)
         least = math.ceil(SMALLEST_PX * longer / min(self.pixels.shape))  # a long strip stays as wide as a wire needs
-        scales = [self.resampled(min(longer, max(READ_PX, least)))]
-        return [*scales, self.resampled(READ_PX)] if longer < _SMALL_PX else scales
+        sides = [READ_PX] if longer >= READ_PX else [READ_PX, READ_PX // 2]
+        return [self.resampled(max(side, min(least, longer))) for side in sides]
 
     def to_given(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Takes (n, 2) px of `pixels` to those of the image given."""
@@ -137,9 +139,15 @@ def _without_colour(values: NDArray[np.generic], messages: list[str]) -> NDArray
 
 def _eight_bits(values: NDArray[np.generic], messages: list[str]) -> NDArray[np.uint8]:
     levels = values.astype(np.float32)
-    low, high = (float(level) for level in np.percentile(levels[::4, ::4], (0.1, 99.9)))
+    sample = np.sort(levels[::4, ::4], axis=None)
+    saturated = np.searchsorted(sample, sample[-1])
+    if len(sample) // 2 < saturated < _SATURATED * len(sample):
+        sample = sample[:saturated]
+    low, dark, bright, high = (float(level) for level in np.percentile(sample, (0.1, 5, 95, 99.9)))
+    high = min(high, bright + _BRIGHTEST * (bright - dark))
     if high <= low:
         low, high = float(levels.min()), float(levels.max())
-    low = min(low, 0.0) if low > 0.0 else low  # a level of zero means no light, so it stays where it is
+    # a level of zero means no light, so it stays where it is unless it is far below all others
+    low = min(low, max(low - _PEDESTAL * (high - low), 0.0))
     messages.append(f"grey values of {low:g} to {high:g} were taken to 8 bits")
     return np.clip(np.rint((levels - low) * (235.0 / (high - low))), 0, 255).astype(np.uint8)

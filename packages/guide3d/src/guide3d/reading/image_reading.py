@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from guide3d.geometry.polyline import Array
+from guide3d.geometry.polyline import Array, arc_length, distances_to
 from guide3d.reading.curve_reading import CurveReadingSettings, CurvesOfImage, ImageCurve, Prior, read_curves
-from guide3d.reading.grey_image import SMALLEST_PX, GreyImage, grey_image
+from guide3d.reading.grey_image import READ_PX, SMALLEST_PX, GreyImage, grey_image
 from guide3d.reading.ridges import Map
 
 _UNSURE = 0.5  # confidence below which a point counts as guessed
@@ -21,7 +21,8 @@ _TIP_UNSURE = 0.3
 _CERTAIN_SHARE = 0.25  # of the image's side: certain wire in its negative or at a smaller scale; short lines are common
 _FAINT_PX = 120.0  # score below which smaller scales and the negative of an image are tried, too
 _WIDE_SCALES = (0.5, 0.375)  # at which wires of 6 and 10 px are about 3 to 4 px wide
-_SMALL_PX = 512  # of the longer side, below which they are not tried
+_SMALLER = 0.6  # of what is read at a smaller scale counts
+_NEAR, _COVERED, _LONGER = 0.008, 0.8, 1.15  # of the side, of a curve's points, and of its length: one that goes on
 _BORDER_PX = 20  # a wire that comes in from outside ends so near to the border
 _STRAIGHT = 0.01  # largest distance from the chord, as a share of it, of a rod
 
@@ -123,40 +124,51 @@ def read(
     scales = grey.at_known_scales()
     network = reader or shipped_reader()
     notes = list(grey.messages)
-    seen, curves = _best(network, scales, prior, settings)
-    longer = max(scales[0].pixels.shape)
-    smaller = []
-    if _score(curves) < _FAINT_PX and longer >= _SMALL_PX:
-        smaller = [scales[0].resampled(round(share * longer)) for share in _WIDE_SCALES]
-        smaller = [one for one in smaller if min(one.pixels.shape) >= SMALLEST_PX]
-    if smaller:
-        coarse, other = _best(network, smaller, prior, settings)
-        if _outdoes(coarse, other, curves) and _is_wide_wire(coarse, other.candidates[0]):
-            seen, curves = coarse, other
-    if _score(curves) < _FAINT_PX:
+    (seen, found), *tried = _read_at(scales, network, prior, settings)
+    faint = _score(found) < _FAINT_PX
+    if faint or not _is_whole(seen, found):
+        # a wire of a small image may be wide in it, too
+        sized = [scales[0], grey] if faint and max(grey.pixels.shape) < READ_PX else scales[:1]
+        smaller = [one.resampled(round(share * max(one.pixels.shape))) for one in sized for share in _WIDE_SCALES]
+        known = [one.pixels.shape for one in scales]
+        smaller = [one for one in smaller if min(one.pixels.shape) >= SMALLEST_PX and one.pixels.shape not in known]
+        tried += _read_at(smaller, network, prior, settings)
+        wires = [one for one in tried if _is_wide_wire(*one)]
+        better = [one for one in wires if _outdoes(*one, found) or _replaces(*one, seen, found)]
+        seen, found = better[0] if better else (seen, found)
+    if _score(found) < _FAINT_PX:
         negatives = [replace(one, pixels=255 - one.pixels, outside=np.zeros_like(one.outside)) for one in scales]
-        seen_inverted, other = _best(network, negatives, prior, settings)
-        if _outdoes(seen_inverted, other, curves):
-            seen, curves = seen_inverted, other
+        seen_inverted, other = _read_at(negatives, network, prior, settings)[0]
+        if _outdoes(seen_inverted, other, found):
+            seen, found = seen_inverted, other
             notes.append("the image looks like a negative (wire brighter than its surroundings) and was inverted")
-    if seen.pixels.shape != grey.pixels.shape:
+    if found.candidates:
+        points = found.candidates[0].points_px
+        if _is_straight(points) and _at_border(seen, points[0]) and _at_border(seen, points[-1]):
+            notes.append("the curve is as straight as a rod and crosses the whole field: look whether it is a wire")
+    if found.candidates and seen.pixels.shape != grey.pixels.shape:
         of, at = (" x ".join(str(side) for side in one.pixels.shape[::-1]) for one in (grey, seen))
         notes.append(f"the image of {of} px was read at {at} px")
-    candidates = [_given(seen, curve) for curve in curves.candidates]
-    others = [_given(seen, curve) for curve in curves.others]
-    return _reading(candidates, others, 0, notes)
+    candidates = [_given(seen, curve) for curve in found.candidates]
+    return _reading(candidates, [_given(seen, curve) for curve in found.others], 0, notes)
 
 
-def _best(
-    network: MapReader, scales: Sequence[GreyImage], prior: Prior | None, settings: CurveReadingSettings | None
-) -> tuple[GreyImage, CurvesOfImage]:
-    """The scale at which most certain wire is read, by its share of the image's side, and what is read there."""
+def _read_at(
+    scales: Sequence[GreyImage], network: MapReader, prior: Prior | None, settings: CurveReadingSettings | None
+) -> list[tuple[GreyImage, CurvesOfImage]]:
+    """What is read at each scale, first where there is most certain wire by its share of the image's side.
+
+    At smaller scales than the reader knows best, where clutter looks like wires, it counts less.
+    """
     readings = []
     for grey in scales:
         before = None if prior is None else Prior(grey.from_given(prior.points_px))
         maps = network.maps(grey.pixels)
         readings.append((grey, read_curves(maps.wire, maps.tip, maps.catheter, grey.outside, before, settings)))
-    return max(readings, key=lambda reading: _score(reading[1]) / max(reading[0].pixels.shape))
+    sides = [max(grey.pixels.shape) for grey, _ in readings]
+    weights = [(1.0 if side >= READ_PX else _SMALLER) / side for side in sides]
+    order = np.argsort([-_score(curves) * weight for (_, curves), weight in zip(readings, weights, strict=True)])
+    return [readings[place] for place in order]
 
 
 def _outdoes(grey: GreyImage, curves: CurvesOfImage, best: CurvesOfImage) -> bool:
@@ -164,22 +176,46 @@ def _outdoes(grey: GreyImage, curves: CurvesOfImage, best: CurvesOfImage) -> boo
     return _score(curves) > 2.0 * max(_score(best), 0.0) + _CERTAIN_SHARE * min(grey.pixels.shape)
 
 
-def _is_wide_wire(grey: GreyImage, curve: ImageCurve) -> bool:
-    """Whether a curve that is read at a smaller scale, where clutter is as thin as wires, is a wire.
-
-    It is seen from its tip to the border of the field, and it is not as straight as a rod.
-    """
-    points = curve.points_px
-    if curve.tip_confidence < _TIP_UNSURE or (curve.confidence < _UNSURE).mean() > _GUESSED:
+def _replaces(coarse: GreyImage, other: CurvesOfImage, grey: GreyImage, found: CurvesOfImage) -> bool:
+    """Whether the wire that is read at a smaller scale goes on from what was found of it, or that is hardly a wire."""
+    if not found.candidates:
         return False
-    chord = points[-1] - points[0]
-    length = float(np.hypot(*chord))
-    away = np.abs((points - points[0]) @ np.array([-chord[1], chord[0]])) / max(length, 1e-9)
-    low = np.maximum(np.rint(points[-1] - _BORDER_PX), 0).astype(int)
-    high = np.rint(points[-1] + _BORDER_PX).astype(int) + 1
+    if not _is_seen(found.candidates[0]):
+        return _score(other) > _CERTAIN_SHARE * min(coarse.pixels.shape)
+    whole, part = coarse.to_given(other.candidates[0].points_px), grey.to_given(found.candidates[0].points_px)
+    near = distances_to(whole, part) <= _NEAR * max(grey.pixels.shape) * grey.scale
+    return bool(near.mean() > _COVERED and arc_length(whole)[-1] > _LONGER * arc_length(part)[-1])
+
+
+def _is_wide_wire(grey: GreyImage, curves: CurvesOfImage) -> bool:
+    """Whether what is read at a smaller scale, where clutter is as thin as wires, is a wire: whole, and no rod."""
+    return bool(curves.candidates) and _is_whole(grey, curves) and not _is_straight(curves.candidates[0].points_px)
+
+
+def _is_whole(grey: GreyImage, curves: CurvesOfImage) -> bool:
+    """Whether a curve is seen from its tip to the border of the field."""
+    curve = curves.candidates[0]
+    return _is_seen(curve) and _at_border(grey, curve.points_px[-1])
+
+
+def _is_seen(curve: ImageCurve) -> bool:
+    """Whether a curve has a tip and is hardly guessed."""
+    return bool(curve.tip_confidence >= _TIP_UNSURE and (curve.confidence < _UNSURE).mean() <= _GUESSED)
+
+
+def _at_border(grey: GreyImage, point: Array) -> bool:
+    low = np.maximum(np.rint(point - _BORDER_PX), 0).astype(int)
+    high = np.rint(point + _BORDER_PX).astype(int) + 1
     around = grey.outside[low[1] : high[1], low[0] : high[0]]
-    leaves = around.any() or around.shape != (2 * _BORDER_PX + 1,) * 2
-    return bool(leaves and away.max() > _STRAIGHT * length)
+    return bool(around.any() or around.shape != (2 * _BORDER_PX + 1,) * 2)
+
+
+def _is_straight(points: Array) -> bool:
+    """Whether a curve is as straight as a rod."""
+    chord = points[-1] - points[0]
+    span = float(np.hypot(*chord))
+    away = np.abs((points - points[0]) @ np.array([-chord[1], chord[0]])) / max(span, 1e-9)
+    return bool(away.max() <= _STRAIGHT * span)
 
 
 def _score(curves: CurvesOfImage) -> float:
