@@ -15,17 +15,19 @@ import pickle
 import select
 import signal
 import stat
+import struct
 import subprocess
 import sys
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path, PureWindowsPath
 from typing import Any, BinaryIO, TypeVar
 
 MEMORY = 4 << 30  # bytes that a reader may take
 SECONDS = 60.0  # that a reader may take
 _BLOCK = 1 << 20  # bytes read from a child at once
+_NUMBER, _ALIGNED = 8, 64  # bytes of a size, and between the beginnings of arrays
 _REFUSALS = (ValueError, FileNotFoundError, ImportError, MemoryError)  # that reach the caller as they are
 _FORKS = sys.platform.startswith("linux")  # elsewhere a fork without exec is missing or unsafe
 _BOOT = "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); pickle.load(sys.stdin.buffer)()"
@@ -136,7 +138,7 @@ def call_in_child(
         raise UnreadableFileError(f"{subject} takes more than {seconds:g} s to read; make it smaller.") from None
     too_much = f"{subject} takes more than {memory / (1 << 30):.3g} GB of memory to read; make it smaller."
     try:
-        succeeded, result = pickle.loads(content)
+        succeeded, result = _unpacked(content)
     except MemoryError:
         raise UnreadableFileError(too_much) from None
     except Exception:  # cut off
@@ -161,9 +163,13 @@ def _in_words(status: int) -> str:
         return f"status {status}"
 
 
-def _forked(answer: Callable[[int], None], seconds: float) -> tuple[bytes | bytearray, int]:
+def _forked(answer: Callable[[int], None], seconds: float) -> tuple[bytearray, int]:
     """What a forked child writes, and its exit status, negative for a signal."""
     reading, writing = os.pipe()
+    with contextlib.suppress(OSError, AttributeError, ImportError):
+        import fcntl
+
+        fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, _BLOCK)  # films pass in half the time
     with warnings.catch_warnings():
         # The child runs one reader and ends without clean-up: threads of this process do not matter to it.
         warnings.simplefilter("ignore")
@@ -198,7 +204,7 @@ def _forked(answer: Callable[[int], None], seconds: float) -> tuple[bytes | byte
     return content, status
 
 
-def _started(answer: Callable[[int], None], seconds: float) -> tuple[bytes, int]:
+def _started(answer: Callable[[int], None], seconds: float) -> tuple[bytearray, int]:
     """What a new interpreter writes, and its exit status."""
     request = pickle.dumps(sys.path) + pickle.dumps(functools.partial(answer, 1))
     try:
@@ -207,7 +213,7 @@ def _started(answer: Callable[[int], None], seconds: float) -> tuple[bytes, int]
         )
     except subprocess.TimeoutExpired:
         raise TimeoutError from None
-    return done.stdout, done.returncode
+    return bytearray(done.stdout), done.returncode
 
 
 def _answer(function: Callable, arguments: tuple, seconds: float, memory: int, descriptor: int) -> None:
@@ -224,7 +230,29 @@ def _answer(function: Callable, arguments: tuple, seconds: float, memory: int, d
             answer = True, function(*arguments)
         except BaseException as error:
             answer = False, _error_or_words(error)
-        pickle.dump(answer, pipe, protocol=5)
+        for part in _packed(answer):
+            pipe.write(part)
+
+
+def _packed(answer: Any) -> Iterator[Any]:
+    """An answer's pickle behind its arrays, which are written as they are in memory, and the sizes of all these."""
+    arrays: list[pickle.PickleBuffer] = []
+    pickled = pickle.dumps(answer, protocol=5, buffer_callback=arrays.append)
+    parts = [*(array.raw() for array in arrays), memoryview(pickled)]
+    for part in parts:
+        yield part
+        yield bytes(-part.nbytes % _ALIGNED)
+    yield struct.pack(f"<{len(parts) + 1}Q", *(part.nbytes for part in parts), len(parts))
+
+
+def _unpacked(content: bytearray) -> Any:
+    """The answer of `_packed`; its arrays stay where they are in the content."""
+    view, at, parts = memoryview(content), 0, []
+    count = struct.unpack("<Q", view[-_NUMBER:])[0]
+    for size in struct.unpack(f"<{count}Q", view[-_NUMBER * (count + 1) : -_NUMBER]):
+        parts.append(view[at : at + size])
+        at += size + -size % _ALIGNED
+    return pickle.loads(parts[-1], buffers=parts[:-1])
 
 
 def _error_or_words(error: BaseException) -> Exception | str:

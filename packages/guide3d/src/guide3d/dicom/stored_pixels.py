@@ -36,6 +36,8 @@ def stored_frames(header: Header) -> NDArray[np.uint8] | NDArray[np.uint16]:
         else:
             _check_length(header)
         try:
+            # unused bits are removed below, where plain pixels are copied
+            header.dataset.pixel_array_options(view_only=True, correct_unused_bits=False)
             pixels = np.asarray(header.dataset.pixel_array)
         except MemoryError:
             raise
