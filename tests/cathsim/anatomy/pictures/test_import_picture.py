@@ -58,9 +58,10 @@ def test_the_last_note_of_a_doubtful_import_names_its_picture(
     sure = imported(phantom, FACTS)
     assert with_picture_of_doubts(sure, tmp_path / "sure.png") is sure
     assert not (tmp_path / "sure.png").exists()
-    unsure = with_picture_of_doubts(imported(phantom, DOUBTS), tmp_path / "unsure.png")
+    unsure = with_picture_of_doubts(imported(phantom, (*FACTS, *DOUBTS)), tmp_path / "unsure.png")
     assert unsure.imported is not None
-    assert unsure.imported.notes == (*DOUBTS, f"what is unsure is marked in the picture {tmp_path / 'unsure.png'}")
+    picture = f"what is unsure is marked in the picture {tmp_path / 'unsure.png'}"
+    assert unsure.imported.notes == (*DOUBTS, *FACTS, picture)
     assert doubts(unsure.imported.notes) == DOUBTS
     (tmp_path / "file").write_text("")
     assert with_picture_of_doubts(imported(phantom, DOUBTS), tmp_path / "file" / "x.png").imported.notes == DOUBTS

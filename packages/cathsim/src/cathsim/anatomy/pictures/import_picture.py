@@ -135,14 +135,18 @@ def _listed(unsure: Sequence[str]) -> str:
 
 
 def with_picture_of_doubts(phantom: Phantom, path: Path) -> Phantom:
-    """A phantom whose import is unsure of something, with a picture that its last note names; any other as it is.
+    """A phantom whose import is unsure of something, which its first notes say and a picture that the last one names.
+
+    Any other phantom stays as it is.
 
     Args:
         path: PNG file to draw. Where it cannot be drawn (no matplotlib, no room) there is no such note.
     """
     report = phantom.imported
-    if report is None or not doubts(report.notes):
+    if report is None or not (unsure := doubts(report.notes)):
         return phantom
+    report = replace(report, notes=(*unsure, *(note for note in report.notes if note not in unsure)))
+    phantom = replace(phantom, imported=report)
     try:
         draw_import(phantom, path)
     except ModuleNotFoundError as error:
