@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 import unicodedata
-from typing import NoReturn
+from typing import Any, NoReturn
 
 EXIT_USAGE = 2
 
@@ -57,6 +57,10 @@ def installing(verb: str) -> str:
 
 class Parser(argparse.ArgumentParser):
     """Refuses wrong arguments in one line, without the list of all of them."""
+
+    def _print_message(self, message: str, file: Any = None) -> None:  # argparse has no other way in
+        if message:
+            say(message, error=file is not sys.stdout)
 
     def error(self, message: str) -> NoReturn:
         """Ends the program with exit code 2."""

@@ -183,7 +183,6 @@ def open_scene(
 
     if ct is not None and anatomy is None:
         raise ConfigurationError("--ct is the CT of an anatomy of one's own: give --anatomy FILE, too")
-    policy = enn.load(model)
     place: int | AnatomyFile
     room = None
     if anatomy is None:
@@ -198,6 +197,7 @@ def open_scene(
     if chosen is None or chosen not in known:
         wanted = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
         raise ConfigurationError(f"{described} has {wanted}: choose --target from {', '.join(known) or 'none'}")
+    policy = enn.load(model)  # takes seconds, after all that can be refused at once
     known_models = enn.models()
     of_both = [name for one in WITH_POLICIES if (name := f"{model}_{one}") in known_models] if catheter else []
     rules: Task | None = None
@@ -264,6 +264,6 @@ def _file(path: str, unit: str | None, ct: str | None) -> AnatomyFile:
     if not Path(path).exists():
         raise ConfigurationError(
             f"there is no anatomy {path}: give the path of a surface (STL, VTP, VTK, GLB, …), of a label volume "
-            "(NIfTI, NRRD, MetaImage), or of a folder with one file a vessel"
+            "(NIfTI, NRRD, MetaImage, DICOM), or of a folder with one file a vessel"
         )
     return AnatomyFile.of(path, unit, ct=ct)

@@ -1,7 +1,7 @@
 """Episode logs: one MCAP file an episode, written safely, read by step, checked and recovered."""
 
 from pipeline.episodes.camera import Camera
-from pipeline.episodes.check import CheckReport, check
+from pipeline.episodes.checking import CheckReport, check
 from pipeline.episodes.encoding.scene import PhantomMesh
 from pipeline.episodes.encoding.schema import SCHEMA_VERSION
 from pipeline.episodes.reader import EpisodeReader
@@ -14,7 +14,7 @@ from pipeline.episodes.records import (
     StepRecord,
     ViewerError,
 )
-from pipeline.episodes.recover import RecoveryReport, recover
+from pipeline.episodes.recovery import RecoveryReport, recover
 from pipeline.episodes.writer import EpisodeWriter
 
 __all__ = [

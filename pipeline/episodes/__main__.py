@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from pipeline.episodes.check import check
+from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.schema import DEVICE_MASKS
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.records import EpisodeReadError, EpisodeWriteError, ViewerError
-from pipeline.episodes.recover import recover
+from pipeline.episodes.recovery import recover
 from pipeline.printing import Parser, say, visible, written
 
 FINE, DAMAGED, USAGE, INTERRUPTED = 0, 1, 2, 130

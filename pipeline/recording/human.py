@@ -11,7 +11,7 @@ import numpy as np
 
 from cathsim.console.recorder import OPERATION, OPERATOR, OperationTotals, episode_path, write_answers
 from pipeline.episodes import EpisodeOutcome, EpisodeWriter
-from pipeline.episodes.recover import annotate
+from pipeline.episodes.recovery import annotate
 from pipeline.recording.record import describe_episode, log_step, logged_pictures, open_log, phantom_mesh, step_record
 
 if TYPE_CHECKING:

@@ -95,7 +95,7 @@ def _read(path: Path) -> tuple[EpisodeInfo, bool, dict[str, Any] | None]:
     from cathsim.metrics import EpisodeMetrics
     from cathsim.metrics.episodes import ENDING
     from pipeline.episodes import EpisodeReader, EpisodeReadError
-    from pipeline.episodes.recover import read_annotation
+    from pipeline.episodes.recovery import read_annotation
     from pipeline.recording.human import QUESTIONNAIRE
 
     with EpisodeReader(path) as log:

@@ -44,14 +44,29 @@ def test_a_word_too_many_is_wrong_usage(tmp_path: Path) -> None:
     assert run("guide3d", tmp_path, "moon").returncode == 2
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_a_reader_that_has_gone_is_no_fault(package: str) -> None:
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize(
+    "command",
+    [*PACKAGES, "cathsim.devices", "guide3d.read --help", "pipeline.episodes --help"],
+)
+def test_a_reader_that_has_gone_is_no_fault(command: str, unbuffered: str) -> None:
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write, "wb") as gone:
-        command = [sys.executable, "-m", package]
-        done = subprocess.run(command, stdout=gone, stderr=subprocess.PIPE, check=False)
+        words, own = [sys.executable, "-m", *command.split()], os.environ | {"PYTHONUNBUFFERED": unbuffered}
+        done = subprocess.run(words, stdout=gone, stderr=subprocess.PIPE, check=False, env=own)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_listing_needs_no_torch(package: str, tmp_path: Path) -> None:
+    (tmp_path / "torch.py").write_text("raise ModuleNotFoundError")  # stands in its way
+    assert run(package, tmp_path).returncode == 0
+
+
+@pytest.mark.parametrize("command", ["info", "check", "recover", "view", "film", "export"])
+def test_a_command_of_logs_is_no_module_that_does_nothing(command: str, tmp_path: Path) -> None:
+    assert run(f"pipeline.episodes.{command}", PROJECT_ROOT, "log.mcap").returncode
 
 
 @pytest.mark.parametrize(

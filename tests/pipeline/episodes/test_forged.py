@@ -25,7 +25,7 @@ from pipeline.episodes.encoding.schema import topic_messages
 from pipeline.episodes.encoding.step_codec import FIXED64, VARINT, decode_step, delimited, encode_step, tag, varint
 from pipeline.episodes.metadata import _checksum, open_episode, open_outcome, seal_outcome
 from pipeline.episodes.records import ContainerError
-from pipeline.episodes.recover import annotate, read_annotation
+from pipeline.episodes.recovery import annotate, read_annotation
 from pipeline.episodes.writer import schema_data
 
 SECONDS = 2.0  # generous beside the hundredth of a second that a refusal takes, for machines that are busy

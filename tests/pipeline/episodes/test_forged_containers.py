@@ -29,7 +29,7 @@ from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriter, ch
 from pipeline.episodes.__main__ import main
 from pipeline.episodes.encoding.schema import Step
 from pipeline.episodes.metadata import _checksum
-from pipeline.episodes.recover import annotate, read_annotation
+from pipeline.episodes.recovery import annotate, read_annotation
 
 IMAGE, MASK, SIDE = "/camera/frontal/image", "/camera/frontal/mask", "/camera/side/image"
 Message = tuple[str, int, bytes]  # topic, log time, payload

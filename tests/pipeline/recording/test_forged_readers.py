@@ -11,7 +11,7 @@ import pytest
 
 from cathsim import NavigateEnv
 from pipeline.episodes import EpisodeInfo, EpisodeOutcome, EpisodeReader, EpisodeReadError, EpisodeWriter
-from pipeline.episodes.recover import annotate
+from pipeline.episodes.recovery import annotate
 from pipeline.evaluations.forces import read_forces
 from pipeline.evaluations.logs import read_logs
 from pipeline.recording.record import record_episode

@@ -20,7 +20,7 @@ from cathsim.console.xray.room import XRayStep
 from cathsim.metrics import EpisodeMetrics
 from pipeline.episodes import EpisodeOutcome, EpisodeReader, EpisodeReadError, check
 from pipeline.episodes.__main__ import main as show
-from pipeline.episodes.recover import annotate, read_annotation
+from pipeline.episodes.recovery import annotate, read_annotation
 from pipeline.evaluations.logs import COUNTED
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.recording.human import McapRecorder

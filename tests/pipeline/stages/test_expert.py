@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.episodes import EpisodeReader
-from pipeline.episodes.check import check
+from pipeline.episodes.checking import check
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.recording.replay import replay
 from pipeline.seeds import demonstration_seeds, held_out_seeds

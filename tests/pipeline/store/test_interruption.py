@@ -103,7 +103,7 @@ def test_ctrl_c_while_the_program_starts_is_one_sentence(pipeline_process) -> No
     _, stderr = process.communicate(timeout=60)
     said = [line for line in stderr.splitlines() if not line.startswith("import time:")]
     assert process.returncode == 130
-    assert said == ["interrupted before the work began"]
+    assert said == ["interrupted: what is finished is kept; the same command goes on from there"]
     assert not list(pipeline_process.runs.rglob("manifest.json"))
 
 

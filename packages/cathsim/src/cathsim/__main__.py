@@ -3,7 +3,9 @@
 import ast
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NoReturn
 
 
 def commands() -> dict[str, str]:
@@ -19,9 +21,25 @@ def commands() -> dict[str, str]:
     return programs
 
 
-if __name__ == "__main__":
-    try:
-        print("\n".join(f"python -m {name}: {what}" for name, what in commands().items()), flush=True)
-    except BrokenPipeError:  # nobody reads any more, as after `head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains again at its end
+def list_commands() -> NoReturn:
+    """Prints a line a command, and ends with exit code 2 for words other than --help."""
+    print("\n".join(f"python -m {name}: {what}" for name, what in commands().items()))
     sys.exit(0 if set(sys.argv[1:]) <= {"-h", "--help"} else 2)
+
+
+def run(main: Callable[[], int]) -> NoReturn:
+    """Ends the program with a command's exit code; what nobody reads any more, as after `head`, is dropped."""
+    try:
+        try:
+            code: Any = main()
+        except SystemExit as end:  # as argparse ends it
+            code = end.code
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains again at its end
+        code = 0
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    run(list_commands)

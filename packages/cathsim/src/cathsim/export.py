@@ -17,6 +17,7 @@ from xml.etree import ElementTree
 import mujoco
 import trimesh
 
+from cathsim.__main__ import run
 from cathsim.anatomy import PHANTOMS, Phantom, load_phantom
 from cathsim.anatomy.entry import EntryLike, entry_name
 from cathsim.contact.hull_vessel import hull_vessel
@@ -153,4 +154,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

@@ -6,24 +6,19 @@ was trained on, how well it did, and where it fails.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any
-
-import torch
+from typing import TYPE_CHECKING, Any
 
 import enn
-from enn.imitation.images.policy import ImagePolicy
-from enn.imitation.recurrent_policy import FORMAT as IMAGE_FORMAT
-from enn.model_file import decoded, read_bytes
-from enn.policy import FORMAT, Policy
+
+if TYPE_CHECKING:
+    import torch
+
+    from enn.imitation.images.policy import ImagePolicy
+    from enn.policy import Policy
 
 _SUFFIX, _CARD = ".pt", ".md"
-_READERS: dict[str, Callable[[Path, torch.device | str], Policy | ImagePolicy]] = {
-    FORMAT: Policy.load,
-    IMAGE_FORMAT: ImagePolicy.load,
-}
 
 
 def models() -> dict[str, str]:
@@ -64,14 +59,20 @@ def read_policy(path: Path, device: torch.device | str = "cpu") -> Policy | Imag
     Raises:
         ValueError: it is damaged, or of a format that this version does not read.
     """
+    from enn.imitation.images.policy import ImagePolicy
+    from enn.imitation.recurrent_policy import FORMAT as IMAGE_FORMAT
+    from enn.policy import FORMAT, Policy
+
+    readers: dict[str, Any] = {FORMAT: Policy.load, IMAGE_FORMAT: ImagePolicy.load}
     form = _format_of(path)
-    if form is not None and form not in _READERS:
+    if form is not None and form not in readers:
         raise ValueError(
-            f"the model {path.stem!r} has format {form}, but enn {enn.__version__} reads {' and '.join(_READERS)}: "
+            f"the model {path.stem!r} has format {form}, but enn {enn.__version__} reads {' and '.join(readers)}: "
             "install the version of enn that it was shipped with"
         )
     # a file without a format is damaged: the reader says so
-    return _READERS.get(str(form), Policy.load)(path, device)
+    policy: Policy | ImagePolicy = readers.get(str(form), Policy.load)(path, device)
+    return policy
 
 
 def weight_files() -> list[Path]:
@@ -96,9 +97,12 @@ def _sentence(name: str) -> str:
     return " ".join(card(name).split("\n\n")[1].split())
 
 
-def _format_of(path: Path) -> Any:
+def _format_of(path: Path) -> str | None:
+    from enn.model_file import decoded, read_bytes
+
     try:
         content = decoded(read_bytes(path))
     except Exception:  # a damaged file: what torch raises is not of one kind
         return None
-    return content.get("format") if isinstance(content, dict) else None
+    form = content.get("format") if isinstance(content, dict) else None
+    return None if form is None else str(form)

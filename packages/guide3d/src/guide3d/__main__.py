@@ -1,10 +1,8 @@
 """Lists the package's command lines: `python -m guide3d`."""
 
-import sys
+from functools import partial
 
-from guide3d.commands import listing, say
+from guide3d.commands import list_commands, run
 
 if __name__ == "__main__":
-    text, code = listing("guide3d", sys.argv[1:])
-    say(text)
-    sys.exit(code)
+    run(partial(list_commands, "guide3d"))

@@ -6,8 +6,9 @@ import ast
 import importlib.util
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NoReturn
 
 
 def commands(package: str) -> dict[str, str]:
@@ -28,22 +29,30 @@ def commands(package: str) -> dict[str, str]:
     return programs
 
 
-def listing(package: str, words: Sequence[str]) -> tuple[str, int]:
-    """What `python -m PACKAGE` prints, a line a command, and its exit code: 2 for words other than --help."""
-    lines = [f"python -m {name}: {what}" for name, what in commands(package).items()]
-    return "\n".join(lines), 0 if set(words) <= {"-h", "--help"} else 2
+def list_commands(package: str) -> NoReturn:
+    """`python -m PACKAGE`: prints a line a command, and ends with exit code 2 for words other than --help."""
+    print("\n".join(f"python -m {name}: {what}" for name, what in commands(package).items()))  # noqa: T201
+    sys.exit(0 if set(sys.argv[1:]) <= {"-h", "--help"} else 2)
 
 
-def say(text: str) -> None:
-    """Prints a text and a line end; where nobody reads any more, as after `head`, it is dropped."""
+def run(main: Callable[[], int]) -> NoReturn:
+    """Ends the program with a command's exit code; what nobody reads any more, as after `head`, is dropped."""
     try:
-        print(text, flush=True)  # noqa: T201
+        try:
+            code: Any = main()
+        except SystemExit as end:  # as argparse ends it
+            code = end.code
+        sys.stdout.flush()
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains again at its end
+        code = 0
+    sys.exit(code)
 
 
 def in_words(error: BaseException) -> str:
     """One line about an error, for the end of a command; the system's with the file and without a number."""
+    if isinstance(error, BrokenPipeError):
+        raise error  # nobody reads what is printed: `run` ends the command
     text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.strerror else str(error)
     return " ".join(text.split())
 

@@ -6,9 +6,10 @@
 import sys
 
 if __name__ == "__main__":
+    from guide3d.commands import run
     from guide3d.reading.command import main
 
-    sys.exit(main())
+    run(main)
 else:
     from guide3d.reading.image_reading import read
 

@@ -11,12 +11,11 @@ The folder gets ``predictor.pt`` and ``training.json``; the same command goes on
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from guide3d.commands import required_by_command
+from guide3d.commands import required_by_command, run
 
 if __name__ == "__main__":
     required_by_command("guide3d.train", "torch", "learning")
@@ -84,4 +83,4 @@ def main(words: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import json
 import logging
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
@@ -23,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from guide3d.commands import required_by_command
+from guide3d.commands import required_by_command, run
 
 if __name__ == "__main__":
     required_by_command("guide3d.train_reader", "torch", "learning")
@@ -123,4 +122,4 @@ def main(words: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

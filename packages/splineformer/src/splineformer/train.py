@@ -6,12 +6,12 @@
 import sys
 
 if __name__ == "__main__":
-    from guide3d.commands import required_by_command
+    from guide3d.commands import required_by_command, run
 
     required_by_command("splineformer.train", "torch", "learning")
     from splineformer.learning.training_command import main
 
-    sys.exit(main())
+    run(main)
 else:
     from splineformer.learning.training import train
 

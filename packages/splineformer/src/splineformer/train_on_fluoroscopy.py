@@ -14,12 +14,11 @@ from __future__ import annotations
 import argparse
 import json
 import logging
-import sys
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from guide3d.commands import required_by_command
+from guide3d.commands import required_by_command, run
 
 if __name__ == "__main__":
     required_by_command("splineformer.train_on_fluoroscopy", "torch", "learning")
@@ -124,4 +123,4 @@ def main(words: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-
+from cathsim.__main__ import run
 from cathsim.console.launch import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

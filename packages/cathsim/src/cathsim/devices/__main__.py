@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cathsim.__main__ import run
 from cathsim.devices.catheter import Catheter
 from cathsim.devices.device_file import CATHETER, file_kind, is_file
 from cathsim.devices.shelf import CATHETERS, SHAPES, catheter_file, load_catheter, wire_file
@@ -34,6 +35,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print(line)
         if given.output is not None:
             _save(devices, given.output)
+    except BrokenPipeError:  # nobody reads what is printed
+        raise
     except OSError as error:
         print(f"error: {error.filename or given.output}: {error.strerror}", file=sys.stderr)
         return 2
@@ -109,4 +112,4 @@ def _save(devices: dict[str, Guidewire | Catheter], output: Path) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

@@ -17,7 +17,7 @@ import numpy as np
 from guide3d.calibration.cube_calibration import CubeCalibration, calibrate_folder
 from guide3d.calibration.cube_files import find_files, read_grey
 from guide3d.calibration.pictures import RESIDUAL_SCALE, draw_beads, draw_displacement, draw_holes
-from guide3d.commands import in_words
+from guide3d.commands import in_words, run
 from guide3d.files import whole_file
 from guide3d.geometry.distortion import METHODS, leave_out_errors
 from guide3d.image_file import write_png
@@ -173,4 +173,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

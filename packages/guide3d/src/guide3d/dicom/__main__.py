@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from guide3d.commands import in_words
+from guide3d.commands import in_words, run
 from guide3d.dicom.c_arm import camera_of, view_warnings
 from guide3d.dicom.pair import paired
 from guide3d.dicom.run_folder import read_xray
@@ -112,4 +112,4 @@ def _plain(values: np.ndarray | None) -> Any:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

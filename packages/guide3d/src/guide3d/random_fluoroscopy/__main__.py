@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from guide3d.commands import in_words
+from guide3d.commands import in_words, run
 from guide3d.dataset.dataset import Dataset
 from guide3d.files import whole_file
 from guide3d.image_file import write_image
@@ -112,4 +112,4 @@ def main(words: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run(main)

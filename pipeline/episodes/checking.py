@@ -24,7 +24,7 @@ from pipeline.episodes.encoding.scan import MessageSpan, check_magic, messages, 
 from pipeline.episodes.encoding.step_codec import decode_devices, decode_with_norm
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.records import ContainerError, DeviceRecord, EpisodeReadError, StepRecord, damaged
-from pipeline.episodes.recover import mapped
+from pipeline.episodes.recovery import mapped
 
 _MAGIC_BYTES = 8
 _MAX_PROBLEMS = 20
