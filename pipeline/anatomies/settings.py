@@ -7,6 +7,7 @@ there are not are refused.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import field, replace
 from pathlib import Path
@@ -79,6 +80,8 @@ def require_known_entry(entry: str, phantoms: Sequence[str]) -> None:
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
 
+
+_LOGGER = logging.getLogger(__name__)
 
 RANDOM = "random"  # arches like those of most patients
 _OF_A_FILE = ("unit", "names", "labels", "transform", "extend", "ct")
@@ -224,6 +227,8 @@ def settle(settings: ChosenAnatomies) -> None:
         return
     try:
         phantom = file.load()
+        for note in phantom.imported.notes if phantom.imported else ():
+            _LOGGER.info("%s: note: %s", settings.file_name, in_settings(note))
         file.room()  # now, and not after the work
         if settings.point_mm is not None:
             point = world_point(phantom, settings.point_mm)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -34,8 +33,6 @@ from cathsim.anatomy.mesh.tree import TreeSettings, grow_tree
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.vessel_tree import VesselTree
 from cathsim.anatomy.wall.thickness import fill_chambers, thicken_between_lumens
-
-logger = logging.getLogger(__name__)
 
 LEAST_WIDTH = 1e-3  # m: a lumen of a smaller radius is too narrow for a wire to be steered in
 _PASSABLE = 6e-4  # m: the aorta of a smaller radius lets no wire pass
@@ -185,8 +182,6 @@ class SurfaceImport:
             way_length={name: round(phantom.way_length(name), 4) for name in phantom.targets},
             notes=(*self.notes, *named, *left_out, *extended, *shortened),
         )
-        for note in report.notes:
-            logger.info("%s: %s.", self.facts.file, note)
         return replace(phantom, imported=report)
 
     def _closed(self, mesh: Triangles) -> tuple[Triangles, Array]:

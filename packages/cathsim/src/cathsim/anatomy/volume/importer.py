@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -32,8 +31,6 @@ from cathsim.anatomy.volume.labels.choice import Labels
 from cathsim.anatomy.volume.lumen.labelled import LabelledLumen
 from cathsim.anatomy.volume.lumen.smoothing import smooth_vessel
 from cathsim.guarded_reading import UnreadableFileError, check_regular
-
-logger = logging.getLogger(__name__)
 
 VOLUME_VERSION = 15  # raise it whenever the same volume gives another phantom
 _VOLUME_KEPT = 0.03  # share of a vessel's volume by which the phantom's may differ without a note
@@ -182,8 +179,6 @@ def build_volume_phantom(
         notes=(*volume.notes, *lumen.notes, *left_out, *extended, *shortened, *_volume_notes(volumes)),
         volumes_ml={name: (round(1e6 * a, 3), round(1e6 * b, 3)) for name, (a, b) in volumes.items()},
     )
-    for note in report.notes:
-        logger.info("%s: %s.", volume.file, note)
     return replace(phantom, imported=report)
 
 
