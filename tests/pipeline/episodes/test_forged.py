@@ -251,7 +251,7 @@ def test_a_compressed_bomb_is_refused_by_what_it_declares(bounded) -> None:
 def test_an_index_that_points_beyond_the_file_is_refused(field, log_path, monkeypatch, bounded) -> None:
     from pipeline.episodes import reader
 
-    original = reader.read_summary
+    original = reader.scan.read_summary
 
     def forged(fd: int) -> Any:
         summary = original(fd)

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.centreline import arc_length
+from cathsim.anatomy.centreline import arc_length, resampled
 from cathsim.anatomy.entry import ENTRY_DEPTH, Entry
 from cathsim.anatomy.extension import DEPTH, LEAST_DEPTH
 from cathsim.anatomy.mesh.branches import RoughVessel, leaving
@@ -29,8 +29,8 @@ _SIDES_APART = 10e-3  # m between the ends of both sides from which on labels sh
 _WIDE_SPREAD = 20e-3  # m, deviation of the ends from their middle that shows the side well
 _MAIN = 0.4  # of the widest branch's radius: narrower ones are none to head and arms
 _DOWNWARD = 2e-3  # m: a vessel whose end lies further below its ostium goes downward
-_LIMB = 0.2  # of the aorta's length at either end, whose directions show whether there is an arch
-_TURNED = math.radians(100)  # between them, at least: arches have some 160 degrees, or 140 where they are cut
+_STEPS = 100  # along an aorta, whose directions over tenths of it show whether there is an arch
+_TURNED = math.radians(100)  # between two of them, at least: arches have 140 or more, an abdominal aorta 30
 _USUAL = 3  # branches that an arch usually has
 
 Array = NDArray[np.float64]
@@ -108,10 +108,10 @@ def _all_of(vessel: RoughVessel) -> list[RoughVessel]:
 
 def has_arch(aorta: RoughVessel) -> bool:
     """Whether an aorta turns back, as one with an arch does."""
-    arc = arc_length(aorta.points)
-    near, far = (int(np.searchsorted(arc, share * arc[-1])) for share in (_LIMB, 1 - _LIMB))
-    begins, ends = _unit(aorta.points[near] - aorta.points[0]), _unit(aorta.points[-1] - aorta.points[far])
-    return bool(begins @ ends < math.cos(_TURNED))
+    along = resampled(aorta.points, aorta.length / _STEPS)
+    directions = along[_STEPS // 10 :] - along[: -(_STEPS // 10)]
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
+    return bool((directions @ directions.T).min() < math.cos(_TURNED))
 
 
 def arch_branches(aorta: RoughVessel, up: Array | None = None) -> list[RoughVessel]:
