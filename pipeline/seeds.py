@@ -50,6 +50,7 @@ ARCHES = {
     "perception": SeedRange(20_000, 500, _RUNS, "arches for the SplineFormer"),
     "validation": SeedRange(32_000, 1_000, 1, "validation arches"),
     "test": SeedRange(40_000, 1_000, 1, "test arches"),
+    "protocol": SeedRange(600_000, 1_000, 100, "arches of the protocol"),
 }
 RETIRED_ARCHES = range(30_000, 32_000), range(33_000, 34_000)
 
@@ -67,6 +68,7 @@ EPISODES = {
     "rehearsal, demonstrations": SeedRange(400_000_000, 100_000, _TRAININGS, "demonstrations in copies"),
     "rehearsal, trials of devices": SeedRange(500_000_000, 1_000, _TRAININGS, "trials of devices in copies"),
     "test": SeedRange(5_000_000_000, 1_000, _TRAININGS, "test episodes"),
+    "protocol": SeedRange(7_000_000_000, 10, 100_000, "starts of the protocol"),  # a part for each arch
 }
 RETIRED_EPISODES = (range(1_000_000, 2_000_000),)
 
@@ -101,6 +103,17 @@ def validation_arches(count: int, every: int = 2) -> range:
 def unseen_arches(count: int) -> range:
     """Seeds of the random arches of the tests, the same for every run."""
     return ARCHES["test"].part(0, count)
+
+
+def protocol_arches(first: int, seed: int, count: int) -> range:
+    """Seeds of the random arches of a claim whose first one is `first`; each seed of the evaluation has its own."""
+    block = ARCHES["protocol"]
+    return block.part((first - block.first) // block.width + seed, count)
+
+
+def protocol_start(arch: int, target: int) -> int:
+    """Seed of an episode's start in an arch of the protocol, towards the target of a number."""
+    return EPISODES["protocol"].part(arch - ARCHES["protocol"].first, 1, skip=target)[0]
 
 
 def force_seed(seed: int, episode: int) -> int:

@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked
 
+from pipeline.seeds import ARCHES
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import PROJECT_ROOT
 
 _STRICT = ConfigDict(extra="forbid")
+First = Annotated[int, AfterValidator(lambda first: _block(first))]
 Positive = Annotated[int, Field(gt=0)]
-NEXT_SEED = 1000  # between the first anatomies, or scenes, of two seeds of a claim
 
 
 @checked(frozen=True, kw_only=True, config=_STRICT)
@@ -25,7 +26,7 @@ class Navigation:
 
     Attributes:
         arches: kind of the arches, as `pipeline.stages.unseen.task.TEST_KINDS`.
-        first, count: seed of the first one, and how many.
+        first, count: seed of the first one (of `pipeline.seeds`), and how many.
         policies: names; the second plays where an ostium is set back far.
         attempts, steps: of an episode, and the steps of each.
     """
@@ -34,7 +35,7 @@ class Navigation:
     title: str
     limits: str
     arches: Literal["random", "random_steep", "random_trunk"]
-    first: Positive
+    first: First
     count: Positive
     targets: tuple[str, ...]
     policies: tuple[str, ...]
@@ -49,12 +50,19 @@ class Reconstruction:
     kind: Literal["reconstruction"]
     title: str
     limits: str
-    first: Positive  # seed of the scenes
+    first: First  # seed of the scenes
     count: Positive
     noise_px: Annotated[float, Field(ge=0)]
 
 
 Claim = Annotated[Navigation | Reconstruction, Field(discriminator="kind")]
+
+
+def _block(first: int) -> int:
+    block = ARCHES["protocol"]
+    if first not in block.all[:: block.width]:
+        raise ValueError(f"must be {block.first} and a multiple of {block.width}, below {block.all.stop}")
+    return first
 
 
 @dataclass(frozen=True)

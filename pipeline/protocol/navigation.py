@@ -9,17 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.protocol.claims import NEXT_SEED, Navigation
-
-_FIRST_START = 7_000_000_000  # seed of the first arch's starts, which no training has used
+from pipeline.protocol.claims import Navigation
+from pipeline.seeds import protocol_arches, protocol_start
 
 
 def cases(claim: Navigation, seed: int) -> Iterator[dict[str, Any]]:
     """Each case: the anatomy, the target, and the seed of the episode's start."""
-    for number in range(claim.count):
-        arch = claim.first + NEXT_SEED * seed + number
-        for place, target in enumerate(claim.targets):
-            yield {"anatomy": f"{claim.arches}_{arch}", "target": target, "seed": _FIRST_START + 10 * arch + place}
+    for arch in protocol_arches(claim.first, seed, claim.count):
+        for number, target in enumerate(claim.targets):
+            yield {"anatomy": f"{claim.arches}_{arch}", "target": target, "seed": protocol_start(arch, number)}
 
 
 def play(claim: Navigation, case: dict[str, Any]) -> dict[str, Any]:

@@ -6,13 +6,14 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
-from pipeline.protocol.claims import NEXT_SEED, Reconstruction
+from pipeline.protocol.claims import Reconstruction
+from pipeline.seeds import protocol_arches
 
 
 def cases(claim: Reconstruction, seed: int) -> Iterator[dict[str, Any]]:
-    """Each case: the scene's number and the seed that its wire is drawn with."""
-    for number in range(claim.count):
-        yield {"anatomy": f"scene_{claim.first + NEXT_SEED * seed}_{number}", "number": number, "seed": seed}
+    """Each case: the scene's number and the seed that all are drawn with."""
+    for number, scene in enumerate(protocol_arches(claim.first, seed, claim.count)):
+        yield {"anatomy": f"scene_{scene}", "number": number, "seed": scene - number}
 
 
 def play(claim: Reconstruction, case: dict[str, Any]) -> dict[str, Any]:
@@ -41,4 +42,4 @@ def play(claim: Reconstruction, case: dict[str, Any]) -> dict[str, Any]:
 def _scenes(claim: Reconstruction, seed: int) -> list[Any]:
     from guide3d.reconstruction.synthetic_scene import scenes
 
-    return list(scenes(claim.count, claim.first + NEXT_SEED * seed, claim.noise_px))
+    return list(scenes(claim.count, seed, claim.noise_px))

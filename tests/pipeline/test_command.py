@@ -32,7 +32,7 @@ def test_help_names_every_command(words: list[str], capsys: pytest.CaptureFixtur
 def test_an_unknown_command_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main(["stage"]) == 2
     assert capsys.readouterr().err == (
-        "endonav has no command 'stage': choose from stages, chain, episodes, models, demo, console, info\n"
+        "endonav has no command 'stage': choose from stages, chain, episodes, models, demo, evaluate, console, info\n"
     )
 
 

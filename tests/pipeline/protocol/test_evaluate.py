@@ -20,7 +20,7 @@ claims:
     kind: reconstruction
     title: Wires
     limits: drawn
-    first: 5
+    first: 690000
     count: 6
     noise_px: 1.0
 """
@@ -52,6 +52,7 @@ def test_the_projects_protocol_names_shipped_policies_and_seeds_of_their_own() -
     [
         ("count: 6", "count: 0", "count: .*greater than 0"),
         ("noise_px: 1.0", "noise: 1.0", "noise"),
+        ("first: 690000", "first: 7", "first: .*600000 and a multiple of 1000"),
         ("reconstruction", "reading", "reading"),
         ("version: 3", "", "version"),
         ("claims:", "claims: [", "no protocol"),
@@ -108,7 +109,7 @@ def test_cases_of_one_anatomy_belong_together() -> None:
 @pytest.mark.slow
 def test_shipped_policies_steer_in_a_drawn_arch(protocol: Path) -> None:
     protocol.write_text(
-        "version: 1\nclaims: {steer: {kind: navigation, title: T, limits: L, arches: random, first: 7, count: 1, "
+        "version: 1\nclaims: {steer: {kind: navigation, title: T, limits: L, arches: random, first: 690000, count: 1, "
         "targets: [bca], policies: [generalist, generalist_jb2]}}"
     )
     assert _evaluate(protocol) == 0

@@ -171,7 +171,7 @@ def finish_expert(run: Path) -> None:
     folder = RunFolder(run / "expert", Identity("c", {}, 1))
     with folder.locked():
         folder.prepare()
-        environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=12)
+        environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=12, success="straight")
         record_episode(
             environment, lambda observation, info: np.array([1.0, 0.1], np.float32),
             folder.path / "type_1/bca/000.mcap", seed=0, operator="sampling_expert", pictures=False,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
@@ -206,7 +207,10 @@ class Goal:
     def __init__(self, task: NavigationTask, phantom: Phantom) -> None:
         self.position = task.goal(phantom)
         self._task, self._depths = task, phantom.depths
-        self._place = self._depths.place(self.position)
+
+    @cached_property
+    def _place(self) -> Place:
+        return self._depths.place(self.position)
 
     def arrival(self, tip: np.ndarray, share: float = 1.0) -> Arrival:
         """Whether a tip (3,) m has arrived: within a share of the task's success radius."""

@@ -203,13 +203,14 @@ def test_the_film_repeats_the_first_episode_in_the_scan_that_arrived(tmp_path: P
 
 def test_a_row_pools_the_forces_of_all_steps() -> None:
     parts = {
-        "after/copies0": {"success": [True], "within_attempts": [True], "forces": [[0.0, 1.0]]},
-        "after/copies1": {"success": [False], "within_attempts": [True], "forces": [[2.0]]},
+        "after/copies0": {"success": [True], "within_attempts": [True], "depths": [0.03], "forces": [[0.0, 1.0]]},
+        "after/copies1": {"success": [False], "within_attempts": [True], "depths": [0.01], "forces": [[2.0]]},
     }
-    scan = {"after/scan": {"success": [True], "within_attempts": [True], "forces": [[9.0]]}}
+    scan = {"after/scan": {"success": [True], "within_attempts": [True], "depths": [0.09], "forces": [[9.0]]}}
     cells = row(parts | scan, "after", "copies")
     assert cells["success_pct"] == 50.0
     assert cells["within_attempts_pct"] == 100.0
+    assert cells["depth_mm"] == pytest.approx(20.0)
     assert cells["force_n"] == 1.0
     assert cells["force_max_n"] == 2.0
     assert cells["episode_length_steps"] == 1.5

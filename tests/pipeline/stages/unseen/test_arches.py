@@ -34,7 +34,7 @@ def test_steep_arches_are_trained_in_and_chosen_by(tmp_path: Path, monkeypatch: 
         assert (list(targets), least_mm, kind) == (["bca", "lcca", "lsa"], 13.0, "random")
         return list(seeds)[::10][:count]
 
-    monkeypatch.setattr("pipeline.stages.unseen.task.with_steep_take_off", every_tenth)
+    monkeypatch.setattr("pipeline.stages.unseen.plan.with_steep_take_off", every_tenth)
     wanted = small_settings(least_set_back_mm=13.0, image=False, xray=False, curve=[], test_anatomies=5)
     jobs = {job.key: job.given for job in plan(wanted, tmp_path, 1, "desk")}
     assert jobs["roadmap"].anatomies == tuple(range(1000, 1080, 10))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -41,11 +42,14 @@ class BranchDepths:
         self._arc = np.concatenate([branch.arc for branch in tree])
         self._points = np.concatenate([branch.points for branch in tree])
         self._tangents = np.concatenate([branch.tangents for branch in tree])
-        self._ostia = [_ostium_arc(tree, name) for name in tree.names]
         # squared distance over squared radius, as one product: (|p|^2 - 2 p.x + |x|^2) / r^2
         squares = np.square(self._points).sum(axis=1, keepdims=True)
         terms = np.concatenate([squares, -2 * self._points, np.ones_like(squares)], axis=1)
         self._terms = terms / np.square(np.concatenate([branch.radius for branch in tree]))[:, None]
+
+    @cached_property
+    def _ostia(self) -> list[float]:
+        return [_ostium_arc(self._tree, name) for name in self._tree.names]
 
     def place(self, point: ArrayLike) -> Place:
         """The place of a point (3,) m, world frame."""
