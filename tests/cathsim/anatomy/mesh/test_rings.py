@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
 from cathsim.anatomy import Phantom, import_mesh
@@ -35,9 +36,7 @@ def ring(phantom: Phantom, link: np.ndarray, cache: Path) -> Phantom:
     low, high = phantom.grid.bounds[0] - 3e-3, np.maximum(phantom.grid.bounds[1], link.max(axis=0) + RADIUS) + 3e-3
     axes = [np.arange(a, b, SPACING) for a, b in zip(low, high, strict=True)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    lumen = phantom.grid.sample(points)
-    for place in link:
-        lumen = np.maximum(lumen, RADIUS - np.linalg.norm(points - place, axis=-1))
+    lumen = np.maximum(phantom.grid.sample(points), RADIUS - cKDTree(link).query(points)[0])
     corners, faces, *_ = marching_cubes(lumen, 0.0)
     path = cache / "ring.stl"
     trimesh.Trimesh((low + corners * SPACING) * 1e3, faces[:, ::-1]).export(path)
