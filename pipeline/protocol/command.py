@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ def main(arguments: list[str]) -> int:
         for name in given.claims or protocol.claims:
             result = measure(name, protocol, given.to, seeds=given.seeds, workers=given.workers, tell=_tell)
             say(_line(name, result["summary"]))
-    except (ConfigurationError, OSError) as error:
+    except (ConfigurationError, OSError, ValueError, BrokenExecutor) as error:
         say(f"endonav evaluate: {error}", error=True)
         return _USAGE
     except KeyboardInterrupt:

@@ -15,7 +15,7 @@ from cathsim.metrics.episodes import wilson_interval
 from pipeline.protocol import navigation, reconstruction
 from pipeline.protocol.claims import Navigation, Protocol, Reconstruction, declared
 from pipeline.store.atomic_files import atomic_path
-from pipeline.store.provenance import hash_file, hash_value, present_commit, software_versions
+from pipeline.store.provenance import hash_file, hash_value, present_commit, software_versions, uncommitted_changes
 
 KINDS = {"navigation": navigation, "reconstruction": reconstruction}
 _DRAWS = 4000  # of the bootstrap
@@ -46,6 +46,7 @@ def measure(
     claim = protocol.claims[name]
     made_by = {
         "commit": present_commit(),
+        "changes": uncommitted_changes(),
         "weights": _weights(claim),
         "claim": hash_value(declared(claim, words=False)),
     }
@@ -143,7 +144,7 @@ def _played(journal: Path, made_by: Mapping[str, Any]) -> dict[str, dict[str, An
     """Outcomes of the journal, by their case's hash; the journal begins anew where something else made it."""
     journal.parent.mkdir(parents=True, exist_ok=True)
     lines = journal.read_text(encoding="utf-8").splitlines() if journal.is_file() else []
-    if not lines or json.loads(lines[0]) != made_by:
+    if not lines or lines[0] != json.dumps(made_by):
         if lines:
             journal.replace(journal.with_suffix(".old.jsonl"))
         journal.write_text(json.dumps(made_by) + "\n", encoding="utf-8")

@@ -52,6 +52,13 @@ def present_commit() -> str:
     return "unknown" if commit is None else f"{commit}+" if _git("status", "--porcelain") else commit
 
 
+@functools.cache
+def uncommitted_changes() -> str:
+    """A hash of what differs from the commit in files that it has; "" where nothing does, or outside a repository."""
+    changes = _git("diff", "HEAD")
+    return hash_value(changes) if changes else ""
+
+
 def _git(*arguments: str) -> str | None:
     if not (PROJECT_ROOT / ".git").exists():  # installed: a repository around it is somebody else's
         return None

@@ -76,7 +76,7 @@ def test_every_case_is_written_and_none_is_played_twice_unless_the_claim_changes
     results, journal = (protocol.parent / "results" / name for name in ("wires.json", "wires.jsonl"))
     first = json.loads(results.read_text())
     assert (first["protocol"], first["claim"], len(first["cases"])) == (3, "wires", 6)
-    assert {"commit", "weights", "claim"} == set(first["made_by"])
+    assert {"commit", "changes", "weights", "claim"} == set(first["made_by"])
     assert all(case["success"] and case["mean_mm"] < 5 for case in first["cases"])
     lines = journal.read_text().splitlines()
     journal.write_text("\n".join(lines[:4]) + '\n{"case": {"anat')  # killed within a line
@@ -92,6 +92,22 @@ def test_every_case_is_written_and_none_is_played_twice_unless_the_claim_changes
     assert _evaluate(protocol) == 0
     assert len(journal.with_suffix(".old.jsonl").read_text().splitlines()) == 13
     assert json.loads(results.read_text())["summary"]["mean_mm_mean"]["mean"] < first["summary"]["mean_mm_mean"]["mean"]
+
+
+def test_a_damaged_journal_is_set_aside_and_an_unknown_policy_is_one_sentence(
+    protocol: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    journal = protocol.parent / "results" / "wires.jsonl"
+    journal.parent.mkdir()
+    journal.write_text('{"commit": "ab')
+    assert _evaluate(protocol) == 0
+    assert journal.with_suffix(".old.jsonl").read_text() == '{"commit": "ab'
+    protocol.write_text(
+        "version: 1\nclaims: {steer: {kind: navigation, title: T, limits: L, arches: random, first: 690000, count: 1, "
+        "targets: [bca], policies: [nobody]}}"
+    )
+    assert _evaluate(protocol) == 2
+    assert "endonav evaluate: there is no model 'nobody'" in capsys.readouterr().err
 
 
 def test_cases_of_one_anatomy_belong_together() -> None:
