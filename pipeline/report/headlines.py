@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from pipeline.report.tables import Column, ReportTable
 from pipeline.tables import Cell, format_cell, mean_of
 
 _SPECS = Path(__file__).with_name("headlines.yaml")
-BETTER, EQUAL, WORSE, OPEN = "better", "equal", "worse", "open"
+BETTER, EQUAL, WORSE, OPEN, UNLIKE = "better", "equal", "worse", "open", "unlike"
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,9 @@ class HeadlineSpec:
     samples: int | None = None  # behind the thesis's cell
     over: str = ""
     level: float | None = None
+    measured: tuple[str, str, str] | None = None  # table, row, column; None: the thesis's own cell
+    comparable: bool = False  # whether the same thing was measured
+    differs: str = ""
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,9 @@ class Headline:
     here: str
     interval: str  # 95 % interval of the measured value in words; empty where its samples are unknown or fewer than two
     samples: int | None  # behind the measured value
-    verdict: str  # "better", "equal" or "worse", "open" for a mean of a single sample; empty where nothing was measured
+    differs: str  # from the thesis, in words
+    # "better", "equal" or "worse", "open" for a mean of a single sample, "unlike" where another thing was measured; or ""
+    verdict: str
     # how many of them the run had, where the value, its interval and the verdict are over seeds; otherwise 0
     seeds: int = 0
 
@@ -56,23 +61,29 @@ def headline_specs() -> tuple[HeadlineSpec, ...]:
 def headlines(tables: Sequence[ReportTable]) -> list[Headline]:
     """Compares every headline, whose tables, rows and columns must be there."""
     by_key = {table.key: table for table in tables}
-    return [_headline(spec, by_key[spec.table]) for spec in headline_specs()]
+    return [_headline(spec, by_key) for spec in headline_specs()]
 
 
-def _headline(spec: HeadlineSpec, table: ReportTable) -> Headline:
+def _headline(spec: HeadlineSpec, tables: Mapping[str, ReportTable]) -> Headline:
+    table = tables[spec.table]
     rows = {row.key: row for row in table.rows}
     row, column = rows[spec.row], next(column for column in table.columns if column.key == spec.column)
-    thesis, here, unit = row.thesis[column.key], row.measured.get(column.key), column.unit
+    thesis, here, unit, measured = row.thesis[column.key], row.measured.get(column.key), column.unit, column.key
+    if spec.measured is not None:
+        key, name, measured = spec.measured
+        found = [other for other in tables[key].rows if other.key == name] if key in tables else []
+        row, here = (found[0], found[0].measured.get(measured)) if found else (row, None)
     if spec.over:
         base = rows[spec.over]
         thesis, here = _share_of(thesis, base.thesis[column.key]), _share_of(here, base.measured.get(column.key))
         column, unit = Column(column.key, column.label, "%", column.better, 1), "%"
     if not isinstance(here, int | float | list):
-        return Headline(spec.label, table.chapter, table.key, _words(thesis, column, unit), "", "", None, "")
+        words = _words(thesis, column, unit)
+        return Headline(spec.label, table.chapter, table.key, words, "", "", None, spec.differs, "")
     if spec.share:
         thesis, here = mean_of(thesis), mean_of(here)
     samples = None if spec.over else row.samples
-    seeded, share = None if spec.over else row.over_seeds.get(column.key), spec.share
+    seeded, share = None if spec.over else row.over_seeds.get(measured), spec.share
     if seeded is not None:
         here, samples, share = seeded.cell, seeded.seeds, False
     interval = share_interval(mean_of(here), samples) if share else mean_interval(here, samples)
@@ -81,7 +92,7 @@ def _headline(spec: HeadlineSpec, table: ReportTable) -> Headline:
     return Headline(
         label=spec.label, chapter=table.chapter, table=table.key, thesis=_words(thesis, column, unit),
         here=_words(here, column, unit), interval=_interval_words(interval, column, unit), samples=samples,
-        verdict=compare(
+        differs=spec.differs, verdict=UNLIKE if not spec.comparable else compare(
             thesis, here, thesis_samples=spec.samples, samples=samples, share=share, level=spec.level,
             higher_is_better=column.better != "lower", decimals=column.decimals,
         ),

@@ -8,6 +8,7 @@ from pipeline.report.headlines import (
     BETTER,
     EQUAL,
     OPEN,
+    UNLIKE,
     WORSE,
     compare,
     headline_specs,
@@ -69,16 +70,39 @@ def test_a_measured_cell_stands_beside_the_thesis_s() -> None:
     lines = {line.label: line for line in headlines(report_tables(measured)) if line.here}
     success = lines["Expert Navigation Network, BCA: success"]
     assert (success.thesis, success.here, success.interval) == ("100 %", "90 %", "74 to 97 %")
-    assert (success.samples, success.verdict, success.chapter) == (30, EQUAL, "ENN")
+    assert (success.samples, success.verdict, success.chapter) == (30, UNLIKE, "ENN")
+    assert "demonstrations" in success.differs
     error = next(line for label, line in lines.items() if label.startswith("Force prediction"))
-    assert (error.thesis, error.here, error.verdict) == ("1.8 %", "5.0 %", WORSE)
+    assert (error.thesis, error.here, error.verdict) == ("1.8 %", "5.0 %", UNLIKE)
     assert len(lines) == 2
 
 
 def test_over_several_seeds_the_interval_is_that_of_the_seeds() -> None:
-    """Success 90 % of 90 pooled episodes, but 80, 90 and 100 % of the three seeds."""
-    measured = {"ablation": {"bca/I+V+M": {"success_pct": [90.0, 30.0], "n": 90}}}
-    seeded = {("ablation", "bca/I+V+M", "success_pct"): OverSeeds([90.0, 8.165], 3, is_share=True)}
+    """Success 90 % of 90 pooled episodes, but 80, 90 and 100 % of the three seeds; an error of 2, 3 and 4 mm."""
+    clicks = ("guide3d_simulated_ways_mm", "global, clicks", "max_ed")
+    measured = {
+        "ablation": {"bca/I+V+M": {"success_pct": [90.0, 30.0], "n": 90}},
+        clicks[0]: {clicks[1]: {clicks[2]: [3.0, 0.1], "n": 90}},
+    }
+    seeded = {
+        ("ablation", "bca/I+V+M", "success_pct"): OverSeeds([90.0, 8.165], 3, is_share=True),
+        clicks: OverSeeds([3.0, 0.8165], 3),
+    }
     lines = {line.label: line for line in headlines(report_tables(measured, seeded)) if line.here}
     success = lines["Expert Navigation Network, BCA: success"]
-    assert (success.interval, success.samples, success.seeds, success.verdict) == ("65 to 100 %", 3, 3, EQUAL)
+    assert (success.interval, success.samples, success.seeds) == ("65 to 100 %", 3, 3)
+    error = lines["Reconstruction of simulated wires: largest error"]
+    assert (error.samples, error.seeds, error.verdict) == (3, 3, EQUAL)
+
+
+def test_only_what_is_comparable_has_a_verdict_and_another_cell_may_be_the_measured_one() -> None:
+    measured = {
+        "guide3d_simulated_validation_mm": {"max_ed": {"value": [0.01, 0.01], "n": 60}},
+        "guide3d_simulated_ways_mm": {"global, clicks": {"max_ed": [1.2, 0.3], "n": 60}},
+        "segmentation": {"transunet": {"dice": 97.0}},
+    }
+    lines = {line.table: line for line in headlines(report_tables(measured)) if line.here}
+    clicked = lines["guide3d_simulated_validation_mm"]
+    assert (clicked.here, clicked.samples, clicked.verdict) == ("1.200 ± 0.300 mm", 60, BETTER)
+    assert lines["segmentation"].verdict == UNLIKE
+    assert all(spec.differs for spec in headline_specs())
