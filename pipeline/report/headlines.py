@@ -46,7 +46,7 @@ class Headline:
     interval: str  # 95 % interval of the measured value in words; empty where its samples are unknown or fewer than two
     samples: int | None  # behind the measured value
     differs: str  # from the thesis, in words
-    # "better", "equal" or "worse", "open" for a mean of a single sample, "unlike" where another thing was measured; or ""
+    # "better", "equal", "worse", "open" for a mean of a single sample, "unlike" where another thing was measured; or ""
     verdict: str
     # how many of them the run had, where the value, its interval and the verdict are over seeds; otherwise 0
     seeds: int = 0
