@@ -22,6 +22,11 @@ endonav COMMAND [ARGUMENTS]
   episodes COMMAND FILE    look at episode logs, check, film and export them
   models [NAME]            list the trained models that are shipped, or print the card of one
   demo                     a shipped policy steers through an unseen arch or yours: film, log and page in runs/demo
+  list                     environments, phantoms, targets, devices and models
+  import FILE              an aorta of yours, surface or labels: its names, notes and picture
+  read A [B]               the wire in an X-ray image, or in two views (--cameras FOLDER)
+  train [STAGE ...]        a training stage after those that it reads (default enn)
+  new KIND NAME            a stage, a policy or a phantom that runs, with its test, to be changed to your own
   evaluate [CLAIM ...]     measure what is claimed, as the protocol says: a file of results for each claim
   console                  steer the wire yourself, in the browser (needs endonav-cathsim[console])
   info                     what a report of a problem needs: versions, processor, rendering, GPUs, caches
@@ -82,6 +87,57 @@ def _models(arguments: list[str]) -> int:
     return _FINE
 
 
+def _list(arguments: list[str]) -> int:
+    """Lists what can be chosen by name, a line a kind."""
+    import gymnasium
+
+    import cathsim
+
+    if arguments:
+        say("endonav list: prints environments, phantoms, targets, devices and models; it takes no arguments")
+        return _FINE if arguments[0] in ("-h", "--help") else _USAGE
+    names = {
+        "environments": sorted(name for name in gymnasium.registry if name.startswith("cathsim/")),
+        "phantoms": list(cathsim.PHANTOMS), "wires": list(cathsim.GUIDEWIRES), "catheters": list(cathsim.CATHETERS),
+        "targets of type_1": list(cathsim.load_phantom("type_1").targets),
+    }  # fmt: skip
+    say("\n".join(f"{kind}: {', '.join(found)}" for kind, found in names.items()))
+    say("models:")
+    return _models([])
+
+
+def _import(arguments: list[str]) -> int:
+    """Builds the phantom of a file by the stage phantoms, whose picture and notes say what was understood."""
+    from pipeline.launch import main as launch
+    from pipeline.settings.quoting import quoted
+
+    if not arguments or arguments[0].startswith("-"):
+        say("endonav import FILE [phantom.unit=mm phantom.labels=... name=RUN]: imports a surface, a label volume or a "
+            "folder of them, and draws it in runs/NAME/phantoms (name: import)", error=not arguments)  # fmt: skip
+        return _FINE if arguments else _USAGE
+    file, further = f"phantom.file={quoted(arguments[0])}", arguments[1:]
+    named = any(word.startswith("name=") for word in further)
+    return launch(["stage=phantoms", file, *([] if named else ["name=import"]), *further])
+
+
+def _read(arguments: list[str]) -> int:
+    from guide3d.reading.command import main as read
+
+    return read(arguments, program="endonav read")
+
+
+def _train(arguments: list[str]) -> int:
+    """Runs a stage after those that it reads."""
+    from pipeline.chain import main as chain
+
+    stages = [word for word in arguments if "=" not in word and not word.startswith("-")] or ["enn"]
+    if arguments[:1] in (["-h"], ["--help"]):
+        say("endonav train [STAGE ...] [KEY=VALUE ...]: runs stages after those that they read, such as\n"
+            "endonav train enn budget=smoke; TensorBoard's curves are in runs/NAME/STAGE")  # fmt: skip
+        return _FINE
+    return chain(["--inputs", *stages, "--", *(word for word in arguments if word not in stages)])
+
+
 def _info(arguments: list[str]) -> int:
     from pipeline.system_info import report
 
@@ -95,8 +151,9 @@ def _info(arguments: list[str]) -> int:
 # A function, or the module whose `main` takes the arguments.
 _COMMANDS: dict[str, Callable[[list[str]], int] | str] = {
     "stages": "pipeline.launch", "chain": "pipeline.chain", "episodes": "pipeline.episodes.__main__",
-    "models": _models, "demo": "pipeline.demo.__main__", "evaluate": "pipeline.protocol.command",
-    "console": "pipeline.console", "info": _info,
+    "models": _models, "demo": "pipeline.demo.__main__", "list": _list, "import": _import,
+    "read": _read, "train": _train, "new": "pipeline.templates",
+    "evaluate": "pipeline.protocol.command", "console": "pipeline.console", "info": _info,
 }  # fmt: skip
 
 

@@ -32,7 +32,8 @@ def test_help_names_every_command(words: list[str], capsys: pytest.CaptureFixtur
 def test_an_unknown_command_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main(["stage"]) == 2
     assert capsys.readouterr().err == (
-        "endonav has no command 'stage': choose from stages, chain, episodes, models, demo, evaluate, console, info\n"
+        "endonav has no command 'stage': choose from stages, chain, episodes, models, demo, list, import, read, train, "
+        "new, evaluate, console, info\n"
     )
 
 
@@ -46,6 +47,56 @@ def test_stages_and_chain_without_arguments_list_the_stages(capsys: pytest.Captu
 def test_episodes_are_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main(["episodes", "info", "nothing.mcap"]) == 2
     assert "nothing.mcap is no file" in capsys.readouterr().err
+
+
+def test_what_can_be_chosen_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert command.main(["list"]) == 0
+    printed = capsys.readouterr().out
+    assert all(f"\n{name}:" in f"\n{printed}" for name in ("environments", "phantoms", "wires", "catheters", "models"))
+    assert "cathsim/Navigate-v0" in printed
+    assert "targets of type_1: bca, lcca" in printed
+
+
+def test_a_file_of_yours_is_imported_read_or_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert command.main(["import"]) == 2
+    assert "endonav import FILE" in capsys.readouterr().err
+    assert command.main(["import", "no, file.stl"]) == 2
+    assert "phantom.file=no, file.stl is no file" in capsys.readouterr().err
+    assert command.main(["read", "nothing.png"]) == 1
+    assert "nothing.png is missing" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        command.main(["read", "--help"])
+    assert "endonav read A B --cameras" in capsys.readouterr().out
+
+
+def test_a_training_is_a_stage_after_those_that_it_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    called: list[list[str]] = []
+    monkeypatch.setattr("pipeline.chain.main", lambda words: called.append(words) or 0)
+    assert command.main(["train", "budget=smoke"]) == command.main(["train", "shape", "name=mine"]) == 0
+    assert called == [["--inputs", "enn", "--", "budget=smoke"], ["--inputs", "shape", "--", "name=mine"]]
+
+
+@pytest.mark.parametrize("kind", ["policy", "phantom"])
+def test_a_new_policy_and_a_new_phantom_pass_their_tests(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert command.main(["new", kind, "mine"]) == 0
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "test_mine.py"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout
+    assert "2 passed" in done.stdout
+    written = (tmp_path / "mine.py").read_bytes()
+    for name, sentence in (("mine", "is there already"), ("3d", "is no Python name"), ("class", "is no Python name")):
+        with pytest.raises(SystemExit) as ended:
+            command.main(["new", kind, name])
+        assert ended.value.code == 2
+        assert sentence in capsys.readouterr().err
+    assert (tmp_path / "mine.py").read_bytes() == written
 
 
 def test_models_are_listed_and_have_cards(capsys: pytest.CaptureFixture[str]) -> None:

@@ -64,6 +64,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(source, folder / "pipeline", ignore=shutil.ignore_patterns("__pycache__", "conf"))
     shutil.copytree(CONFIG_DIRECTORY, folder / "conf")
     shutil.copy(source.parent / "Makefile", folder)
+    (folder / "tests" / "pipeline" / "stages").mkdir(parents=True)
     (folder / "conf" / "stage" / "count.yaml").write_text(YAML)
     with (folder / "conf" / "sizes" / "smoke.yaml").open("a") as sizes:
         sizes.write("count: {numbers: 2}\n")
@@ -106,6 +107,23 @@ def test_two_files_and_a_line_add_a_stage(
     assert "up to date" in in_project(*python, "pipeline", "stage=count", *words, "stage.threads=2").stdout
     assert in_project(*python, "pipeline", "stage=report", "budget=smoke", "name=run").returncode == 0
     assert ">Count<" in (project / "runs" / "run" / "report" / "index.html").read_text()
+
+
+def test_a_stage_from_the_template_runs_and_has_a_table_of_its_own(
+    project: Path, in_project: Callable[..., subprocess.CompletedProcess[str]]
+) -> None:
+    made = in_project(sys.executable, "-m", "pipeline.command", "new", "stage", "ways_there")
+    assert made.returncode == 0, made.stderr
+    words = ("budget=smoke", "name=template")
+    done = in_project(sys.executable, "-m", "pipeline", "stage=ways_there", *words)
+    assert done.returncode == 0, done.stderr
+    tested = in_project(sys.executable, "-m", "pytest", "-q", "tests/pipeline/stages/test_ways_there.py")
+    assert "1 passed" in tested.stdout
+    assert in_project(sys.executable, "-m", "pipeline", "stage=report", *words).returncode == 0
+    page = (project / "runs" / "template" / "report" / "index.html").read_text()
+    assert ">Ways there<" in page
+    assert "Length of the way to each target." in page
+    assert in_project(sys.executable, "-m", "pipeline.command", "new", "stage", "ways_there").returncode == 2
 
 
 @pytest.mark.parametrize(

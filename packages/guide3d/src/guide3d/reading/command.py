@@ -58,6 +58,7 @@ from guide3d.reading.pair_reading import (
 from guide3d.reconstruction.matching import clearly_better
 
 _TOLD_EVERY_S = 5.0
+_PROGRAM = "python -m guide3d.read"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +67,11 @@ class _Geometry:
     distortions: tuple[Distortion, Distortion] | None
 
 
-def arguments(words: Sequence[str] | None) -> argparse.Namespace:
+def arguments(words: Sequence[str] | None, program: str) -> argparse.Namespace:
     """Understands the command line."""
+    description = (__doc__ or "").replace(_PROGRAM, program)
     parser = argparse.ArgumentParser(
-        prog="python -m guide3d.read", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog=program, description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("a", type=Path, metavar="A", help="image of camera A, or the only one")
     parser.add_argument("b", type=Path, metavar="B", nargs="?", help="image of camera B at the same moment")
@@ -84,9 +86,9 @@ def arguments(words: Sequence[str] | None) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def main(words: Sequence[str] | None = None) -> int:
+def main(words: Sequence[str] | None = None, program: str = _PROGRAM) -> int:
     """Runs the command line; returns its exit code."""
-    given = arguments(words)
+    given = arguments(words, program)
     try:
         _run(given)
     except (ImportError, OSError, ValueError) as error:
