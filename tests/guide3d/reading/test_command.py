@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -69,17 +70,42 @@ def test_one_image_is_written_as_curve_and_overlay(data: Path, tmp_path: Path) -
     assert cv2.imread(str(tmp_path / "out" / "overlay.png")).shape == (1024, 1024, 3)
 
 
+def _points_of_polydata(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Points and deviations of a poly-line through all points; VTK reads the same, where it is installed."""
+    piece = ElementTree.parse(path).getroot().find("PolyData/Piece")
+    points = np.array(piece.findtext("Points/DataArray").split(), float).reshape(-1, 3)
+    deviations = np.array(piece.findtext("PointData/DataArray").split(), float)
+    try:
+        from vtkmodules.util.numpy_support import vtk_to_numpy
+        from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
+    except ModuleNotFoundError:
+        return points, deviations
+    reader = vtkXMLPolyDataReader()
+    reader.SetFileName(str(path))
+    reader.Update()
+    content = reader.GetOutput()
+    assert (content.GetNumberOfLines(), content.GetCell(0).GetNumberOfPoints()) == (1, len(points))
+    assert np.array_equal(vtk_to_numpy(content.GetPoints().GetData()), points)
+    return points, vtk_to_numpy(content.GetPointData().GetArray("sd_mm"))
+
+
 @pytest.mark.parametrize("cameras", ["cameras", "named"])
 def test_two_images_are_written_as_a_wire_in_space(cameras: str, data: Path, tmp_path: Path) -> None:
     words = [str(data / "a.png"), str(data / "b.png"), "--cameras", str(data / cameras), "--output", str(tmp_path)]
     assert command.main(words) == 0
-    names = {"curve.csv", "curve.json", "overlay_a.png", "overlay_b.png", "view.html"}
+    names = {"curve.csv", "curve.json", "curve.mrk.json", "curve.vtp", "overlay_a.png", "overlay_b.png", "view.html"}
     assert {file.name for file in tmp_path.iterdir()} == names
     table, record = _table(tmp_path / "curve.csv"), json.loads((tmp_path / "curve.json").read_text())
     assert np.hypot(*(table[0, 1:3] - SCENE.curve_mm[0, :2])) < 2.0
     assert np.abs(table[:, 1:4] - record["curve_mm"]).max() < 1e-3
     assert record["accepted"]
     assert np.shape(record["covariance_mm2"]) == (len(table), 3, 3)
+    [markup] = json.loads((tmp_path / "curve.mrk.json").read_text())["markups"]
+    assert (markup["type"], markup["coordinateSystem"], markup["coordinateUnits"]) == ("Curve", "LPS", "mm")
+    assert [point["position"] for point in markup["controlPoints"]] == record["curve_mm"]
+    points, deviations = _points_of_polydata(tmp_path / "curve.vtp")
+    assert np.abs(points - record["curve_mm"]).max() < 1e-3
+    assert np.abs(deviations - record["sd_mm"]).max() < 1e-3
     page = (tmp_path / "view.html").read_text()
     assert "http://" not in page
     assert "https://" not in page

@@ -14,6 +14,7 @@ Written to the output folder, each file whole or not at all:
 
     curve.csv               the curve, tip first: s, x, y, z, standard deviation in mm; of one image px and confidence
     curve.json              all of it: covariances, both images' curves, candidates, messages
+    curve.mrk.json, .vtp    of two images: the curve for 3D Slicer and for VTK
     overlay_a.png, _b.png   the images with the curve, green where certain, red where guessed (overlay.png of one image)
     view.html               the wire in space, to be turned with the mouse
     frames.csv, frames.json of a sequence instead: a row a frame, and the curves
@@ -37,6 +38,8 @@ from guide3d.image_file import write_png
 from guide3d.reading.image_reading import ImageReading, MapReader, read, shipped_reader
 from guide3d.reading.image_source import Image, Source, dicom_cameras
 from guide3d.reading.output.curve_files import (
+    curve_markups,
+    curve_polydata,
     curve_table,
     frame_row,
     frame_table,
@@ -183,6 +186,8 @@ def _write_pair(given: argparse.Namespace, images: Sequence[Image], reading: Pai
     page = space_page([reading], pictures, f"Wire in {given.a.name} and {given.b.name}")
     write_text(curve_table(reading), given.output / "curve.csv")
     write_record(pair_record(reading), given.output / "curve.json")
+    write_record(curve_markups(reading), given.output / "curve.mrk.json")
+    write_text(curve_polydata(reading), given.output / "curve.vtp")
     for letter, picture in zip("ab", pictures, strict=True):
         write_png(picture, given.output / f"overlay_{letter}.png")
     write_text(page, given.output / "view.html")

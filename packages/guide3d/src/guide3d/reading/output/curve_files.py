@@ -1,4 +1,4 @@
-"""Readings as files: the curve as a table (CSV), everything about it as JSON, a sequence as one row a frame."""
+"""Readings as files: the curve as a table (CSV), for 3D Slicer and VTK, all of it as JSON; a sequence a row a frame."""
 
 from __future__ import annotations
 
@@ -31,6 +31,37 @@ def curve_table(reading: ImageReading | PairReading) -> str:
         columns = ["s_px", "x_px", "y_px", "confidence", "sd_px"]
         values = [arc_length(reading.points_px), *reading.points_px.T, reading.confidence, reading.sd_px]
     return _csv(columns, ([f"{value:.4f}" for value in row] for row in np.stack(values, axis=1)))
+
+
+def curve_markups(reading: PairReading) -> dict[str, Any]:
+    """The curve in space as a markups file of 3D Slicer (`.mrk.json`, schema 1.0.3): an open curve, LPS, mm, tip first.
+
+    The axes are those of the cameras' world, taken as LPS.
+    """
+    points = [
+        {"id": str(number), "label": "tip" if number == 1 else "", "position": _rounded(point, 4)}
+        for number, point in enumerate(reading.curve_mm, start=1)
+    ]
+    curve = {"type": "Curve", "coordinateSystem": "LPS", "coordinateUnits": "mm", "controlPoints": points}
+    schema = "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    return {"@schema": f"{schema}markups-schema-v1.0.3.json#", "markups": [curve]}
+
+
+def curve_polydata(reading: PairReading) -> str:
+    """The curve in space as a poly-line of VTK's XML format (`.vtp`), mm, tip first, with its standard deviation."""
+    count = len(reading.curve_mm)
+    numbers = " ".join(f"{value:.4f}" for value in reading.curve_mm.ravel())
+    deviations = " ".join(f"{value:.4f}" for value in reading.sd_mm)
+    order = " ".join(map(str, range(count)))
+    return (
+        '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian"><PolyData>'
+        f'<Piece NumberOfPoints="{count}" NumberOfLines="1">'
+        f'<PointData><DataArray type="Float64" Name="sd_mm" format="ascii">{deviations}</DataArray></PointData>'
+        f'<Points><DataArray type="Float64" NumberOfComponents="3" format="ascii">{numbers}</DataArray></Points>'
+        f'<Lines><DataArray type="Int64" Name="connectivity" format="ascii">{order}</DataArray>'
+        f'<DataArray type="Int64" Name="offsets" format="ascii">{count}</DataArray></Lines>'
+        "</Piece></PolyData></VTKFile>\n"
+    )
 
 
 def image_record(reading: ImageReading) -> dict[str, Any]:
