@@ -43,6 +43,7 @@ USES = [
     ("guide3d[learning]", "torch", "import guide3d.train_reader"),
     ("guide3d[learning]", "torch", "import guide3d.modeling.unet"),
     ("guide3d[learning]", "torch", "import guide3d.reading.maps"),
+    ("enn[onnx]", "onnx", "from enn.export import _require; _require('onnx')"),
     ("splineformer[onnx]", "onnx", "from splineformer.export import _require; _require('onnx')"),
 ]
 FILES = ("labels.mha", "labels.nii.gz", "labels.nrrd", "run.dcm")

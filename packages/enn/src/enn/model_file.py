@@ -85,11 +85,16 @@ def write_model(path: Path, content: dict[str, Any]) -> None:
     spoilt = _not_finite(content)
     if spoilt is not None:
         raise ValueError(f"{path} was not written: {spoilt} is not finite; train it again with a lower learning rate")
+    write_whole(path, encoded(content))
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Writes a file at once, in a folder that is made when missing: a reader sees the former file or this one."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     temporary.unlink(missing_ok=True)  # a link of that name would be written through
     try:
-        temporary.write_bytes(encoded(content))
+        temporary.write_bytes(content)
         os.replace(temporary, path)
     except BaseException:
         temporary.unlink(missing_ok=True)

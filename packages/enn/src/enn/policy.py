@@ -99,7 +99,7 @@ class Policy:
                 without a generator.
         """
         with torch.inference_mode():
-            mean, log_std = action_distribution(self.module, self._encoded(observations))
+            mean, log_std = action_distribution(self.module, self._encoded(self._tensors(observations)))
             raw = mean.cpu().numpy()
             if not deterministic:
                 if generator is None:
@@ -110,17 +110,24 @@ class Policy:
             raw = (self._low + 0.5 * (np.tanh(raw) + 1.0) * (self._high - self._low)).astype(np.float32)
         return np.asarray(raw.clip(self._low, self._high), np.float32)
 
+    def mean_action(self, observations: dict[str, Tensor] | Tensor) -> Tensor:
+        """As the deterministic `act_batch`, of tensors on the policy's device, which are not checked."""
+        raw, _ = action_distribution(self.module, self._encoded(observations))
+        low, high = (torch.as_tensor(bound, device=raw.device) for bound in (self._low, self._high))
+        if self.network.algorithm == "sac":
+            raw = low + 0.5 * (torch.tanh(raw) + 1.0) * (high - low)
+        return raw.clamp(low, high)
+
     def features(self, observations: Observation) -> NDArray[np.float32]:
         """The features Z that the decision rests on, for observations with a leading N. Shape (N, features)."""
         with torch.inference_mode():
-            return actor_features(self.module, self._encoded(observations)).cpu().numpy()
+            return actor_features(self.module, self._encoded(self._tensors(observations))).cpu().numpy()
 
     def controller(self, deterministic: bool = True, seed: int = 0) -> PolicyController:
         """The policy over an episode, with its action repeat; call `reset()` at the start of each."""
         return PolicyController(self, deterministic, seed)
 
-    def _encoded(self, observations: Observation) -> dict[str, Tensor] | Tensor:
-        tensors = self._tensors(observations)
+    def _encoded(self, tensors: dict[str, Tensor] | Tensor) -> dict[str, Tensor] | Tensor:
         if self.encoder is None or not isinstance(tensors, dict):
             return tensors
         features = self.encoder({key: tensors[key] for key in self.encoder.keys})
