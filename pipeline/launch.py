@@ -5,12 +5,15 @@ The task function lives here and not in ``__main__`` because sweep launchers pic
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import logging
 import os
 import re
+import shutil
 import signal
 import sys
+from pathlib import Path
 from types import FrameType
 
 from hydra import main as hydra_main
@@ -152,9 +155,21 @@ def task(composed: DictConfig) -> None:
     except (PipelineError, OSError, ValidationError) as error:
         _LOGGER.debug("where it failed", exc_info=True)  # shown with hydra.verbose=true
         if not in_sweep:
+            if not isinstance(error, OSError):
+                _remove_record(Path(hydra.runtime.output_dir))
             raise _Stop(error) from error
         _LOGGER.error("%s failed: %s", variant_of(overrides) or composed.stage.name, one_line(error, overrides))
         raise
+
+
+def _remove_record(folder: Path) -> None:
+    """Removes what Hydra wrote, ``RUN/.hydra/STAGE``, where the run was refused before its stage had any folder."""
+    record, run = folder.parents[:2]
+    if not any(run.glob(folder.name)) and not any(run.glob(f"{folder.name}@*")):
+        shutil.rmtree(folder)
+        with contextlib.suppress(OSError):  # not empty
+            record.rmdir()
+            run.rmdir()
 
 
 def main(arguments: list[str]) -> int:

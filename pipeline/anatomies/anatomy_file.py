@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
     from cathsim.fluoroscopy import XRayScene
 
+KINDS = (  # of files and folders
+    "surface (STL, VTP, VTK, GLB, …), label volume (NIfTI, NRRD, MetaImage, DICOM) or folder with one file a vessel"
+)
 RESOLUTION = 1e-3  # m, of the distance grid
 _LONGEST_NAME = 60  # letters of a name that is made of a path
 _KEPT = 4  # phantoms of files that a process keeps

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from annotated_types import Len
 
-from pipeline.anatomies.anatomy_file import AnatomyFile, in_settings, world_point
+from pipeline.anatomies.anatomy_file import KINDS, AnatomyFile, in_settings, world_point
 from pipeline.anatomies.devices import fitted_task
 from pipeline.settings import kinds
 from pipeline.store.errors import ConfigurationError
@@ -112,10 +112,7 @@ class FileSettings:
         self.file_name = self.file_sha256 = self.ct_sha256 = None
         if self.file is not None:
             if not (Path(self.file).is_file() or Path(self.file).is_dir()):
-                raise ConfigurationError(
-                    f"phantom.file={self.file} is no file: give the path of a surface (STL, VTP, VTK, GLB, …), of a "
-                    "label volume (NIfTI, NRRD, MetaImage, DICOM), or of a folder with one file a vessel"
-                )
+                raise ConfigurationError(f"phantom.file={self.file} is no file: give the path of a {KINDS}")
             self.file_name = AnatomyFile(self.file).name
             self.file_sha256 = hash_anatomy(Path(self.file))
         for name in _OF_A_FILE:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from pipeline.anatomies.anatomy_file import KINDS
 from pipeline.printing import Parser, written
 from pipeline.seeds import ARCHES
 from pipeline.store.errors import PipelineError
@@ -91,9 +92,7 @@ def _parser() -> argparse.ArgumentParser:
         "it has never seen, or through yours; "
         "film, log and page of the episode go to a folder.",
     )
-    parser.add_argument(
-        "--anatomy", metavar="FILE", help="surface, label volume or folder with an aorta; default: a random arch"
-    )
+    parser.add_argument("--anatomy", metavar="FILE", help=f"{KINDS}; default: a random arch")
     parser.add_argument("--unit", choices=("m", "cm", "mm", "inch"), help="of a surface; detected when left out")
     parser.add_argument("--ct", metavar="FILE", help="that the anatomy was segmented from: shown by the X-ray images")
     parser.add_argument("--target", help="branch to steer to; default: the first of bca, lcca, lsa that is there")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
+from pipeline.anatomies.anatomy_file import KINDS, AnatomyFile, load_anatomy
 from pipeline.anatomies.devices import WITH_POLICIES, best_in_copies, catheter_better_mm, set_back_mm, softened
 from pipeline.anatomies.settings import TARGETS
 from pipeline.seeds import ARCHES, held_out_seeds, unseen_arches
@@ -262,8 +262,5 @@ def _environment(
 
 def _file(path: str, unit: str | None, ct: str | None) -> AnatomyFile:
     if not Path(path).exists():
-        raise ConfigurationError(
-            f"there is no anatomy {path}: give the path of a surface (STL, VTP, VTK, GLB, …), of a label volume "
-            "(NIfTI, NRRD, MetaImage, DICOM), or of a folder with one file a vessel"
-        )
+        raise ConfigurationError(f"there is no anatomy {path}: give the path of a {KINDS}")
     return AnatomyFile.of(path, unit, ct=ct)

@@ -70,16 +70,15 @@ class Anatomy:
 
 
 def check_phantoms(settings: PhantomsSettings) -> None:
-    """Refuses unknown phantoms and units with a `ConfigurationError` that lists the valid ones."""
-    if settings.file is not None:
-        from cathsim.anatomy.mesh.reading import check_unit
-
-        try:
-            check_unit(settings.unit)
-        except ValueError as error:
-            raise ConfigurationError(str(error)) from error
+    """Refuses unknown phantoms, and a file that cannot be imported, with a `ConfigurationError`."""
+    if (file := settings.anatomy_file) is None:
+        require_known_phantoms(settings.phantoms, hint="; random ones by stage.random_seeds=[0,1]")
         return
-    require_known_phantoms(settings.phantoms, hint="; random ones by stage.random_seeds=[0,1]")
+    try:
+        file.load(settings.resolution_mm / _MM)
+        file.room()
+    except ValueError as error:
+        raise ConfigurationError(f"phantom {file.name} cannot be built: {in_settings(error)}") from error
 
 
 def run_phantoms(settings: PhantomsSettings, context: StageContext) -> Results:

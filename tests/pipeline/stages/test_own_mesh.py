@@ -51,6 +51,9 @@ def test_a_mesh_is_built_once(arch: Path, tmp_path: Path, capfd: pytest.CaptureF
     written = manifest.stat().st_mtime_ns
     assert main(arguments) == 0
     assert manifest.stat().st_mtime_ns == written
+    (tmp_path / "text.stl").write_text("no mesh at all")
+    assert main(["stage=phantoms", f"phantom.mesh={tmp_path / 'text.stl'}", arguments[-1]]) == 2
+    assert manifest.stat().st_mtime_ns == written, "earlier results stay where they are"
 
 
 def test_a_folder_counts_by_its_files(tmp_path: Path):
@@ -88,6 +91,7 @@ def test_wrong_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert "text.stl cannot be read as a mesh: it begins as no STL file" in capsys.readouterr().err
     assert main(["stage=phantoms", f"phantom.mesh={text}", "phantom.unit=foot", f"runs_dir={tmp_path / 'runs'}"]) == 2
     assert "unknown unit 'foot'; choose from m, cm, mm, inch" in capsys.readouterr().err
+    assert not list((tmp_path / "runs").rglob("*")), "nothing is left of what was refused"
 
 
 def test_what_an_import_advises_is_named_as_settings():
