@@ -223,6 +223,13 @@ def is_other(text: str) -> bool:
     return not vessel_name(text) and any(word in _OTHER or word.removesuffix("s") in _OTHER for word in _words(text))
 
 
+def name_of_segment(label: str, meanings: Iterable[str]) -> str:
+    """A segment's label, or, where that says nothing, the first of its codes' meanings that is an artery's."""
+    if vessel_name(label) or is_other(label):
+        return label
+    return next(filter(vessel_name, meanings), label)
+
+
 def not_taken(texts: Iterable[str], what: str) -> tuple[str, ...]:
     """A note on names that are no known artery's, those that resemble one first; none where all are.
 

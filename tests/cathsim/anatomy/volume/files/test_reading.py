@@ -81,25 +81,19 @@ def test_nrrd_in_either_space(tmp_path: Path, space: str, encoding: str) -> None
     np.testing.assert_array_equal(volume.vessels[:10, :10, :], 1)
 
 
-def test_segments_of_slicer_in_layers_may_overlap(tmp_path: Path) -> None:
-    labels = tubes()
-    layers = np.stack([np.where(labels > 0, 1, 0), np.where(labels == 58, 1, 0)]).astype(np.uint8)
-    header = {
-        "space": "left-posterior-superior",
-        "kinds": ["list", "domain", "domain", "domain"],
-        "space directions": np.vstack([[np.nan] * 3, AFFINE[:3, :3].T]),
-        "space origin": AFFINE[:3, 3],
-        "Segment0_Name": "Aorta",
-        "Segment0_LabelValue": "1",
-        "Segment0_Layer": "0",
-        "Segment1_Name": "Left common carotid artery",
-        "Segment1_LabelValue": "1",
-        "Segment1_Layer": "1",
-    }
-    nrrd.write(str(tmp_path / "a.seg.nrrd"), layers, header)
-    volume = read_labels(tmp_path / "a.seg.nrrd")
+def test_segments_of_slicer_in_layers_may_overlap_and_are_named_by_their_codes(tmp_path: Path) -> None:
+    # Written by slicerio 1.4.0: two segments with automatic names, in a second layer a thrombus over both.
+    path = Path(__file__).parent / "slicer" / "overlapping.seg.nrrd"
+    volume, labels = read_labels(path), tubes()
     assert volume.names == ("aorta", "lcca")
-    assert np.count_nonzero(volume.vessels == 2) == np.count_nonzero(labels == 58)
+    assert any(note.endswith("thrombus") for note in volume.notes)
+    for number, label in ((1, 52), (2, 58)):
+        np.testing.assert_array_equal(volume.vessels == number, (labels == label)[10:30, 10:20])
+    np.testing.assert_allclose(volume.affine[:3] @ [0, 0, 0, 1], 1e-3 * (AFFINE[:3] @ [10, 10, 0, 1]))
+    np.testing.assert_array_equal(volume.frame, np.eye(3))
+    fractions = tmp_path / "fractions.seg.nrrd"
+    fractions.write_bytes(path.read_bytes().replace(b"Representation:=Binary", b"Representation:=Fractional"))
+    refused(fractions, "fractions of segments")
 
 
 def test_names_in_the_header_of_totalsegmentator(tmp_path: Path) -> None:

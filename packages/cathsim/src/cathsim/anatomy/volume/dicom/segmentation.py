@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.vessel_names import is_other, vessel_name
+from cathsim.anatomy.vessel_names import name_of_segment
 from cathsim.anatomy.volume.dicom.files import CONVERTERS, Array, attribute, axes_of, numbers, read_dicom
 from cathsim.anatomy.volume.files.source import LARGEST, Slab, VolumeSource
 from cathsim.anatomy.volume.files.stream import BROKEN, in_words
@@ -121,9 +121,7 @@ def _frames(path: Path, header: Any, some: list[int]) -> Iterator[tuple[int, NDA
 
 def _name(segment: Any) -> str:
     """What a segment is called: its label, or its coded structure with its side where the label says nothing."""
-    label = str(segment.get("SegmentLabel", "")).strip()
-    if vessel_name(label) or is_other(label):
-        return label
+    meanings = []
     for sequence in ("SegmentedPropertyTypeCodeSequence", "AnatomicRegionSequence"):
         for coded in segment.get(sequence, []):
             sides = [
@@ -131,10 +129,8 @@ def _name(segment: Any) -> str:
                 for key in ("SegmentedPropertyTypeModifierCodeSequence", "AnatomicRegionModifierSequence")
                 for side in [*coded.get(key, []), *segment.get(key, [])]
             ]
-            meaning = " ".join([*dict.fromkeys(sides), str(coded.get("CodeMeaning", ""))])
-            if vessel_name(meaning):
-                return meaning
-    return label
+            meanings.append(" ".join([*dict.fromkeys(sides), str(coded.get("CodeMeaning", ""))]))
+    return name_of_segment(str(segment.get("SegmentLabel", "")).strip(), meanings)
 
 
 class Layers:

@@ -1,7 +1,7 @@
 """Label volumes and CTs in NRRD files, segmentations of 3D Slicer among them, read slab by slab.
 
 Source: Teem's definition of the NRRD format (space, space directions, space origin); 3D Slicer's .seg.nrrd, whose
-fields SegmentN_Name, SegmentN_LabelValue and SegmentN_Layer name the labels.
+fields SegmentN_Name, SegmentN_LabelValue and SegmentN_Layer name the labels, or the codes in SegmentN_Tags.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
+from cathsim.anatomy.vessel_names import name_of_segment
 from cathsim.anatomy.volume.files.detached import named_files
 from cathsim.anatomy.volume.files.source import UNIT_METRES, Slab, VolumeSource
 from cathsim.anatomy.volume.files.stream import BROKEN, SLAB_BYTES, ValueStream, in_words
@@ -30,7 +31,7 @@ _SPACES = {
     "left-anterior-superior": "LAS",
     "las": "LAS",
 }
-_SEGMENT = re.compile(r"^Segment(\d+)_(Name|LabelValue|Layer|ID)$")
+_SEGMENT = re.compile(r"^Segment(\d+)_(Name|LabelValue|Layer|ID|Tags)$")
 
 Array = NDArray[np.float64]
 
@@ -61,6 +62,8 @@ def open_nrrd(path: Path) -> VolumeSource:
         raise
     except (*BROKEN, nrrd.errors.NRRDError) as error:
         raise MeshRefusedError(f"{path.name} is no sound NRRD file ({in_words(error)}); export it again.") from None
+    if str(header.get("Segmentation_MasterRepresentation", "")).startswith("Fractional"):
+        raise MeshRefusedError(f"{path.name} holds fractions of segments; save it as binary label maps in 3D Slicer.")
     layer_axis, affine, notes = _axes(path, header, sizes)
     world = _SPACES.get(str(header.get("space", "")).lower(), "")
     if not world:
@@ -172,8 +175,19 @@ def _segments(header: dict[str, Any]) -> dict[tuple[int, int], str]:
             place = (int(segment.get("Layer", 0)), int(segment.get("LabelValue", number + 1)))
         except ValueError:
             continue
-        named[place] = segment.get("Name", segment.get("ID", ""))
+        named[place] = name_of_segment(segment.get("Name", segment.get("ID", "")), _meanings(segment.get("Tags", "")))
     return named
+
+
+def _meanings(tags: str) -> list[str]:
+    """What a segment's codes of type and region mean, each with its modifier, of a side.
+
+    They are written TerminologyEntry:CONTEXT~CATEGORY~TYPE~MODIFIER~CONTEXT~REGION~MODIFIER, a code
+    SCHEME^VALUE^MEANING, between vertical bars.
+    """
+    entry = next((tag for tag in tags.split("|") if tag.startswith("TerminologyEntry:")), "")
+    kind, side, _, region, its_side = (code.split("^")[-1] for code in (entry + "~" * 6).split("~")[2:7])
+    return [f"{side} {kind}", f"{its_side} {region}"]
 
 
 def _values_place(path: Path, header: dict[str, Any]) -> tuple[Path, str, int, int]:
