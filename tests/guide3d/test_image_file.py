@@ -181,6 +181,18 @@ def test_damage_in_the_middle_of_a_jpeg_is_refused(
     assert capfd.readouterr().err == ""
 
 
+def test_the_checksums_of_a_packed_tiff_are_reached(tmp_path: Path) -> None:
+    noise = np.random.default_rng(4).integers(0, 256, (96, 128), np.uint8)
+    for bit in range(0, 800, 97):
+        tifffile.imwrite(tmp_path / "image.tif", noise, compression="zlib", rowsperstrip=40)
+        whole = bytearray((tmp_path / "image.tif").read_bytes())
+        assert np.array_equal(read_grey_levels(tmp_path / "image.tif"), noise)
+        whole[len(whole) // 2 + bit // 8] ^= 1 << bit % 8
+        (tmp_path / "image.tif").write_bytes(whole)
+        with pytest.raises(ImageError, match=r"image.tif cannot be read: it is damaged"):
+            read_grey_levels(tmp_path / "image.tif")
+
+
 def test_a_damaged_run_length_bmp_is_one_sentence(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "image.bmp"
     Image.fromarray(GREY).save(path)

@@ -17,9 +17,11 @@ pydicom = pytest.importorskip("pydicom", reason="the extra guide3d[dicom] is not
 from pydicom.data import get_testdata_file  # noqa: E402
 from pydicom.pixels import apply_voi, apply_windowing  # noqa: E402
 from pydicom.sequence import Sequence  # noqa: E402
-from pydicom.uid import ImplicitVRLittleEndian, JPEGLosslessSV1, RLELossless  # noqa: E402
+from pydicom.uid import ImplicitVRLittleEndian, JPEGBaseline8Bit, JPEGLosslessSV1, RLELossless  # noqa: E402
 
 from guide3d.dicom.run_folder import read_xray  # noqa: E402
+from guide3d.opencv import cv2  # noqa: E402
+from guide3d.reading.grey_image import _eight_bits  # noqa: E402
 from tests.guide3d.dicom.lossless_jpeg import encode_lossless  # noqa: E402
 from tests.guide3d.dicom.written_xray import (  # noqa: E402
     ENHANCED_XA,
@@ -43,8 +45,10 @@ def test_frames_come_back_as_stored(bits: int, count: int, tmp_path: Path) -> No
     run = read_xray(write(xray_dataset(frames, bits, **changed), tmp_path / "run.dcm"))
     assert np.array_equal(run.frames, frames)
     assert run.frames.dtype == frames.dtype
-    # without a window the whole range is shown, 0 black
-    assert np.array_equal(run.images(), np.rint(frames * (255 / (2**bits - 1))).astype(np.uint8))
+    # without a window grey values are shown as those of other images, by their content if there are more than 255
+    shown = frames if bits == 8 else _eight_bits(frames, [])
+    assert np.abs(run.images().astype(int) - shown).max() <= 1
+    assert [said.split(":")[0] for said in run.warnings] == (["it has no window"] if bits > 8 else [])
     assert len(run) == count
 
 
@@ -177,6 +181,20 @@ def test_run_length_coding_is_read(tmp_path: Path) -> None:
     dataset = xray_dataset(frames, 10)
     dataset.compress(RLELossless)
     assert np.array_equal(read_xray(write(dataset, tmp_path / "run.dcm")).frames, frames)
+
+
+def test_damage_in_the_middle_of_a_jpeg_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("PIL", reason="pydicom decodes JPEG by Pillow")
+    frames = frames_of(2, 96, 128)
+    dataset = xray_dataset(frames)
+    dataset.file_meta.TransferSyntaxUID = JPEGBaseline8Bit
+    codes = [cv2.imencode(".jpg", frame)[1].tobytes() for frame in frames]
+    dataset.PixelData = pydicom.encaps.encapsulate(codes)
+    read = read_xray(write(dataset, tmp_path / "run.dcm")).frames
+    assert np.abs(read.astype(float) - frames).mean() < 20
+    dataset.PixelData = pydicom.encaps.encapsulate([codes[0], codes[1][:2000] + bytes(400) + codes[1][2400:]])
+    with pytest.raises(ValueError, match=r"run\.dcm: the compressed pictures are damaged$"):
+        read_xray(write(dataset, tmp_path / "run.dcm"))
 
 
 def lossless_file(path: Path, frames: np.ndarray, bits: int) -> Path:

@@ -60,6 +60,19 @@ def test_films_that_promise_more_frames_say_both_numbers(tmp_path: Path) -> None
     assert source.notes == [f"cut.avi: its header promises 20 frames, {count} of them are there: the film is cut off"]
 
 
+@pytest.mark.parametrize("code", ["MJPG", "FFV1", "mp4v"])
+def test_films_whose_decoder_fills_up_what_is_missing_say_so(code: str, tmp_path: Path) -> None:
+    writer = cv2.VideoWriter(str(tmp_path / "noise.avi"), cv2.VideoWriter.fourcc(*code), 10, (64, 64))
+    for image in np.random.default_rng(0).integers(0, 256, (9, 64, 64, 3), np.uint8):
+        writer.write(image)
+    writer.release()
+    whole = (tmp_path / "noise.avi").read_bytes()
+    (tmp_path / "noise.avi").write_bytes(whole[: len(whole) // 2] + bytes(60) + whole[len(whole) // 2 + 60 :])
+    source = Source(tmp_path / "noise.avi")
+    assert len(list(source.images())) == 9
+    assert source.notes == ["noise.avi: it is damaged: some frames show what its decoder filled up"]
+
+
 def test_pages_of_a_tiff_are_frames(tmp_path: Path) -> None:
     pages = [RAMP, RAMP[::-1], RAMP.T]
     cv2.imwritemulti(str(tmp_path / "three.tif"), pages)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import os
 import re
 import tempfile
 import threading
 import zlib
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +22,16 @@ from guide3d.opencv import cv2
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _PNG, _JPEG, _BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
+_DEFLATE = (8, 32946)  # numbers of this compression in a TIFF
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # libjpeg's words
 _DAMAGE = re.compile(rb"Corrupt JPEG data|Premature end of JPEG|Inconsistent progression|Invalid SOS")
 _PRINTING = threading.Lock()  # of this process's standard error
 _LARGEST_PX = 16_384  # of a side; a few bytes of a file can claim more than memory holds
+_SATURATED = 0.999  # share of pixels below the highest level; where fewer are, that is no level of the image
+_BRIGHTEST = 2.0  # above the brightest twentieth, as a share of the range without it: more are burnt-in letters
+_PEDESTAL = 0.5  # of the range: so much light is kept below the darkest pixels, where a constant is in all of them
+SHOWN_WHITE = 235  # of 255, that the upper end of `shown_range` becomes
 _LARGEST_FILE = 2 << 30  # bytes; TIFFs of many pages
 
 GreyLevels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
@@ -33,6 +39,14 @@ GreyLevels = NDArray[np.uint8] | NDArray[np.uint16] | NDArray[np.float32]
 
 class ImageError(ValueError):
     """An image is missing, damaged, or of another size than it should have."""
+
+
+class _Page(NamedTuple):
+    """A page of a TIFF."""
+
+    number: int
+    white_is_zero: bool
+    packed: list[tuple[int, int]]  # first byte and bytes of what zlib has packed
 
 
 def read_grey_levels(path: str | Path) -> GreyLevels:
@@ -94,6 +108,47 @@ def eight_bits(levels: GreyLevels) -> NDArray[np.uint8]:
     if low < 0 or not top:
         raise ImageError(f"expected grey values from 0 to 1, 255 or 65535, found {low:g} to {high:g}")
     return np.rint(levels * (255.0 / top)).astype(np.uint8)
+
+
+def shown_range(levels: NDArray[np.generic]) -> tuple[float, float]:
+    """Levels that are shown black and nearly white of an image of more than 8 bits: those of its own content.
+
+    Args:
+        levels: (..., h, w), 0 black.
+    """
+    sample = np.sort(levels[..., ::4, ::4], axis=None)
+    saturated = np.searchsorted(sample, sample[-1])
+    if len(sample) // 2 < saturated < _SATURATED * len(sample):
+        sample = sample[:saturated]
+    low, dark, bright, high = (float(level) for level in np.percentile(sample, (0.1, 5, 95, 99.9)))
+    high = min(high, bright + _BRIGHTEST * (bright - dark))
+    if high <= low:
+        low, high = float(levels.min()), float(levels.max())
+    # a level of zero means no light, so it stays where it is unless it is far below all others
+    return min(low, max(low - _PEDESTAL * (high - low), 0.0)), high
+
+
+def is_damaged_jpeg(data: bytes) -> bool:
+    """Whether its decoder misses data in the middle of a JPEG."""
+    with words_printed() as words, contextlib.suppress(cv2.error):
+        cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_GRAYSCALE_8)
+    return _DAMAGE.search(words) is not None
+
+
+@contextlib.contextmanager
+def words_printed() -> Iterator[bytearray]:
+    """Keeps what decoders print on standard error, which some tell of damage by alone; filled at the block's end."""
+    words = bytearray()
+    with _PRINTING, tempfile.TemporaryFile() as printed:
+        former = os.dup(2)
+        os.dup2(printed.fileno(), 2)
+        try:
+            yield words
+        finally:
+            os.dup2(former, 2)
+            os.close(former)
+            printed.seek(0)
+            words += printed.read()
 
 
 def encode_png(image: NDArray[np.uint8] | NDArray[np.uint16]) -> bytes:
@@ -159,18 +214,11 @@ def _content(path: Path) -> bytes:
 
 
 def _without_prints(path: Path, data: bytes, colours: bool) -> GreyLevels:
-    """As `_decoded`; refuses a JPEG in whose middle the decoder misses data, of which it tells by print alone."""
-    with _PRINTING, tempfile.TemporaryFile() as printed:
-        former = os.dup(2)
-        os.dup2(printed.fileno(), 2)
-        try:
-            levels = _decoded(path, data, colours)
-        finally:
-            os.dup2(former, 2)
-            os.close(former)
-        printed.seek(0)
-        if data.startswith(_JPEG) and _DAMAGE.search(printed.read()):
-            raise ImageError(f"image {path} cannot be read: it is damaged")
+    """As `_decoded`; refuses a JPEG in whose middle the decoder misses data."""
+    with words_printed() as words:
+        levels = _decoded(path, data, colours)
+    if data.startswith(_JPEG) and _DAMAGE.search(words):
+        raise ImageError(f"image {path} cannot be read: it is damaged")
     return levels
 
 
@@ -220,14 +268,16 @@ def _only_page(path: Path, data: bytes, colours: bool) -> GreyLevels:
     return _page(path, data, pages[0], colours)
 
 
-def _pages(path: Path, data: bytes) -> tuple[list[tuple[int, bool]], int]:
-    """Number of each page that has the first one's size, and whether its white is zero; how many have another size."""
+def _pages(path: Path, data: bytes) -> tuple[list[_Page], int]:
+    """The pages that have the first one's size; how many have another size."""
     import tifffile
 
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             whole = [page.aspage() for page in file.pages]
             found = [(page.imagewidth, page.imagelength, page.photometric == 0, page.is_reduced) for page in whole]
+            packed = [list(zip(page.dataoffsets, page.databytecounts, strict=False)) if page.compression in _DEFLATE
+                      else [] for page in whole]  # fmt: skip
     except Exception:  # a damaged file raises a dozen kinds
         found = []
     if not found:
@@ -235,14 +285,19 @@ def _pages(path: Path, data: bytes) -> tuple[list[tuple[int, bool]], int]:
     fault = _fault_of_sides(*found[0][:2])
     if fault:
         raise ImageError(f"image {path} cannot be read: {fault}")
-    pages = [(number, bool(white)) for number, (*size, white, _) in enumerate(found) if size == list(found[0][:2])]
+    pages = [_Page(number, bool(white), packed[number]) for number, (*size, white, _) in enumerate(found)
+             if size == list(found[0][:2])]  # fmt: skip
     return pages, sum(not reduced for *_, reduced in found) - len(pages)
 
 
-def _page(path: Path, data: bytes, page: tuple[int, bool], colours: bool) -> GreyLevels:
-    number, white_is_zero = page
-    levels = _decoded(path, data, colours, number)
-    if not white_is_zero or levels.dtype == np.uint8:  # of 8 bits, OpenCV has inverted it already
+def _page(path: Path, data: bytes, page: _Page, colours: bool) -> GreyLevels:
+    try:
+        for first, count in page.packed:  # OpenCV stops before the checksums
+            zlib.decompress(data[first : first + count])
+    except zlib.error:
+        raise ImageError(f"image {path} cannot be read: it is damaged") from None
+    levels = _decoded(path, data, colours, page.number)
+    if not page.white_is_zero or levels.dtype == np.uint8:  # of 8 bits, OpenCV has inverted it already
         return levels
     top = levels.max()  # of 12 bits in 16, 4095 is black
     if levels.dtype == np.uint16:

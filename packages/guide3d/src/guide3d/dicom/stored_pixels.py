@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from guide3d.dicom.header import Header, silent
+from guide3d.image_file import SHOWN_WHITE, is_damaged_jpeg, shown_range
 
 _LARGEST_PX = 8192  # of a side, as cameras have it
+_SOME = 8  # frames, by whose content a run without a window is shown
 _JPEG = "1.2.840.10008.1.2.4."  # and two digits; with three it is a film
 _STARTS = (b"\xff\xd8\xff", b"\xff\x4f\xff")  # of a JPEG and a JPEG 2000
 _JPEG_LOSSLESS = ("1.2.840.10008.1.2.4.57", "1.2.840.10008.1.2.4.70")
@@ -67,11 +69,12 @@ def stored_bits(header: Header) -> int:
     return int(header.number("BitsStored"))
 
 
-def grey_tables(header: Header, frames: int) -> NDArray[np.uint8]:
+def grey_tables(header: Header, frames: NDArray[np.generic]) -> tuple[NDArray[np.uint8], str]:
     """Makes the tables from stored to grey values, 0 black: (1, levels), or (n, levels) where frames differ.
 
-    The value-of-interest table goes before the window, and without both the whole range of the stored bits is shown. A
-    modality table is not applied: of X-ray runs it says how grey values belong to light, not how to show them.
+    The value-of-interest table goes before the window. Without both, stored values of 8 bits are shown as they are,
+    deeper ones by what the frames (n, h, w) hold; the text returned says so, else it is empty. A modality table is not
+    applied: of X-ray runs it says how grey values belong to light, not how to show them.
 
     Source:
         DICOM PS3.3, C.11.2.1.1 (tables), C.11.2.1.2 and C.11.2.1.3 (windows).
@@ -79,13 +82,27 @@ def grey_tables(header: Header, frames: int) -> NDArray[np.uint8]:
     levels = np.arange(2 ** stored_bits(header), dtype=float)
     inverse = header.word("PhotometricInterpretation") == "MONOCHROME1"
     inverse |= header.word("PresentationLUTShape") == "INVERSE"
-    tables = []
-    for frame in range(frames if header.kind.startswith("enhanced") else 1):
-        shown = np.clip(_shown(header, frame, levels), 0.0, 1.0)
-        tables.append(np.rint(255 * (1 - shown if inverse else shown)).astype(np.uint8))
+    tables, own, said = [], None, ""
+    for frame in range(len(frames) if header.kind.startswith("enhanced") else 1):
+        shown = _shown(header, frame, levels)
+        if shown is not None:
+            bright = 1 - shown if inverse else shown
+        else:
+            own, said = (own, said) if own is not None else _by_content(levels[::-1] if inverse else levels, frames)
+            bright = own
+        tables.append(np.rint(255 * np.clip(bright, 0.0, 1.0)).astype(np.uint8))
     if all((table == tables[0]).all() for table in tables):
         tables = tables[:1]
-    return np.stack(tables)
+    return np.stack(tables), said
+
+
+def _by_content(light: np.ndarray, frames: NDArray[np.generic]) -> tuple[np.ndarray, str]:
+    """Brightness (levels,) by what frames hold of the light (levels,) of stored values, and what to say of it."""
+    if len(light) <= 256:
+        return light / (len(light) - 1), ""
+    low, high = shown_range(light[frames[:: 1 + len(frames) // _SOME]])
+    said = f"it has no window: grey values of {low:g} to {high:g} are shown"
+    return (light - low) * (SHOWN_WHITE / 255 / max(high - low, 1.0)), said
 
 
 def has_empty_window(header: Header, frame: int) -> bool:
@@ -94,8 +111,8 @@ def has_empty_window(header: Header, frame: int) -> bool:
     return bool(width < 1 and (width <= 0 or header.word("VOILUTFunction") in ("", "LINEAR")))
 
 
-def _shown(header: Header, frame: int, levels: np.ndarray) -> np.ndarray:
-    """Brightness (levels,) of stored values, 0 to 1, beyond where the window cuts."""
+def _shown(header: Header, frame: int, levels: np.ndarray) -> np.ndarray | None:
+    """Brightness (levels,) of stored values, 0 to 1, beyond where the window cuts; None without a window or table."""
     items = header.find("VOILUTSequence", frame)
     if items is not None:
         with silent():
@@ -110,7 +127,7 @@ def _shown(header: Header, frame: int, levels: np.ndarray) -> np.ndarray:
                 raise ValueError(f"{header.path}: the VOI LUT cannot be understood") from None
     centre, width = header.number("WindowCenter", frame), header.number("WindowWidth", frame)
     if np.isnan(centre) or np.isnan(width) or has_empty_window(header, frame):
-        return levels / levels[-1]
+        return None
     function = header.word("VOILUTFunction") or "LINEAR"
     if function == "SIGMOID":
         return 1 / (1 + np.exp(-4 * (levels - centre) / width))
@@ -184,6 +201,8 @@ def _check_jpeg(header: Header) -> None:
         raise ValueError(
             f"{header.path}: expected {frame_count(header)} compressed frames, found {len(whole)}: the file is cut off"
         )
+    if any(map(is_damaged_jpeg, frames)):
+        raise ValueError(f"{header.path}: the compressed pictures are damaged")
 
 
 def _table_bytes(data: bytes) -> int:

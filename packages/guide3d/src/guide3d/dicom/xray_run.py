@@ -91,7 +91,9 @@ def run_of(header: Header) -> XrayRun:
     if header.word("BurnedInAnnotation") == "YES":
         warnings.append("the file says that text is drawn into its pictures, which may name the patient")
     if any(has_empty_window(header, frame) for frame in range(n)):
-        warnings.append("its window has no width and would show nothing: the whole range of grey values is shown")
+        warnings.append("its window has no width and would show nothing: it is left out")
+    grey, said = grey_tables(header, frames)
+    warnings += [said] if said else []
     warnings += _subtraction(header)
     times = _times(header, n, warnings)
     tilt = header.numbers("DetectorPrimaryAngle"), header.numbers("DetectorSecondaryAngle")
@@ -99,7 +101,7 @@ def run_of(header: Header) -> XrayRun:
     return XrayRun(
         path=header.path,
         frames=frames,
-        grey=grey_tables(header, n),
+        grey=grey,
         times_ms=times,
         primary_deg=_angles(header, "Primary", n),
         secondary_deg=_angles(header, "Secondary", n),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from guide3d.guarded_reading import call_in_child, check_regular, open_regular
-from guide3d.image_file import ImageError
+from guide3d.image_file import ImageError, words_printed
 from guide3d.opencv import cv2
 
 _LARGEST_PX = 8192  # of a frame's side
@@ -69,16 +69,20 @@ def film_frames(path: Path, most: int | None = None) -> Generator[Frame, None, t
     width, height = film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)
     if max(width, height) > _LARGEST_PX:
         raise ImageError(f"film {path} cannot be read: it claims frames of {width:g} x {height:g} px")
-    count = 0
+    count, damaged = 0, False
     while most is None or count < most:
-        decoded, frame = film.read()
+        with words_printed() as words:
+            decoded, frame = film.read()
         if not decoded:
             break
+        damaged |= bool(words)  # FFmpeg speaks of errors only
         count += 1
         yield np.asarray(frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY))
     if not count:
         raise ImageError(f"film {path} holds no frame")
     notes = []
+    if damaged:
+        notes.append(f"{path.name}: it is damaged: some frames show what its decoder filled up")
     if most is None and count < promised < 1e9:
         notes.append(
             f"{path.name}: its header promises {promised:.0f} frames, {count} of them are there: the film is cut off"

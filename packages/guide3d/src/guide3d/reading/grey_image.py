@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from guide3d.image_file import SHOWN_WHITE, shown_range
 from guide3d.opencv import cv2
 
 SMALLEST_PX = 128  # of a side: a wire and what is around it
@@ -15,9 +16,6 @@ READ_PX = 1024  # of the longer side: in images of that size the reader knows wi
 _LARGEST = 1e30  # of real numbers, which are worked with in single precision
 _COLOUR = 12  # grey levels between the channels of a pixel that is coloured
 _COARSE = 8
-_SATURATED = 0.999  # share of pixels below the highest level; where fewer are, that is no level of the image
-_BRIGHTEST = 2.0  # above the brightest twentieth, as a share of the range without it: more are burnt-in letters
-_PEDESTAL = 0.5  # of the range: so much light is kept below the darkest pixels, where a constant is in all of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,15 +137,6 @@ def _without_colour(values: NDArray[np.generic], messages: list[str]) -> NDArray
 
 def _eight_bits(values: NDArray[np.generic], messages: list[str]) -> NDArray[np.uint8]:
     levels = values.astype(np.float32)
-    sample = np.sort(levels[::4, ::4], axis=None)
-    saturated = np.searchsorted(sample, sample[-1])
-    if len(sample) // 2 < saturated < _SATURATED * len(sample):
-        sample = sample[:saturated]
-    low, dark, bright, high = (float(level) for level in np.percentile(sample, (0.1, 5, 95, 99.9)))
-    high = min(high, bright + _BRIGHTEST * (bright - dark))
-    if high <= low:
-        low, high = float(levels.min()), float(levels.max())
-    # a level of zero means no light, so it stays where it is unless it is far below all others
-    low = min(low, max(low - _PEDESTAL * (high - low), 0.0))
+    low, high = shown_range(levels)
     messages.append(f"grey values of {low:g} to {high:g} were taken to 8 bits")
-    return np.clip(np.rint((levels - low) * (235.0 / (high - low))), 0, 255).astype(np.uint8)
+    return np.clip(np.rint((levels - low) * (SHOWN_WHITE / (high - low))), 0, 255).astype(np.uint8)
