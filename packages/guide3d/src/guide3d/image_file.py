@@ -22,6 +22,7 @@ from guide3d.opencv import cv2
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 _PNG, _JPEG, _BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
+_PADDING = 1 << 24  # bytes by which tiles may be larger than their page
 _DEFLATE = (8, 32946)  # numbers of this compression in a TIFF
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # libjpeg's words
@@ -47,6 +48,7 @@ class _Page(NamedTuple):
     number: int
     white_is_zero: bool
     packed: list[tuple[int, int]]  # first byte and bytes of what zlib has packed
+    unpacked_bytes: int  # of the whole page at most
 
 
 def read_grey_levels(path: str | Path) -> GreyLevels:
@@ -278,6 +280,7 @@ def _pages(path: Path, data: bytes) -> tuple[list[_Page], int]:
             found = [(page.imagewidth, page.imagelength, page.photometric == 0, page.is_reduced) for page in whole]
             packed = [list(zip(page.dataoffsets, page.databytecounts, strict=False)) if page.compression in _DEFLATE
                       else [] for page in whole]  # fmt: skip
+            sizes = [page.nbytes + _PADDING for page in whole]
     except Exception:  # a damaged file raises a dozen kinds
         found = []
     if not found:
@@ -285,17 +288,27 @@ def _pages(path: Path, data: bytes) -> tuple[list[_Page], int]:
     fault = _fault_of_sides(*found[0][:2])
     if fault:
         raise ImageError(f"image {path} cannot be read: {fault}")
-    pages = [_Page(number, bool(white), packed[number]) for number, (*size, white, _) in enumerate(found)
+    pages = [_Page(number, bool(white), packed[number], sizes[number]) for number, (*size, white, _) in enumerate(found)
              if size == list(found[0][:2])]  # fmt: skip
     return pages, sum(not reduced for *_, reduced in found) - len(pages)
 
 
-def _page(path: Path, data: bytes, page: _Page, colours: bool) -> GreyLevels:
+def _is_whole(packed: bytes, most: int) -> bool:
+    """Whether zlib unpacks all, with its checksum, to at most so many bytes; nothing is kept."""
+    unpacking, unpacked = zlib.decompressobj(), 0
     try:
-        for first, count in page.packed:  # OpenCV stops before the checksums
-            zlib.decompress(data[first : first + count])
+        while not unpacking.eof and packed and unpacked <= most:
+            unpacked += len(unpacking.decompress(packed, 1 << 20))
+            packed = unpacking.unconsumed_tail
     except zlib.error:
-        raise ImageError(f"image {path} cannot be read: it is damaged") from None
+        return False
+    return unpacking.eof
+
+
+def _page(path: Path, data: bytes, page: _Page, colours: bool) -> GreyLevels:
+    # OpenCV stops before the checksums
+    if not all(_is_whole(data[first : first + count], page.unpacked_bytes) for first, count in page.packed):
+        raise ImageError(f"image {path} cannot be read: it is damaged")
     levels = _decoded(path, data, colours, page.number)
     if not page.white_is_zero or levels.dtype == np.uint8:  # of 8 bits, OpenCV has inverted it already
         return levels
