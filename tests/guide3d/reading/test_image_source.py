@@ -40,7 +40,9 @@ def test_unpadded_numbers_give_the_order(tmp_path: Path) -> None:
     assert not source.is_dicom()
 
 
-@pytest.mark.parametrize("name", ["film.avi MJPG", "film.avi FFV1", "film.mp4 mp4v", "film.mkv mp4v", "film.MOV mp4v"])
+@pytest.mark.parametrize(
+    "name", ["film.avi MJPG", "film.avi FFV1", "film.m4v mp4v", "film.mkv mp4v", "film.webm VP80", "film.MOV mp4v"]
+)
 def test_whole_films_are_read_without_a_word(name: str, tmp_path: Path) -> None:
     source = Source(film(tmp_path / name.split()[0], 20, name.split()[1]))
     images = list(source.images())

@@ -25,6 +25,9 @@ _PNG, _JPEG, _BMP = b"\x89PNG\r\n\x1a\n", b"\xff\xd8", b"BM"
 _PADDING = 1 << 24  # bytes by which tiles may be larger than their page
 _DEFLATE = (8, 32946)  # numbers of this compression in a TIFF
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_NO_IMAGE = (
+    "it is damaged, or no image of the kinds PNG, JPEG, TIFF and BMP; GIMP converts images, ffmpeg films to .mp4"
+)
 # libjpeg's words
 _DAMAGE = re.compile(rb"Corrupt JPEG data|Premature end of JPEG|Inconsistent progression|Invalid SOS")
 _PRINTING = threading.Lock()  # of this process's standard error
@@ -209,7 +212,7 @@ def _content(path: Path) -> bytes:
     elif data.startswith(_BMP):
         fault = _fault_of_bmp(data)
     elif data:
-        fault = "" if data.startswith(_TIFF) else "it is damaged, or no image of the kinds PNG, JPEG, TIFF and BMP"
+        fault = "" if data.startswith(_TIFF) else _NO_IMAGE
     if fault:
         raise ImageError(f"image {path} cannot be read: {fault}")
     return data

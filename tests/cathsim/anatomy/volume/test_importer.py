@@ -231,6 +231,18 @@ def test_one_label_for_all_is_named_by_its_shape(tmp_path: Path, phantom: Phanto
         assert nearest_on_branch(phantom.tree[name], place)[2][0] < 2e-3
 
 
+def test_one_label_with_many_wide_ends_is_no_aorta_unless_it_is_said(tmp_path: Path, cache: Path) -> None:
+    # five limbs on a bar, as wide as it, by voxels of 2 mm
+    x, y, z = np.mgrid[:50, :16, :32]
+    bone = ((y - 8) ** 2 + (z - 6) ** 2 <= 9) & (x >= 4) & (x < 46)
+    for place in (7, 16, 25, 34, 43):
+        bone |= ((x - place) ** 2 + (y - 8) ** 2 <= 9) & (z >= 6) & (z < 27)
+    path = save_nifti(tmp_path / "mask.nii.gz", bone.astype(np.uint8), np.diag([-2.0, -2.0, 2.0, 1.0]))
+    with pytest.raises(MeshRefusedError, match=r"no aorta: 3 vessels beside .* by labels={number: 'aorta'}"):
+        import_anatomy(path, resolution=2e-3, cache_dir=cache)
+    assert import_anatomy(path, labels={1: "aorta"}, resolution=2e-3, cache_dir=cache).targets
+
+
 def test_survives_cache_description_and_pickling(thick: Path, imported: Phantom, cache: Path) -> None:
     from cathsim.anatomy.volume.importer import _load
 

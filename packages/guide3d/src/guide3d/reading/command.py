@@ -4,7 +4,7 @@
     python -m guide3d.read A B --cameras FOLDER         two images of one moment
     python -m guide3d.read A [B ...] --video            sequences: each frame is helped by the one before
 
-A and B are pictures (PNG, JPEG, TIFF, BMP) or DICOM runs, with --video also films (.mp4, .avi, .mov, .mkv), TIFFs of
+A and B are pictures (PNG, JPEG, TIFF, BMP) or DICOM runs, with --video also films (.mp4, .mov, .avi, …), TIFFs of
 several pages, folders of pictures in the order of the numbers in their names, or folders of single DICOM frames.
 FOLDER of the cameras: *16710*.txt and *16709*.txt as XMALab writes them (world cm), or .yaml as OpenCV does; or
 camera_a.yaml and camera_b.yaml; two DICOM runs need none. If it holds distortion maps (.npz) or X-rays of perforated

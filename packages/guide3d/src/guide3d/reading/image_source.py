@@ -18,7 +18,7 @@ from guide3d.reading.decoded_frames import decoded_frames, film_frames
 if TYPE_CHECKING:
     from guide3d.dicom.xray_run import XrayRun
 
-FILMS = (".mp4", ".avi", ".mov", ".mkv")
+FILMS = (".mp4", ".m4v", ".avi", ".mov", ".mkv", ".webm")
 DICOM = (".dcm", ".dicom", ".ima")
 
 Image = NDArray[np.generic]

@@ -36,6 +36,7 @@ from cathsim.anatomy.wall.thickness import fill_chambers, thicken_between_lumens
 
 LEAST_WIDTH = 1e-3  # m: a lumen of a smaller radius is too narrow for a wire to be steered in
 _PASSABLE = 6e-4  # m: the aorta of a smaller radius lets no wire pass
+_MOST_WIDE_ENDS = 2  # beside the aorta's own: real ones have none or one, bones that are like an arch five and more
 _CHILD = 16e-3  # m of width, of the widest place: narrower aortas get a grid of half the distance
 _FINEST_GRID = 5e-4  # m
 _SAMPLES = 0.7  # voxels between points on the surface
@@ -55,6 +56,7 @@ class SurfaceFacts:
     scale: float = 1.0  # m per unit of the file
     notes: tuple[str, ...] = ()  # what was done before
     width: float = 0.0  # m, of the widest ball in the lumen; measured where it is left out
+    nameless: bool = False  # whether it is a label volume's, of which nothing says that it is an aorta
 
 
 def phantom_of_surface(
@@ -150,6 +152,11 @@ class SurfaceImport:
         surface = lumen_samples(samples, cavity, inside, ends, away)
         self.budget.check_time("finding its vessels")
         aorta, unsure = find_vessels(cavity, inside, ends, rings=rings > 0, scale=self.facts.scale)
+        if self.facts.nameless and len(unsure) > _MOST_WIDE_ENDS:
+            raise MeshRefusedError(
+                f"{self.facts.file} seems to be no aorta: {len(unsure)} vessels beside its two ends are as wide; "
+                "if it is one, say so by labels={number: 'aorta'}."
+            )
         self.notes += unsure
         pose = self._pose(aorta, cavity.origin + np.argwhere(inside) * cavity.spacing)
         aorta = turned(aorta, pose.rotation, pose.offset)

@@ -199,8 +199,9 @@ def _of_one_piece(
     """A phantom of a lumen whose vessels have no names: they are found by its shape."""
     mesh, notes = lumen_surface_of(volume)
     facts = SurfaceFacts(
-        volume.file, volume.unit, "the file's header", len(mesh.faces), volume.metres, (*volume.notes, *notes)
-    )
+        volume.file, volume.unit, "the file's header", len(mesh.faces), volume.metres, (*volume.notes, *notes),
+        nameless=volume.scheme in ("one label", "shape"),
+    )  # fmt: skip
     phantom = phantom_of_surface(
         mesh, facts, name=name, digest=digest, resolution=resolution, frame=volume.frame, names=names, extend=extend
     )
