@@ -24,6 +24,7 @@ from cathsim.navigation import Arrival, Goal, NavigationTask, navigation_task, r
 from cathsim.observations.fluoroscopes import wire_radius_of
 from cathsim.observations.scan import Scan
 from cathsim.observations.sensors import Sensors
+from cathsim.observations.tracking import VIEW
 from cathsim.presets import Accuracy
 from cathsim.presets import accuracy as preset
 from cathsim.registration.description import Specified, chosen, described
@@ -165,6 +166,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             less than its action says, or not at all while the clamp goes back; see `info["driven"]`.
         pace: "usual", "arch_variety" (7.5 steps a second, 35 mm/s and 180 degrees/s at 1), or a `Pace`: duration of a
             step and what actions of 1 move in it.
+        view: of `tracking`, degrees about the superior axis and then about the picture's horizontal one.
         registration_noise: of the roadmap, m an axis, drawn once an episode.
         scan: None, or a `Scan` that roadmap and history show instead of the vessel itself.
         contact_info: with `contacts`, `contact_points` and `contact_forces` in `info`: 24 kB a step.
@@ -200,6 +202,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         drive: str = "direct",
         pace: str | Pace = "usual",
         cameras: str | BiplaneFluoroscope | None = None,
+        view: tuple[float, float] = VIEW,
         registration_noise: float = 0.0,
         scan: Scan | None = None,
         contact_info: bool = False,
@@ -250,6 +253,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             registration_noise=registration_noise,
             biplane=biplane,
             scan=scan,
+            view=(float(view[0]), float(view[1])),
         )
         self.fluoroscope, self.biplane = self.sensors.fluoroscope, self.sensors.biplane
         self.roadmap, self.history = self.sensors.roadmap, self.sensors.history

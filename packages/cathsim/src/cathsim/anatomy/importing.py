@@ -10,9 +10,10 @@ from cathsim.anatomy.mesh.importer import import_mesh, mesh_digest
 from cathsim.anatomy.mesh.reading import FORMATS as SURFACES
 from cathsim.anatomy.mesh.reading import converter, is_mesh_path
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.mesh.request import names_of
+from cathsim.anatomy.mesh.request import check_resolution, names_of
 from cathsim.anatomy.mesh.surface_import import Names
 from cathsim.anatomy.phantom import Phantom
+from cathsim.anatomy.published.dual_device_nav import is_published, load_published, published_digest
 from cathsim.anatomy.volume.files.reading import FORMATS as VOLUMES
 from cathsim.anatomy.volume.files.reading import is_volume_path
 from cathsim.anatomy.volume.importer import import_volume, volume_digest
@@ -38,7 +39,8 @@ def import_anatomy(
     """Makes a phantom of a patient's anatomy; cached by content.
 
     Args:
-        path: a surface (see `import_mesh`), a label volume, or a folder with one volume a vessel (see `import_volume`).
+        path: a surface (see `import_mesh`), a label volume, a folder with one volume a vessel (see `import_volume`), or
+            the folder of DualDeviceNav's vessels (see `load_published`).
         unit: of a surface; a volume's header has its own.
         labels: which label of a volume is which vessel.
         names: names of the user's own, by automatic name or in order along the arch.
@@ -51,6 +53,10 @@ def import_anatomy(
         MeshRefusedError: a ValueError with the reason.
         ValueError: for an impossible resolution, or an argument that the kind of file does not take.
     """
+    if is_published(Path(path)):
+        if unit or labels or names or transform:
+            raise MeshRefusedError(f"{Path(path).name} is known with its unit, pose and names; leave them out.")
+        return load_published(Path(path), resolution=check_resolution(resolution, "mesh"), cache_dir=cache_dir)
     if not is_volume_path(path):
         if Path(path).exists() and not is_mesh_path(path):
             kind = "holds no file" if Path(path).is_dir() else "is no file"
@@ -83,6 +89,8 @@ def import_digest(source: Mapping[str, Any], resolution: float) -> str:
         source: what a phantom was imported with: path, unit, names and for a volume labels and transform.
     """
     path, names, extend = Path(source["path"]), _tuples(source["names"]), source.get("extend", True)
+    if is_published(path):
+        return published_digest(path, resolution)
     if is_volume_path(path):
         return volume_digest(path, _tuples(source.get("labels")), names, resolution, source.get("transform"), extend)
     return mesh_digest(path, source["unit"], names, resolution, extend)

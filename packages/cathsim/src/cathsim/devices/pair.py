@@ -19,6 +19,8 @@ SHEATH_GAP = 0.27e-3  # between the outer device and the sheath's bore, m
 SHEATH_FLARE = 3e-3  # by how much the bore of a catheter's sheath is wider at its mouth, m
 _FINE, _MEDIUM, _COARSE = 0.004, 0.012, 0.016  # links, m
 _FINE_LENGTH, _MEDIUM_LENGTH = 0.024, 0.084  # of the chain's end where links are fine, and then medium, m
+_THIN = 0.5e-3  # m: devices of a smaller radius go where vessels bend within 4 mm ...
+_FINE_OF_THIN, _MEDIUM_OF_THIN = (0.005, 0.12), (0.01, 0.10)  # m, ... with such links over such lengths
 _SHAPE_MARGIN = 0.040  # links are medium this far beyond a catheter's shape, so that the wire can be ahead, m
 
 Torsion = Literal["elastic", "rigid"]
@@ -101,10 +103,13 @@ class DevicePair:
         """Lengths of the chain's links from the proximal end, m: finer where a shape is to be followed."""
         shape = max((bend[1] for bend in self.catheter.shape), default=0.0) if self.catheter else 0.0
         medium = max(_MEDIUM_LENGTH, shape + _SHAPE_MARGIN - _FINE_LENGTH if shape > _FINE_LENGTH else 0.0)
-        counts = [round(_FINE_LENGTH / _FINE), math.ceil(medium / _MEDIUM - 1e-9)]
-        left = self.simulated_length - counts[0] * _FINE - counts[1] * _MEDIUM
+        near, middle = (_FINE, _FINE_LENGTH), (_MEDIUM, medium)
+        if self.radius < _THIN:
+            near, middle = _FINE_OF_THIN, _MEDIUM_OF_THIN
+        counts = [round(near[1] / near[0]), math.ceil(middle[1] / middle[0] - 1e-9)]
+        left = self.simulated_length - counts[0] * near[0] - counts[1] * middle[0]
         counts.append(max(1, math.ceil(left / _COARSE - 1e-9)))
-        return (_COARSE,) * counts[2] + (_MEDIUM,) * counts[1] + (_FINE,) * counts[0]
+        return (_COARSE,) * counts[2] + (middle[0],) * counts[1] + (near[0],) * counts[0]
 
     def chain(self, linear_density: float, radius: float) -> Guidewire:
         """The chain as a wire of a mass a metre (kg) and a radius (m), from which models are made."""

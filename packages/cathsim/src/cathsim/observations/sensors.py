@@ -14,7 +14,7 @@ from cathsim.observations.observables import channels_behind, make_observable
 from cathsim.observations.progress_history import History
 from cathsim.observations.roadmap import Roadmap
 from cathsim.observations.scan import Scan
-from cathsim.observations.tracking import Tracking
+from cathsim.observations.tracking import VIEW, Tracking
 from cathsim.simulation import Simulation
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ class Sensors:
         channels_last: whether images have their channels behind height and width.
         biplane: the C-arms that see the simulation, or None.
         scan: what roadmap and history show of the vessel; None: the vessel itself.
+        view: of `tracking`, as its `VIEW`.
 
     Raises:
         ValueError: no name, an unknown one, or an image size or noise out of range.
@@ -51,6 +52,7 @@ class Sensors:
         registration_noise: float,
         biplane: BiplaneFluoroscope | None,
         scan: Scan | None = None,
+        view: tuple[float, float] = VIEW,
     ) -> None:
         self._simulation, self._remaining = simulation, remaining
         names = [observation] if isinstance(observation, str) else list(observation)
@@ -62,7 +64,7 @@ class Sensors:
         self.roadmap = Roadmap(simulation, target, registration_noise, scan)
         # its way through the geodesic field costs something: only where it is wanted
         self.history = History(simulation, self.way_left) if self.reads_way else None
-        self.tracking = Tracking(simulation, self.roadmap) if "tracking" in names else None
+        self.tracking = Tracking(simulation, self.roadmap, view) if "tracking" in names else None
         parts = self.fluoroscope, self.biplane, self.roadmap, self.history, self.tracking
         made = {name: make_observable(name, simulation, *parts) for name in names}
         self._observables = {name: channels_behind(one) if channels_last else one for name, one in made.items()}

@@ -21,21 +21,24 @@ from cathsim.simulation import Simulation
 
 POINTS, MOMENTS = 3, 2
 SPACING = 2e-3  # m between the points, in the view
-TURN = math.radians(25.0)  # of the view about the superior axis
+VIEW = (25.0, 0.0)  # degrees of the view about the superior axis and then about its own horizontal one
 MARGIN = 0.1  # of the centrelines' extent, on either side
 
 Array = NDArray[np.float64]
 
 
-def in_view(points: Array) -> Array:
-    """Points (..., 3) m, world frame, in the view: (..., 2) m to the right of the picture and up."""
-    return np.stack((math.cos(TURN) * points[..., 0] + math.sin(TURN) * points[..., 1], points[..., 2]), axis=-1)
+def in_view(points: Array, view: tuple[float, float] = VIEW) -> Array:
+    """Points (..., 3) m, world frame, in a view: (..., 2) m to the right of the picture and up."""
+    turn, tilt = map(math.radians, view)
+    across = math.cos(turn) * points[..., 0] + math.sin(turn) * points[..., 1]
+    depth = math.cos(turn) * points[..., 1] - math.sin(turn) * points[..., 0]
+    return np.stack((across, math.cos(tilt) * points[..., 2] - math.sin(tilt) * depth), axis=-1)
 
 
 @kept_with_owner
-def viewed_range(phantom: Phantom) -> Array:
-    """Lowest and highest place (2, 2) m in the view that are shown as -1 and 1."""
-    seen = in_view(np.concatenate([branch.points for branch in phantom.tree]))
+def viewed_range(phantom: Phantom, view: tuple[float, float] = VIEW) -> Array:
+    """Lowest and highest place (2, 2) m in a view that are shown as -1 and 1."""
+    seen = in_view(np.concatenate([branch.points for branch in phantom.tree]), view)
     low, high = seen.min(axis=0), seen.max(axis=0)
     return np.stack((low - MARGIN * (high - low), high + MARGIN * (high - low)))
 
@@ -45,14 +48,15 @@ class Tracking:
 
     Args:
         roadmap: knows where the target is.
+        view: as `VIEW`.
     """
 
-    def __init__(self, simulation: Simulation, roadmap: Roadmap) -> None:
-        self.simulation, self._roadmap = simulation, roadmap
+    def __init__(self, simulation: Simulation, roadmap: Roadmap, view: tuple[float, float] = VIEW) -> None:
+        self.simulation, self._roadmap, self.view = simulation, roadmap, view
         both = isinstance(simulation, DualSimulation) and simulation.pair.both
         self._feeders = 2 if both else 1
         self.size = 2 * (POINTS * MOMENTS + 1 + self._feeders)
-        self._low, self._high = viewed_range(simulation.phantom)
+        self._low, self._high = viewed_range(simulation.phantom, view)
         self._seen, self._moves = np.zeros((MOMENTS, POINTS, 2)), np.zeros(2 * self._feeders)
 
     def begin(self) -> None:
@@ -67,7 +71,7 @@ class Tracking:
 
     def tracked(self) -> Array:
         """The tip and the points behind it, SPACING apart along the projected wire. Shape (POINTS, 2), m."""
-        line = in_view(self.simulation.inserted_points())
+        line = in_view(self.simulation.inserted_points(), self.view)
         along = arc_length(line)
         lengths = SPACING * np.arange(POINTS)
         return np.stack([np.interp(lengths, along, line[:, axis]) for axis in range(2)], axis=-1)
@@ -77,7 +81,7 @@ class Tracking:
 
         float32; places as shares of the view's range, -1 to 1.
         """
-        goal = in_view(self._roadmap.goal)
+        goal = in_view(self._roadmap.goal, self.view)
         places = np.concatenate((self._seen.reshape(-1, 2), goal[None]))
         shares = 2 * (places - self._low) / (self._high - self._low) - 1
         return np.concatenate((shares.ravel(), self._moves)).astype(np.float32)

@@ -12,6 +12,7 @@ MANY = "cathsim/NavigateMany-v0"
 GOAL = "cathsim/NavigateGoal-v0"
 COPIES = "cathsim/NavigateCopies-v0"
 ARCH_VARIETY = "cathsim/ArchVariety-v0"
+DUAL_DEVICE_NAV = "cathsim/DualDeviceNav-v0"
 
 _ENTRIES: dict[str, tuple[str, str | None, dict[str, Any]]] = {
     ENVIRONMENT: ("cathsim.environment:NavigateEnv", "cathsim.vector:ThreadedVectorEnv", {}),
@@ -21,6 +22,11 @@ _ENTRIES: dict[str, tuple[str, str | None, dict[str, Any]]] = {
     ARCH_VARIETY: (
         "cathsim.arch_variety:ArchVarietyEnv",
         "cathsim.arch_variety:ThreadedArchVarietyVectorEnv",
+        {},
+    ),
+    DUAL_DEVICE_NAV: (
+        "cathsim.dual_device_nav:DualDeviceNavEnv",
+        "cathsim.dual_device_nav:ThreadedDualDeviceNavVectorEnv",
         {},
     ),
     COPIES: ("cathsim.rehearsal.environment:NavigateCopiesEnv", None, {}),

@@ -99,6 +99,27 @@ def phantom_of_surface(
         raise MeshRefusedError(error.reason, drawn) from None
 
 
+def closed_lumen(mesh: Triangles, facts: SurfaceFacts, rotation: Array, resolution: float) -> SignedDistanceGrid:
+    """The distance grid of a closed lumen, whose vessels are known otherwise, in a turned frame.
+
+    Args:
+        mesh: triangles, m.
+        rotation: (3, 3) from the surface's frame to the grid's.
+        resolution: m between lattice points.
+
+    Raises:
+        MeshRefusedError: with the reason.
+    """
+    build = SurfaceImport(facts, facts.file, "", resolution)
+    samples, cavity = build._lumen(build._closed(mesh)[0])
+    inside = trim_cavity(cavity, ())
+    away = voxels_away(inside)
+    surface = lumen_samples(samples, cavity, inside, (), away)
+    offset, fine = np.zeros(3), build.resolution
+    grid = distance_grid(surface, cavity, inside, (), away, rotation=rotation, offset=offset, resolution=fine)
+    return fill_chambers(thicken_between_lumens(grid))
+
+
 @dataclass(frozen=True)
 class _Pose:
     """From the surface's frame to the phantom's: turned, then moved.

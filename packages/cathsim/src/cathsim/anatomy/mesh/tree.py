@@ -71,7 +71,7 @@ def grow_tree(
 
 def _main(aorta: RoughVessel, grid: SignedDistanceGrid) -> Branch:
     points = _centred(smoothed(resampled(aorta.points, STEP), 3e-3), grid, 0, smoothing=3e-3, free_ends=True)
-    return Branch("aorta", points, _radii(points, grid, 0))
+    return Branch("aorta", points, measured_radii(points, grid, 0))
 
 
 def _branch(
@@ -98,7 +98,7 @@ def _branch(
         _, at, distance = nearest_on_branch(parent, raw)
         outside = int(np.flatnonzero(distance > parent.radius_at(at))[0])
     points = _centred(raw, grid, outside, smoothing=1.5e-3)
-    radius = _radii(points, grid, outside)
+    radius = measured_radii(points, grid, outside)
     if any(child.from_fork for child in vessel.children):
         # Ways part where no ball fills the lumen any more; the daughters' centrelines meet about a radius before.
         keep = max(int(np.searchsorted(arc_length(points), arc_length(points)[-1] - _FORK * radius[-6:].min())), 4)
@@ -151,8 +151,10 @@ def _centred(
     return resampled(points, STEP)
 
 
-def _radii(points: Array, grid: SignedDistanceGrid, outside: int) -> Array:
-    """Median distance to the wall across the vessel; within the parent's lumen that at the ostium."""
+def measured_radii(points: Array, grid: SignedDistanceGrid, outside: int) -> Array:
+    """Median distance (n,) m to the wall across the vessel at points (n, 3) m; before `outside`, within the parent's
+    lumen, that at the ostium.
+    """
     from scipy.ndimage import gaussian_filter1d
 
     tangents = np.gradient(points, axis=0)

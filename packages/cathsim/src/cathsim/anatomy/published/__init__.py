@@ -1,0 +1,1 @@
+"""Anatomies that are published with their centrelines."""
