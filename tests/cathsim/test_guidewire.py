@@ -11,7 +11,9 @@ import pytest
 
 from cathsim.anatomy import SignedDistanceGrid
 from cathsim.contact.sdf import Vessel
-from cathsim.devices.arena import PROTRUSION, max_insertion, model_spec
+from cathsim.devices.arena import PROTRUSION, compiled_model, max_insertion, model_spec
+from cathsim.devices.pair import DevicePair
+from cathsim.devices.shelf import load_catheter
 from cathsim.guidewire import GUIDEWIRES, LINK_NAME, TIP_SITE, Guidewire, load_guidewire, preset_of
 from cathsim.presets import ACCURACY, accuracy
 
@@ -238,3 +240,13 @@ def test_the_tip_of_arch_variety_is_an_arc_of_72_degrees(space: Vessel) -> None:
     assert abs(wire.rest_curvature(0.005)) == pytest.approx(1 / 12.1e-3, rel=1e-4)
     model = model_spec(space, wire, ACCURACY["accurate"]).compile()
     assert np.degrees(model.qpos_spring[2:].sum()) == pytest.approx(72.0, abs=0.01)
+
+
+@pytest.mark.parametrize(("friction", "dimensions"), [(0.06, 3), (0.002, 3), (0.001, 1)])
+def test_contacts_of_hardly_any_friction_have_a_normal_force_alone(
+    friction: float, dimensions: int, space: Vessel
+) -> None:
+    wire = load_guidewire("default", friction=friction)
+    pair = DevicePair(load_guidewire("default", friction=0.0), load_catheter("vertebral", friction=friction))
+    for one in (wire, pair.chain(0.01, 1e-3)):
+        assert (compiled_model(space, one, accuracy("fast")).geom_condim[-len(one.links) :] == dimensions).all()

@@ -16,6 +16,7 @@ from cathsim.validation import Angle, LengthOrNone, Listed, Turn, Unit, quantity
 
 LINK_NAME, TIP_SITE = "wire{}", "tip"
 NMM2 = 1.0e-6  # one N mm^2 in N m^2
+LEAST_FRICTION = 0.002  # a smaller coefficient is taken as none, which takes a third of the contacts' equations
 THICKEST, LONGEST = 0.01, 5.0  # m: what goes beyond was meant in another unit
 POISSON_RATIO = 0.33  # of nitinol and of steel, within 0.03
 
@@ -51,7 +52,7 @@ class Guidewire:
         tip_length: length of the bent part, m.
         density: kg/m^3, mean over core and jacket.
         relaxation: time in which a bent free wire relaxes, s; joint damping is relaxation x stiffness.
-        friction: sliding friction coefficient on the wall.
+        friction: sliding friction coefficient on the wall; none below LEAST_FRICTION.
         motor_joints: distal joints with motors in the 21-action control mode.
         motor_angle: angle by which a motor bends its free joint at full action, rad.
         torsional_stiffness_nmm2: torsional stiffness GJ of the shaft, N mm^2, for simulations with elastic torsion; it
@@ -168,7 +169,7 @@ class Guidewire:
                     density=self.density * mass_scale,
                     contype=0,
                     conaffinity=1,
-                    condim=3,
+                    condim=3 if self.friction >= LEAST_FRICTION else 1,
                     priority=1,
                     friction=[self.friction, 0.0, 0.0],
                     solref=[0.004, 1.0],

@@ -114,7 +114,8 @@ class DevicePair:
     def chain(self, linear_density: float, radius: float) -> Guidewire:
         """The chain as a wire of a mass a metre (kg) and a radius (m), from which models are made."""
         density = linear_density / (math.pi * radius**2)
-        return Guidewire(links=self.links(), diameter=2 * radius, density=density, motor_joints=0)
+        friction = max(device.friction for device in (self.wire, self.catheter) if device is not None)
+        return Guidewire(links=self.links(), diameter=2 * radius, density=density, friction=friction, motor_joints=0)
 
 
 def points_behind(points: Array, links: Sequence[float], behind: float) -> Array:
