@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers import FrameStackObservation, RecordEpisodeStatistics, ResizeObservation
 
 from cathsim import NavigateEnv, ThreadedVectorEnv
-from cathsim.registration import ARCH_VARIETY, COPIES, DUAL, DUAL_DEVICE_NAV, ENVIRONMENT, GOAL, MANY
+from cathsim.registration import ARCH_VARIETY, COPIES, DUAL, DUAL_DEVICE_NAV, ENVIRONMENT, GOAL, MANY, RANDOM_TREES
 from tests.cathsim.dual_device_nav.published_files import REAL, folder
 
 SMALL: dict[str, dict[str, Any]] = {
@@ -28,6 +28,7 @@ SMALL: dict[str, dict[str, Any]] = {
     GOAL: {},
     COPIES: {"copies": (0,)},
     ARCH_VARIETY: {"arch_types": ("VI",), "seeds": (1,), "resolution": 2e-3},
+    RANDOM_TREES: {"seeds": (4,)},
     **({DUAL_DEVICE_NAV: {"folder": folder()}} if REAL.is_dir() else {}),
 }
 THREADED = [ident for ident in SMALL if ident != COPIES]

@@ -16,6 +16,7 @@ import numpy as np
 
 from cathsim.anatomy.entry import locate_entries
 from cathsim.anatomy.generator.arch_parameters import Aneurysm, ArchParameters
+from cathsim.anatomy.generator.random_tree import RandomTree
 from cathsim.anatomy.generator.recipe import (
     RANDOM,
     Recipe,
@@ -26,8 +27,9 @@ from cathsim.anatomy.generator.recipe import (
     recipe_of,
 )
 from cathsim.anatomy.generator.scan_arch import ScanArch
-from cathsim.anatomy.phantom import Phantom, locate_targets, target_share
+from cathsim.anatomy.phantom import Phantom, Target, locate_targets, target_share
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
+from cathsim.anatomy.vessel_tree import VesselTree
 
 NAMED: dict[str, ArchParameters] = {
     "type_1": ArchParameters(),
@@ -90,9 +92,9 @@ def load_phantom(
         name: one of PHANTOMS; one of RANDOM, which need a seed: "random", "random_wide" (rare shapes as often as common
             ones), "random_scan" (as scans show them: of any size, cut, not round, rough), "random_steep" and
             "random_trunk" (the same, branches far below the top of the arch; a left carotid that turns off a trunk),
-            "arch_variety" (six branching types) or "arch_variety_IV" (one of them), or have it in their name,
-            "random_7"; the path of a surface, of a label volume or of a folder of them; or with `parameters` any name
-            of your own.
+            "arch_variety" (six branching types) or "arch_variety_IV" (one of them), "random_tree" (from the groin to
+            the head), or have it in their name, "random_7"; the path of a surface, of a label volume or of a folder of
+            them; or with `parameters` any name of your own.
         seed: of the random arch.
         resolution: m between lattice points of the distance grid.
         cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
@@ -162,7 +164,7 @@ def phantom_described(description: Mapping[str, Any]) -> Phantom:
     name, resolution = description["name"], description["resolution"]
     if "mesh" in description:
         return _described_import(description)
-    if any(key in description for key in ("parameters", "variety", "scan")):
+    if any(key in description for key in ("parameters", "variety", "scan", "tree")):
         phantom = _load_arch(name, recipe_of(description), resolution)
     else:
         phantom = _load_arch(name, _parameters_of(name, None), resolution)
@@ -202,9 +204,17 @@ def build_phantom(name: str, parameters: Recipe, *, resolution: float = 1e-3) ->
         parameters=parameters,
         tree=tree,
         grid=grid,
-        targets=locate_targets(tree, target_share(tree) if isinstance(parameters, ScanArch) else 1.0),
+        targets=_targets(tree, parameters),
         entries=locate_entries(tree),
     )
+
+
+def _targets(tree: VesselTree, parameters: Recipe) -> dict[str, Target]:
+    if isinstance(parameters, RandomTree):
+        from cathsim.anatomy.mesh.naming import propose_targets
+
+        return propose_targets(tree)[0]
+    return locate_targets(tree, target_share(tree) if isinstance(parameters, ScanArch) else 1.0)
 
 
 def _import(name: str, seed: int | None, **options: Any) -> Phantom:

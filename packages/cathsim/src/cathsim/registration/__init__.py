@@ -13,6 +13,7 @@ GOAL = "cathsim/NavigateGoal-v0"
 COPIES = "cathsim/NavigateCopies-v0"
 ARCH_VARIETY = "cathsim/ArchVariety-v0"
 DUAL_DEVICE_NAV = "cathsim/DualDeviceNav-v0"
+RANDOM_TREES = "cathsim/RandomTrees-v0"
 
 _ENTRIES: dict[str, tuple[str, str | None, dict[str, Any]]] = {
     ENVIRONMENT: ("cathsim.environment:NavigateEnv", "cathsim.vector:ThreadedVectorEnv", {}),
@@ -27,6 +28,11 @@ _ENTRIES: dict[str, tuple[str, str | None, dict[str, Any]]] = {
     DUAL_DEVICE_NAV: (
         "cathsim.dual_device_nav:DualDeviceNavEnv",
         "cathsim.dual_device_nav:ThreadedDualDeviceNavVectorEnv",
+        {},
+    ),
+    RANDOM_TREES: (
+        "cathsim.random_trees:RandomTreesEnv",
+        "cathsim.random_trees:ThreadedRandomTreesVectorEnv",
         {},
     ),
     COPIES: ("cathsim.rehearsal.environment:NavigateCopiesEnv", None, {}),

@@ -1,4 +1,4 @@
-"""What a generated arch is made from: its measures, or the seed of an arch of the variety or as of a scan."""
+"""What a generated anatomy is made from: measures, or the seed of an arch of the variety or as of a scan, or a tree."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.generator.arch_parameters import Aneurysm, ArchParameters
+from cathsim.anatomy.generator.random_tree import RandomTree, build_random_tree
 from cathsim.anatomy.generator.scan_arch import (
     COMMON,
     STEEP,
@@ -27,12 +28,13 @@ GENERATOR_VERSION = 6  # raise it whenever the same measures give another geomet
 VARIETY_VERSION = 1  # the same for the arch variety
 SCAN_VERSION = 1  # ... and for arches as scans show them
 FILLET = 2.5e-3  # m, rounding of the ostia where no measure says it
-SCAN, VARIETY = "random_scan", "arch_variety"
+TREE_VERSION = 1  # ... and for trees
+SCAN, VARIETY, TREE = "random_scan", "arch_variety", "random_tree"
 _OF_TYPE = {f"{VARIETY}_{arch_type}": arch_type for arch_type in ARCH_TYPES}
 _SCANS = {SCAN: COMMON, "random_steep": STEEP, "random_trunk": TRUNK}
-RANDOM = ("random", "random_wide", *_SCANS, VARIETY, *_OF_TYPE)  # names that need a seed
+RANDOM = ("random", "random_wide", *_SCANS, VARIETY, *_OF_TYPE, TREE)  # names that need a seed
 
-Recipe = ArchParameters | VarietyArch | ScanArch
+Recipe = ArchParameters | VarietyArch | ScanArch | RandomTree
 
 
 @lru_cache(maxsize=1024)  # those of a training come again and again, and take longer than reading the arch
@@ -40,6 +42,8 @@ def draw_recipe(name: str, seed: int) -> Recipe:
     """The arch of a name of RANDOM and a seed."""
     if name in _SCANS:
         return ScanArch(seed, _SCANS[name])
+    if name == TREE:
+        return RandomTree(seed)
     if name == VARIETY:
         return VarietyArch(drawn_type(seed), seed)
     if name in _OF_TYPE:
@@ -55,6 +59,8 @@ def build_tree(recipe: Recipe) -> VesselTree:
     """
     if isinstance(recipe, VarietyArch):
         return build_variety_arch(recipe)
+    if isinstance(recipe, RandomTree):
+        return build_random_tree(recipe)
     from cathsim.anatomy.generator.aortic_arch import build_arch
 
     return build_scan_arch(recipe) if isinstance(recipe, ScanArch) else build_arch(recipe)
@@ -79,6 +85,8 @@ def recipe_content(recipe: Recipe) -> dict[str, Any]:
     values = dataclasses.asdict(recipe)
     if isinstance(recipe, VarietyArch):
         return {"variety_generator": VARIETY_VERSION, "variety": values}
+    if isinstance(recipe, RandomTree):
+        return {"tree_generator": TREE_VERSION, "tree": values}
     if isinstance(recipe, ScanArch):
         if recipe.shape == COMMON:
             del values["shape"]  # logs of such arches are older than the other shapes, and name their hash
@@ -90,6 +98,8 @@ def recipe_of(content: Mapping[str, Any]) -> Recipe:
     """The recipe of a content, whatever the generators' versions."""
     if "variety" in content:
         return VarietyArch(**content["variety"])
+    if "tree" in content:
+        return RandomTree(**content["tree"])
     if "scan" in content:
         return ScanArch(**content["scan"])
     measures = dict(content["parameters"])

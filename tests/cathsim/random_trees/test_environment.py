@@ -1,0 +1,70 @@
+"""The environment of random trees: trees and targets of episodes, devices, repetition, copies, messages."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+
+from cathsim import load_guidewire
+from cathsim.random_trees import GOALS, LENGTH, RandomTreesEnv
+from cathsim.registration import COPIES, RANDOM_TREES
+
+
+@pytest.fixture(scope="module")
+def environment() -> RandomTreesEnv:
+    return RandomTreesEnv((4, 5))
+
+
+def test_every_episode_has_a_tree_and_a_point_of_a_carotid_or_vertebral(environment: RandomTreesEnv) -> None:
+    environment.reset(seed=0)
+    seen, branches = set(), set()
+    for _ in range(12):
+        observation, info = environment.reset()
+        seen.add(info["phantom"])
+        branches.add(environment.phantom.target(environment.task.target).branch)
+        assert info["branch"] == "aorta"
+        assert observation.shape == (18,)
+    assert seen == {"random_tree_4", "random_tree_5"}
+    assert branches <= set(GOALS)
+    assert len(branches) > 2
+    assert environment.task.max_steps == 1000
+
+
+def test_devices_reach_every_vessels_end(environment: RandomTreesEnv) -> None:
+    for seed in (4, 5):
+        environment.reset(options={"case": seed - 4})
+        for name in GOALS[2:]:
+            environment.reset(options={"case": seed - 4, "target": f"{name}_end"})
+    pair = environment.simulation.pair
+    assert (pair.catheter.length, pair.wire.working_length) == (LENGTH, LENGTH)
+
+
+def test_a_seed_gives_the_same_episode(environment: RandomTreesEnv) -> None:
+    first, info = environment.reset(seed=3)
+    action = np.array([1.0, -0.5, 0.8, 0.2])
+    moved = environment.step(action)
+    again, same = environment.reset(seed=3)
+    assert (first == again).all()
+    assert info["target"] == same["target"]
+    assert (environment.step(action)[0] == moved[0]).all()
+
+
+def test_the_registered_environment_is_made_again_from_its_description() -> None:
+    made = gymnasium.make(RANDOM_TREES, seeds=(4,), disable_env_checker=True)
+    again = gymnasium.make(EnvSpec.from_json(made.spec.to_json()), disable_env_checker=True)
+    assert (made.reset(seed=1)[0] == again.reset(seed=1)[0]).all()
+
+
+def test_a_tree_has_perturbed_copies() -> None:
+    wire = load_guidewire("default").scaled(0.6)
+    arguments = {"phantom": "random_tree_4", "targets": ("rcca",), "copies": (0, 1), "wire": wire}
+    copies = gymnasium.make(COPIES, disable_env_checker=True, **arguments)
+    _, info = copies.reset(seed=0, options={"case": 1})
+    assert info["phantom"] == "random_tree_4_copy1"
+
+
+def test_what_there_is_not_is_refused() -> None:
+    with pytest.raises(ValueError, match="draws its targets: leave targets out"):
+        RandomTreesEnv(targets=("lcca",))
