@@ -9,6 +9,7 @@ rare ones are drawn more often here. Windings and the siphon's bends, of 5 to 8 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -61,7 +62,7 @@ def build_random_tree(recipe: RandomTree) -> VesselTree:
 
 
 def _grown(
-    name: str, start: Array, keys: list[tuple[float, Array]], radii: list[tuple[float, float]], **more: object
+    name: str, start: Array, keys: Sequence[tuple[float, Array]], radii: Sequence[tuple[float, float]], **more: object
 ) -> Branch:
     """`grow_branch` by lengths and radii in mm, up to the last of the radii's places."""
     directions = [(MM * at, way / np.linalg.norm(way)) for at, way in keys]
