@@ -77,7 +77,7 @@ def measure(path: Path, resolution: float, picture: Path | None) -> dict[str, An
             reason = error.reason if isinstance(error, MeshRefusedError) else str(error)
             return {**row, "problems": [f"refused: {reason}"], "build_cpu_s": round(time.process_time() - began, 1)}
         row["build_cpu_s"] = round(time.process_time() - began, 1)
-    row["problems"] = list(check_lumen(phantom, required_radius=LEAST_RADIUS).problems)
+    row["problems"] = check_lumen(phantom, required_radius=LEAST_RADIUS)
     row["ok"] = not row["problems"]
     row["branches"] = [name for name in phantom.tree.names if name != "aorta"]
     row["targets"] = list(phantom.targets)

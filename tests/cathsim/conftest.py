@@ -1,7 +1,5 @@
 """Fixtures of the simulator's tests: phantoms built once into a cache of the test run, and environments on them."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Vessels from a formula: a sphere, a tube, any signed distance over a cube."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

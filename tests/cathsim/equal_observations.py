@@ -1,7 +1,5 @@
 """Equality of observations, whole and bit for bit."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

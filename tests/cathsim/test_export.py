@@ -1,7 +1,5 @@
 """Portable MJCF: opened and stepped by MuJoCo in a process that cannot import this package."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -78,15 +76,6 @@ def test_files_hold_the_hulls_where_they_were(exported: Path, prisms: list[Hull]
         assert np.allclose([vertices.min(0), vertices.max(0)], [expected.min(0), expected.max(0)], atol=1e-6)
     lumen = model.geom("lumen")
     assert lumen.contype[0] == lumen.conaffinity[0] == 0
-
-
-def test_export_is_the_same_again_and_replaces_the_last_one(exported: Path, bend: Phantom, prisms: list[Hull]) -> None:
-    folder = exported.parent
-    before = {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    (folder / "meshes" / "stale.stl").write_text("left over")
-    export_mjcf(folder, bend, load_guidewire("nitrex_straight"))
-    assert {path.name: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
-    assert not list(folder.parent.glob(".exporting-*"))
 
 
 def test_export_refuses(bend: Phantom, prisms: list[Hull], tmp_path: Path) -> None:

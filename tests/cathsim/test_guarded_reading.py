@@ -1,7 +1,5 @@
 """Guards for files from outside: no regular file, references out of a folder, readers that crash or do not end."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

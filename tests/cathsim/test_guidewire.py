@@ -1,6 +1,4 @@
-"""The guidewire: presets, stiffness profile, changes of length, refusals, and its statics against the elastica."""
-
-from __future__ import annotations
+"""Guidewires: presets, profiles, theory; the part of the wire that is simulated."""
 
 import dataclasses
 import itertools
@@ -9,12 +7,16 @@ import mujoco
 import numpy as np
 import pytest
 
+from cathsim import NavigateEnv, Phantom, Simulation, load_phantom
 from cathsim.anatomy import SignedDistanceGrid
 from cathsim.contact.sdf import Vessel
-from cathsim.devices.arena import PROTRUSION, compiled_model, max_insertion, model_spec
+from cathsim.devices.active_chain import pass_on
+from cathsim.devices.arena import compiled_model, max_insertion, model_spec
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.shelf import load_catheter
-from cathsim.guidewire import GUIDEWIRES, LINK_NAME, TIP_SITE, Guidewire, load_guidewire, preset_of
+from cathsim.environment import TRANSLATION_STEP
+from cathsim.guidewire import GUIDEWIRES, TIP_SITE, Guidewire, load_guidewire, preset_of
+from cathsim.metrics.failure_modes import ABORTED, OVERSHOOT, STUCK, WRONG_BRANCH, failure_mode, places
 from cathsim.presets import ACCURACY, accuracy
 
 EI = 4.0e-4  # N m^2
@@ -67,19 +69,6 @@ def test_preset_is_a_wire_that_compiles(name: str, space: Vessel) -> None:
     assert model.body_mass.sum() == pytest.approx(10 * wire.density * volume, rel=1e-9)
 
 
-@pytest.mark.parametrize(("name", "freedoms"), [("default", 56), ("thesis", 168)])
-def test_degrees_of_freedom(name: str, freedoms: int, space: Vessel) -> None:
-    assert model_spec(space, load_guidewire(name), ACCURACY["accurate"]).compile().nv == freedoms
-
-
-def test_tip_motors_are_limited_to_their_angle(space: Vessel) -> None:
-    wire = load_guidewire("default")
-    model = model_spec(space, wire, ACCURACY["accurate"], tip_motors=True).compile()
-    assert model.nu == 2 + 2 * wire.motor_joints
-    last = model.joint(f"{LINK_NAME.format(wire.joints)}x")
-    assert model.actuator_ctrlrange[-2, 1] == pytest.approx(last.stiffness[0] * wire.motor_angle)
-
-
 def test_stiffness_profile() -> None:
     wire = Guidewire()
     near, far = wire.taper
@@ -90,36 +79,6 @@ def test_stiffness_profile() -> None:
     assert wire.stiffness((near + far) / 2) == pytest.approx(mean)
     profile = [wire.stiffness(s) for s in np.linspace(0, 0.1, 50)]
     assert all(a <= b for a, b in itertools.pairwise(profile))
-
-
-def test_profiles_take_arrays() -> None:
-    wire = Guidewire()
-    distance = np.linspace(0.0, 0.1, 23)
-    assert wire.stiffness(distance).tolist() == pytest.approx([wire.stiffness(s) for s in distance], rel=1e-14)
-    assert wire.torsional_stiffness(distance) == pytest.approx(wire.stiffness(distance) / 1.33)
-    curvature = wire.rest_curvature(distance)
-    assert curvature.tolist() == [wire.rest_curvature(s) for s in distance]
-    assert type(wire.stiffness(0.01)) is type(wire.torsional_stiffness(0.01)) is float
-
-
-def test_rest_curvature_is_the_tips_angle_over_its_length() -> None:
-    wire = Guidewire()
-    assert wire.rest_curvature(wire.tip_length / 2) == pytest.approx(wire.tip_angle / wire.tip_length)
-    assert wire.rest_curvature(-1e-3) == wire.rest_curvature(wire.tip_length + 1e-3) == 0
-    assert load_guidewire("nitrex_straight").rest_curvature(0.0) == 0
-
-
-def test_torsion_follows_bending_unless_it_is_given() -> None:
-    wire = Guidewire(shaft_stiffness_nmm2=266.0, torsional_stiffness_nmm2=100.0)
-    assert wire.torsional_stiffness(1.0) == pytest.approx(100e-6)
-    assert dataclasses.replace(wire, torsional_stiffness_nmm2=None).torsional_stiffness(1.0) == pytest.approx(200e-6)
-
-
-def test_torsion_leaves_the_bare_wires_model_as_it_is(space: Vessel) -> None:
-    wire = Guidewire()
-    twisting = dataclasses.replace(wire, torsional_stiffness_nmm2=50.0, working_length=2.6)
-    one, other = (model_spec(space, each, ACCURACY["accurate"]).to_xml() for each in (wire, twisting))
-    assert one == other
 
 
 @pytest.mark.parametrize("name", ["default", "thesis", "radifocus_angled", "radifocus_angled_025", "nitrex_straight"])
@@ -146,13 +105,6 @@ def test_elastica(preset: str) -> None:
     assert abs(tip[0]) < 1e-9
 
 
-@pytest.mark.parametrize("count", [11, 66])
-def test_deflection_does_not_depend_on_the_resolution(count: int) -> None:
-    wire = straight((0.264 / count,) * count)
-    tip = tip_at_rest(cantilever(wire, "reference"), EI / wire.length**2, 3.0)
-    assert tip[1] / wire.length == pytest.approx(0.301721, rel=0.005)
-
-
 def test_unloaded_tip_is_bent_by_its_angle() -> None:
     wire = load_guidewire("default")
     model = cantilever(wire, "accurate")
@@ -161,33 +113,6 @@ def test_unloaded_tip_is_bent_by_its_angle() -> None:
     mujoco.mj_kinematics(model, data)
     axis = data.site(TIP_SITE).xmat.reshape(3, 3)[:, 2]
     assert np.degrees(np.arccos(axis[2])) == pytest.approx(80.0, abs=0.5)
-
-
-def test_scaled_changes_the_proximal_end_only() -> None:
-    wire = Guidewire()
-    longer, shorter = wire.scaled(0.400), wire.scaled(0.150)
-    assert 0.400 <= longer.length + 1e-9 < 0.400 + wire.links[0] + 1e-9
-    assert 0.150 <= shorter.length + 1e-9 < 0.150 + wire.links[0] + 1e-9
-    assert longer.links[-len(wire.links) :] == wire.links
-    assert shorter.links == wire.links[-len(shorter.links) :]
-    assert wire.scaled(wire.length) == wire
-    assert dataclasses.replace(longer, links=wire.links) == wire
-
-
-def test_distal_keeps_the_tip() -> None:
-    wire = Guidewire()
-    end = wire.distal(12)
-    assert end.links == wire.links[-12:]
-    assert end.stiffness(0.04) == wire.stiffness(0.04)
-    assert wire.distal(len(wire.links)) == wire
-
-
-def test_first_link_lies_in_the_sheath(space: Vessel) -> None:
-    """The tip of the straight wire stands out of the sheath by PROTRUSION."""
-    model = model_spec(space, straight(), ACCURACY["accurate"]).compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    np.testing.assert_allclose(data.site(TIP_SITE).xpos, [0, 0, PROTRUSION], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -208,21 +133,6 @@ def test_first_link_lies_in_the_sheath(space: Vessel) -> None:
 def test_impossible_wire_is_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         load_guidewire("default", **changes)
-
-
-def test_unknown_preset_lists_the_valid_ones() -> None:
-    with pytest.raises(ValueError, match=r"unknown guidewire 'steel'.*default, thesis, radifocus_angled"):
-        load_guidewire("steel")
-
-
-def test_unknown_field_lists_the_valid_ones() -> None:
-    with pytest.raises(ValueError, match=r"has no stiffness.*shaft_stiffness_nmm2"):
-        load_guidewire("default", stiffness=3.0)
-
-
-def test_unknown_accuracy_lists_the_valid_ones() -> None:
-    with pytest.raises(ValueError, match=r"unknown accuracy 'exact'.*reference, accurate, fast"):
-        accuracy("exact")
 
 
 @pytest.mark.parametrize("name", list(GUIDEWIRES))
@@ -250,3 +160,80 @@ def test_contacts_of_hardly_any_friction_have_a_normal_force_alone(
     pair = DevicePair(load_guidewire("default", friction=0.0), load_catheter("vertebral", friction=friction))
     for one in (wire, pair.chain(0.01, 1e-3)):
         assert (compiled_model(space, one, accuracy("fast")).geom_condim[-len(one.links) :] == dimensions).all()
+
+
+def test_state_passes_to_a_longer_chain_and_back() -> None:
+    state = np.arange(1.0, 9.0)
+    longer = pass_on(state, 12, bend=True)
+    assert longer.tolist() == [1, 2, 0, 0, 0, 0, 3, 4, 5, 6, 7, 8]
+    assert np.array_equal(pass_on(longer, 8, bend=True), state)
+
+
+DEFAULT = load_guidewire("default")
+LONG = DEFAULT.scaled(0.6)
+
+
+def feed(simulation: Simulation, steps: int, translation: float = TRANSLATION_STEP) -> None:
+    for step in range(steps):
+        simulation.advance(translation, 0.1 * np.sin(step))
+
+
+def test_only_the_inserted_part_of_a_long_wire_is_simulated(type_1: Phantom) -> None:
+    default, long = (Simulation(type_1, wire, ACCURACY["fast"]) for wire in (DEFAULT, LONG))
+    assert len(LONG.links) == len(DEFAULT.links) + 21
+    for _ in range(5):
+        for simulation in (default, long):
+            feed(simulation, 10)
+        assert long.active_links == default.active_links < 22
+        assert long.model.nv == default.model.nv
+        assert long.model.nM == default.model.nM
+        assert np.abs(long.tip - default.tip).max() < 1e-4, "the wire in the sheath changes nothing"
+    assert long.insertion == pytest.approx(0.1, abs=0.005)
+
+
+def test_state_of_a_long_wire_comes_back(type_1: Phantom) -> None:
+    simulation = Simulation(type_1, LONG, ACCURACY["fast"])
+    feed(simulation, 40)
+    state = simulation.state()
+    feed(simulation, 5)
+    tip = simulation.tip
+    feed(simulation, 20, -TRANSLATION_STEP)
+    simulation.restore(state)
+    feed(simulation, 5)
+    assert np.array_equal(simulation.tip, tip)
+
+
+def test_a_wire_too_short_for_its_target_says_which_would_do(type_1: Phantom) -> None:
+    short = DEFAULT.scaled(0.2)
+    with pytest.raises(
+        ValueError,
+        match=r"the wire of 200 mm is too short for rcca_end of type_1, 23\d mm from descending.*scaled\(0.28\)",
+    ):
+        NavigateEnv(type_1, "rcca_end", wire=short)
+    assert NavigateEnv(type_1, "rcca_end", wire=DEFAULT.scaled(0.28)).simulation.max_insertion > 0.23
+    # a target nearer than the end of the way needs less
+    assert NavigateEnv(type_1, "lsa_end", wire=DEFAULT.scaled(0.23)).simulation.wire.length < DEFAULT.length
+    with pytest.raises(ValueError, match="too short for lcca_end of bovine"):
+        NavigateEnv(load_phantom("bovine"), "lcca_end", wire="thesis")
+
+
+def test_failure_modes() -> None:
+    phantom = load_phantom("type_1")
+    tree = {branch.name: branch for branch in phantom.tree.branches}
+    aorta, steps = tree["aorta"], 60
+
+    def mode(end: np.ndarray, target: str = "lcca") -> str:
+        way = np.concatenate((aorta.points[:20], np.repeat(end[None], steps - 19, axis=0)))
+        return failure_mode(phantom, target, way, steps_allowed=steps, entry="descending")
+
+    assert places(phantom, tree["lsa"].point_at([0.05]))[0] == ["lsa"]
+    assert mode(tree["lsa"].point_at(0.05)) == WRONG_BRANCH
+    assert mode(tree["bca"].point_at(0.045)) == WRONG_BRANCH
+    assert mode(tree["lcca"].point_at(0.04)) == STUCK
+    assert mode(tree["rsa"].point_at(0.02), "bca") == WRONG_BRANCH
+    take_off = tree["lcca"].parent_arc
+    assert mode(aorta.point_at(take_off - 0.03)) == STUCK
+    assert mode(aorta.point_at(take_off + 0.005)) == STUCK
+    assert mode(aorta.point_at(take_off + 0.03)) == OVERSHOOT
+    short = failure_mode(phantom, "lcca", aorta.points[:30], steps_allowed=steps, entry="descending")
+    assert short == ABORTED

@@ -1,7 +1,5 @@
 """Episodes in many anatomies, towards many targets, with many wires."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from dataclasses import replace
@@ -11,7 +9,6 @@ import pytest
 
 from cathsim.environment import NavigateEnv
 from cathsim.guidewire import load_guidewire
-from cathsim.lifetime_cache import kept_with_owner
 from cathsim.many_anatomies import NavigateManyEnv, PhantomShelf
 
 FORWARD = np.array([1.0, 0.3])
@@ -22,14 +19,6 @@ SOFT = replace(load_guidewire("default"), shaft_stiffness_nmm2=200.0)
 def environment(type_1) -> NavigateManyEnv:
     wires = ("default", SOFT)
     return NavigateManyEnv((type_1,), ("bca", "lcca"), wires, observation=("roadmap",), start_rotation=np.pi)
-
-
-def test_cases_are_numbered(environment: NavigateManyEnv) -> None:
-    assert environment.cases == 4
-    assert [environment.case_of(*environment.describe(case)) for case in range(4)] == [0, 1, 2, 3]
-    assert environment.describe(3) == (0, 1, 1)
-    with pytest.raises(ValueError, match="there is no case 4: they are numbered from 0 to 3"):
-        environment.describe(4)
 
 
 def test_draws_every_case_and_repeats_itself(environment: NavigateManyEnv) -> None:
@@ -76,14 +65,6 @@ def test_refuses(arguments: dict, message: str, type_1) -> None:
         NavigateManyEnv(**{"phantoms": (type_1,), "observation": "tip", **arguments})
 
 
-def test_refuses_wires_of_other_observations(type_1) -> None:
-    env = NavigateManyEnv((type_1,), ("bca",), ("default", "thesis"), observation="joints")
-    with pytest.raises(ValueError, match="must give the same observation space"):
-        env.reset(options={"case": 1})
-    with pytest.raises(ValueError, match="reset knows no option cases"):
-        env.reset(options={"cases": 1})
-
-
 def test_the_environment_of_an_earlier_case_leaves_the_memory_at_once(environment: NavigateManyEnv) -> None:
     environment.reset(seed=0, options={"case": 0})
     earlier = weakref.ref(environment.current), weakref.ref(environment.current.simulation)
@@ -114,29 +95,6 @@ def test_shelf_forgets_what_was_unused_for_longest(monkeypatch: pytest.MonkeyPat
     assert shelf.take(0, 1e-3) is first
     shelf.take("type_2", 1e-3)
     assert made == [("random", 0), ("type_2", None), ("random", 1), ("type_2", None)]
-
-
-def test_results_live_as_long_as_their_owner() -> None:
-    class Owner:
-        pass
-
-    calls: list[int] = []
-
-    @kept_with_owner
-    def double(owner: Owner, value: int, *, extra: int = 0) -> list[int]:
-        calls.append(value)
-        return [2 * value + extra]
-
-    owner = Owner()
-    result = double(owner, 3)
-    assert double(owner, 3) is result
-    assert double(owner, 3, extra=1) == [7]
-    assert double(Owner(), 3) is not result
-    assert calls == [3, 3, 3]
-    alive = weakref.ref(owner)
-    del owner
-    gc.collect()
-    assert alive() is None
 
 
 def test_a_catheter_comes_along_to_every_anatomy() -> None:

@@ -1,7 +1,5 @@
 """Settings: slips of unit and kind are named in one sentence."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

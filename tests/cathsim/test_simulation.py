@@ -1,7 +1,5 @@
 """A wire in a vessel: state and restore, the active chain against the whole wire, refinement, forces, feeding."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 
@@ -12,7 +10,6 @@ import pytest
 from cathsim import ACCURACY, Guidewire, Phantom, Simulation, load_guidewire, load_phantom
 from cathsim.devices.active_chain import ActiveChains
 from cathsim.devices.arena import max_insertion
-from cathsim.simulation import vessel_of
 
 MakeSimulation = Callable[..., Simulation]
 STEP = 0.002  # m
@@ -53,21 +50,6 @@ def whole_wire(monkeypatch: pytest.MonkeyPatch, make_simulation: MakeSimulation)
     return make
 
 
-def test_shapes_do_not_depend_on_how_many_links_are_simulated(make_simulation: MakeSimulation) -> None:
-    simulation = make_simulation()
-    links = len(simulation.wire.links)
-    for _ in range(2):
-        assert simulation.joint_positions().shape == simulation.joint_velocities().shape == (2 * links,)
-        assert simulation.wire_points().shape == (links + 1, 3)
-        assert simulation.inserted_points().shape == (simulation.active_links + 1, 3)
-        points = simulation.wire_points()
-        lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        assert lengths == pytest.approx(simulation.wire.links[::-1], abs=1e-9)
-        assert np.array_equal(points[0], simulation.tip)
-        run(simulation, straight(60))
-    assert simulation.active_links > ActiveChains.of(simulation.wire).counts[0]
-
-
 def test_reset_puts_the_tip_just_inside_the_vessel(make_simulation: MakeSimulation, type_1: Phantom) -> None:
     simulation = make_simulation("nitrex_straight")
     gate = type_1.entries["descending"]
@@ -76,29 +58,6 @@ def test_reset_puts_the_tip_just_inside_the_vessel(make_simulation: MakeSimulati
     assert simulation.insertion == pytest.approx(0.05, abs=1e-4)
     with pytest.raises(ValueError, match=r"insertion must lie in 0 to 0\.231 m, got 1"):
         simulation.reset(insertion=1)
-
-
-def test_reset_forgets_how_deep_the_wire_was(make_simulation: MakeSimulation) -> None:
-    fresh, used = make_simulation(), make_simulation()
-    run(used, random_actions(60, seed=9))
-    used.reset(insertion=0.2)
-    used._chain.struct.depth = 1.0  # as if the wire had been deep in the wall: no substep would be repeated
-    for simulation in (fresh, used):
-        simulation.reset(insertion=0.2)
-    assert np.array_equal(used.state(), fresh.state())
-
-
-def test_unknown_entry_names_the_known_ones(make_simulation: MakeSimulation) -> None:
-    with pytest.raises(
-        ValueError, match="unknown entry 'radial' in phantom 'type_1'; choose from descending, ascending"
-    ):
-        make_simulation(entry="radial")
-
-
-def test_a_wire_that_cannot_be_fed_is_refused(type_1: Phantom) -> None:
-    stub = load_guidewire("default", links=(0.004,) * 5)
-    with pytest.raises(ValueError, match=r"a wire of 0\.020 m is too short"):
-        Simulation(type_1, stub, ACCURACY["fast"])
 
 
 @pytest.mark.parametrize("warm_up", [0, 47])
@@ -194,23 +153,6 @@ def test_refinement_keeps_the_wire_out_of_the_wall(make_simulation: MakeSimulati
     assert refined < 0.6 * coarse
 
 
-def test_an_impact_goes_no_deeper_than_with_short_steps(make_simulation: MakeSimulation) -> None:
-    """A tip that snaps free comes faster than one refinement follows: the depth is that of 0.125 ms all the same."""
-    numerics = ACCURACY["accurate"]
-    short = dataclasses.replace(numerics, timestep=1.25e-4, refinement=1)
-    depths = []
-    for chosen in (numerics, short):
-        simulation = make_simulation(numerics=chosen, measure_penetration=True)
-        simulation.reset(insertion=0.1)
-        simulation.data.qvel[-12:] = 0.0
-        simulation.data.qvel[-11::2] = 50.0  # rad/s of the six most distal joints
-        simulation.advance(0.0, 0.0)
-        depths.append(simulation.depths[simulation.substeps // 10 - 1])
-        assert simulation.summary.force_max == pytest.approx(np.linalg.norm(simulation.contacts().forces.sum(axis=0)))
-    assert depths[1] > 1e-3
-    assert depths[0] == pytest.approx(depths[1], rel=0.08)
-
-
 def test_force_is_the_sum_of_the_contacts_and_holds_the_wire(make_simulation: MakeSimulation) -> None:
     simulation = make_simulation()
     for translation, rotation in random_actions(60, seed=6).tolist():
@@ -252,57 +194,6 @@ def test_the_summary_holds_time_means_that_balance_the_feeder(make_simulation: M
     assert np.linalg.norm(sheath) > 1e-3
 
 
-def test_joint_positions_set_are_those_of_a_wire_that_is_held(make_simulation: MakeSimulation) -> None:
-    driven, other = make_simulation(), make_simulation()
-    run(driven, random_actions(60, 3))
-    other.set_joint_positions(driven.joint_positions())
-    np.testing.assert_allclose(other.joint_positions(), driven.joint_positions(), atol=1e-12)
-    np.testing.assert_allclose(other.wire_points(), driven.wire_points(), atol=1e-9)
-    assert not other.joint_velocities().any()
-    assert not other.lead().any()
-    other.advance(0.0, 0.0)
-    assert other.insertion == pytest.approx(driven.insertion, abs=1e-3)
-    with pytest.raises(ValueError, match="joint positions must have shape"):
-        other.set_joint_positions(np.zeros(3))
-    with pytest.raises(ValueError, match="insertion must lie in 0 to"):
-        other.set_joint_positions(driven.joint_positions() + 1.0)
-
-
-def test_insertion_ends_where_the_wire_does(make_simulation: MakeSimulation) -> None:
-    simulation = make_simulation()
-    simulation.reset(insertion=simulation.max_insertion - 0.005)
-    run(simulation, straight(15))
-    assert simulation.insertion <= simulation.max_insertion + 1e-4
-    assert simulation.active_links == len(simulation.wire.links)
-    assert simulation.valid
-
-
-def test_retraction_brings_the_wire_back(make_simulation: MakeSimulation) -> None:
-    simulation = make_simulation(accuracy="accurate")
-    start, links = simulation.tip, simulation.active_links
-    run(simulation, straight(50))
-    assert np.linalg.norm(simulation.tip - start) > 0.08
-    run(simulation, -straight(70))
-    assert simulation.active_links == links
-    assert abs(simulation.insertion) < 1e-3
-    assert np.linalg.norm(simulation.tip - start) < 5e-3
-
-
-def test_rotation_turns_the_bent_tip(make_simulation: MakeSimulation) -> None:
-    simulation = make_simulation()
-    gate = simulation.vessel
-    sides = []
-    for rotation in (0.0, np.pi):
-        simulation.reset(insertion=0.02, rotation=rotation)
-        across = simulation.tip - gate.entry
-        sides.append(across - (across @ gate.direction) * gate.direction)
-    assert sides[0] @ sides[1] < 0
-    simulation.reset(insertion=0.02)
-    for _ in range(24):
-        simulation.advance(0.0, np.radians(15))
-    assert simulation.rotation == pytest.approx(2 * np.pi, abs=0.5)
-
-
 def test_motors_bend_the_tip(make_simulation: MakeSimulation) -> None:
     simulation = make_simulation("nitrex_straight", tip_motors=True)
     simulation.reset(insertion=0.03)
@@ -323,35 +214,6 @@ def test_movements_that_are_not_finite_are_refused(make_simulation: MakeSimulati
     with pytest.raises(ValueError, match=f"the motors' shares must be finite, got .*{value}"):
         simulation.advance(0.0, 0.0, np.full(simulation.motors, value))
     assert simulation.valid
-
-
-def test_what_is_returned_is_not_overwritten(make_simulation: MakeSimulation) -> None:
-    simulation = make_simulation()
-    run(simulation, straight(50))
-    names = ("joint_positions", "joint_velocities", "wire_points", "inserted_points", "force", "state")
-    before = {name: getattr(simulation, name)() for name in names} | {"tip": simulation.tip}
-    contacts = simulation.contacts()
-    before |= {"points": contacts.points, "forces": contacts.forces}
-    kept = {name: array.copy() for name, array in before.items()}
-    run(simulation, random_actions(20, seed=7))
-    for name, array in before.items():
-        assert np.array_equal(array, kept[name]), name
-
-
-def test_phantoms_share_a_process_without_mixing(make_simulation: MakeSimulation) -> None:
-    phantoms = [load_phantom(name) for name in ("type_1", "bovine")]
-    actions = random_actions(50, seed=8)
-    alone = [run(make_simulation(phantom=phantom), actions) for phantom in phantoms]
-    pair = [make_simulation(phantom=phantom) for phantom in phantoms]
-    together = np.array([[run(simulation, action[None])[0] for simulation in pair] for action in actions])
-    for index in range(2):
-        assert np.array_equal(together[:, index], alone[index])
-    assert not np.array_equal(alone[0], alone[1])
-
-
-def test_vessels_are_shared_between_simulations(make_simulation: MakeSimulation, type_1: Phantom) -> None:
-    assert make_simulation().vessel is make_simulation("thesis").vessel is vessel_of(type_1, "descending")
-    assert make_simulation(entry="ascending").vessel is not vessel_of(type_1, "descending")
 
 
 # tips (mm) after 20, 40 and 60 steps, as of the version from before catheters, whose contacts MuJoCo's solver solved
@@ -379,3 +241,19 @@ def test_the_bare_wire_moves_as_it_did(phantom: str, preset: str) -> None:
         tips.append(1e3 * simulation.tip)
     # between the two solvers lie 0.003 mm; 1 % of stiffness, density or diameter or 2 % of friction move a tip by 0.08
     assert np.allclose(tips[19::20], AS_BEFORE[phantom, preset], rtol=0.0, atol=0.02)
+
+
+def test_joint_positions_set_are_those_of_a_wire_that_is_held(make_simulation: MakeSimulation) -> None:
+    driven, other = make_simulation(), make_simulation()
+    run(driven, random_actions(60, 3))
+    other.set_joint_positions(driven.joint_positions())
+    np.testing.assert_allclose(other.joint_positions(), driven.joint_positions(), atol=1e-12)
+    np.testing.assert_allclose(other.wire_points(), driven.wire_points(), atol=1e-9)
+    assert not other.joint_velocities().any()
+    assert not other.lead().any()
+    other.advance(0.0, 0.0)
+    assert other.insertion == pytest.approx(driven.insertion, abs=1e-3)
+    with pytest.raises(ValueError, match="joint positions must have shape"):
+        other.set_joint_positions(np.zeros(3))
+    with pytest.raises(ValueError, match="insertion must lie in 0 to"):
+        other.set_joint_positions(driven.joint_positions() + 1.0)

@@ -1,7 +1,5 @@
 """Environments stepped together: same results as alone, resets, infos, bad input."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -102,26 +100,6 @@ def test_a_mask_resets_only_some(make_vector: MakeVector) -> None:
     _, rewards, *_ = vector.step(actions(1)[0])
     assert rewards[0] < 0, "the one that was reset goes on"
     assert rewards[1:].tolist() == [0.0, 0.0], "the others are reset now"
-
-
-def test_seeds(make_vector: MakeVector) -> None:
-    vector = make_vector()
-    first, _ = vector.reset(seed=11)
-    assert len({row.tobytes() for row in first}) == 3
-    assert np.array_equal(vector.reset(seed=[11, 12, 13])[0], first)
-    assert np.array_equal(vector.reset(seed=np.int64(11))[0], first)
-    assert not np.array_equal(vector.reset()[0], first)
-    with pytest.raises(ValueError, match="expected 3 seeds, one an environment, got 2"):
-        vector.reset(seed=[1, 2])
-
-
-def test_results_are_not_overwritten(make_vector: MakeVector) -> None:
-    vector = make_vector(observation=("joints", "image"))
-    observations, _ = vector.reset(seed=0)
-    kept = {name: array.copy() for name, array in observations.items()}
-    for step in actions(5):
-        vector.step(step)
-    assert all(np.array_equal(observations[name], kept[name]) for name in kept)
 
 
 @pytest.mark.parametrize(

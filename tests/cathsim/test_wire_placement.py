@@ -1,7 +1,5 @@
 """A wire placed along a way: it lies there before it rests, and stays in the branch afterwards."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -47,19 +45,6 @@ def test_a_placed_wire_is_where_the_simulator_puts_it(environment: NavigateEnv) 
     assert simulation.insertion == pytest.approx(insertion, abs=2e-4)
     count = min(len(driven), simulation.active_links + 1)
     assert np.linalg.norm(simulation.inserted_points()[:count] - driven[:count], axis=1).max() < 3e-4
-
-
-def test_a_straight_wire_is_placed_where_a_reset_puts_it(environment: NavigateEnv) -> None:
-    simulation = environment.simulation
-    entry, direction = simulation.vessel.entry, simulation.vessel.direction
-    place_wire(simulation, entry + np.linspace(0.0, 0.05, 51)[:, None] * direction, 0.0, rest_steps=0)
-    assert simulation.insertion == pytest.approx(0.05 - PROTRUSION, abs=1e-6)
-    np.testing.assert_allclose(simulation.tip, entry + 0.05 * direction, atol=1e-6)
-
-
-def test_a_way_that_begins_elsewhere_is_refused(environment: NavigateEnv, way: np.ndarray) -> None:
-    with pytest.raises(ValueError, match=r"begins at the vessel's entry, this one begins 5\.0 mm from it"):
-        place_wire(environment.simulation, way[1:], 0.012)
 
 
 def test_wire_rests_in_the_branch_and_an_episode_can_start_there(environment: NavigateEnv, way: np.ndarray) -> None:
@@ -132,45 +117,3 @@ def test_two_devices_lie_on_the_way(
     assert simulation.device_lead == pytest.approx(wire if expected is None else expected, abs=1e-4)
     tip = [np.interp(arcs[-1] - 0.03, arcs, way[:, axis]) for axis in range(3)]
     assert np.linalg.norm(simulation.tip - tip) < 2e-3
-
-
-def test_two_placed_devices_rest_and_an_episode_can_start_there(covered: NavigateEnv, way: np.ndarray) -> None:
-    simulation = devices_of(covered)
-    place_wire(simulation, way, 0.012)
-    assert simulation.valid
-    assert simulation.summary.force_max < 0.5
-    assert simulation.device_lead == pytest.approx(0.05)
-    start = simulation.state()
-    place_wire(simulation, way, 0.012)
-    assert np.array_equal(simulation.state(), start)
-    _, info = covered.reset(options={"start": start})
-    assert info["distance"] < 0.05
-    assert info["lead"] == pytest.approx(0.05)
-
-
-def test_laid_starts_of_two_devices_have_several_leads(covered: NavigateEnv) -> None:
-    starts = laid_starts(covered, np.random.default_rng(0))
-    np.testing.assert_array_equal(starts, laid_starts(covered, np.random.default_rng(0)))
-    assert len(starts) >= 4
-    leads = {round(covered.reset(options={"start": start})[1]["lead"], 6) for start in starts}
-    assert len(leads) >= 2
-    assert all(-1e-3 <= lead <= 0.081 for lead in leads)
-
-
-def test_pushed_shapes_of_two_devices_move_each(covered: NavigateEnv, way: np.ndarray) -> None:
-    simulation, leads, tips = devices_of(covered), [], []
-    for shape in pushed_shapes(simulation, way, np.random.default_rng(1)):
-        leads.append(simulation.device_lead)
-        tips.append(shape[0])
-    assert len(leads) >= 1
-    assert np.ptp(leads) > 1e-3
-    assert (np.linalg.norm(np.diff(tips, axis=0), axis=1) > 1e-4).all()
-
-
-def test_a_lead_that_there_cannot_be_is_refused(
-    environment: NavigateEnv, covered: NavigateEnv, way: np.ndarray
-) -> None:
-    with pytest.raises(ValueError, match="a lead is that of two devices, and there is one: leave it out"):
-        place_wire(environment.simulation, way, 0.03, lead=0.01)
-    with pytest.raises(ValueError, match="a lead must lie in -200 to 300 mm, got 400"):
-        place_wire(covered.simulation, way, 0.03, lead=0.4)

@@ -1,7 +1,5 @@
 """A point in a square instead of a wire in an aorta: learnt in seconds, with everything that a training touches."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Every network of the package is trained and read on another device than the CPU, and its file opens anywhere."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A rod that is fed and turned in a plane: scripted samples of it, and encoders fitted to them, made once."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,10 +1,5 @@
-"""Encoder: what it reads off scripted samples, freezing, the file, and refusals."""
+"""The encoder of the simulation's state, and the samples that it is fitted to."""
 
-from __future__ import annotations
-
-import dataclasses
-import io
-import json
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +14,7 @@ from enn.encoder import (
     fit_encoder,
     scripted_samples,
 )
-from enn.exploration import ARC_LENGTHS_MM
+from enn.exploration import ARC_LENGTHS_MM, Frontier, Moves, PairMoves, moves_of
 from tests.enn.rod import QUICK, Rod, SleevedRod, fitted
 
 
@@ -61,52 +56,6 @@ def test_a_turn_of_the_feeder_changes_no_feature(samples: Samples) -> None:
     assert torch.allclose(encoder(turned), encoder(tensors(samples)), atol=1e-3)
 
 
-def test_the_same_seed_gives_the_same_encoder_whatever_was_drawn_before(samples: Samples) -> None:
-    settings = dataclasses.replace(QUICK, epochs=1)
-    first, _ = fit_encoder(samples, ("image",), settings)
-    torch.rand(5)
-    second, _ = fit_encoder(samples, ("image",), settings)
-    other, _ = fit_encoder(samples, ("image",), dataclasses.replace(settings, seed=1))
-    pairs = zip(first.state_dict().values(), second.state_dict().values(), strict=True)
-    assert all(torch.equal(a, b) for a, b in pairs)
-    assert not torch.equal(first(tensors(samples)), other(tensors(samples)))
-
-
-def test_settings_and_weights_make_the_same_encoder(samples: Samples) -> None:
-    encoder, _ = fitted("image", "mask")
-    file = io.BytesIO()
-    torch.save(encoder.state_dict(), file)
-    settings = json.loads(json.dumps(dataclasses.asdict(encoder.settings)))
-    loaded = Encoder(EncoderSettings(**settings)).eval()
-    loaded.load_state_dict(torch.load(io.BytesIO(file.getvalue()), weights_only=True))
-    assert loaded.keys == encoder.keys
-    assert torch.equal(loaded(tensors(samples)), encoder(tensors(samples)))
-
-
-def test_progress_counts_up_to_the_end(samples: Samples) -> None:
-    seen: list[float] = []
-    fit_encoder(samples, ("joints",), dataclasses.replace(QUICK, epochs=3), lambda share, _: seen.append(share))
-    assert seen == pytest.approx([1 / 3, 2 / 3, 1])
-    drawn: list[int] = []
-    scripted_samples(Rod, 50, 0, progress=lambda done, total: drawn.append(done))
-    assert drawn[-1] == 50
-
-
-def test_vectors_are_looked_at_more_often_than_pictures(samples: Samples) -> None:
-    some = samples.take(np.arange(120))
-    quick = dataclasses.replace(QUICK, epochs=0)
-    assert [fit_encoder(some, (key,), quick)[1]["epochs"] for key in ("mask", "joints")] == [10, 30]
-
-
-@pytest.mark.parametrize("channels", [(), (4, 8)])
-def test_convolutions_are_a_choice(samples: Samples, channels: tuple[int, ...]) -> None:
-    settings = dataclasses.replace(QUICK, channels=channels, epochs=1)
-    encoder, _ = fit_encoder(samples, ("image", "mask"), settings)
-    convolutions = [module for module in encoder.modules() if isinstance(module, torch.nn.Conv2d)]
-    assert [layer.out_channels for layer in convolutions] == list(channels)
-    assert encoder(tensors(samples)).shape == (6, 12)
-
-
 def test_bad_samples_are_refused(samples: Samples) -> None:
     with pytest.raises(ValueError, match="wants 'internal', but the samples have image, joints, mask"):
         fit_encoder(samples, ("internal",), QUICK)
@@ -132,3 +81,39 @@ def test_an_encoder_of_two_devices_reads_both_feeders(tmp_path: Path) -> None:
     seen = {key: torch.from_numpy(drawn.observations[key][:6]) for key in again.keys}
     assert torch.equal(again(seen), encoder(seen))
     assert again.wire_points_mm(seen).shape == (6, len(ARC_LENGTHS_MM), 3)
+
+
+def test_samples_hold_observations_and_the_truth(samples: Samples) -> None:
+    assert len(samples) == 1000
+    assert set(samples.observations) == {"image", "mask", "joints"}
+    assert samples.observations["image"].dtype == np.uint8
+    reach = np.linalg.norm(samples.points_mm[:, 0], axis=1)
+    assert np.allclose(reach, 10 + samples.feeder[:, 0], atol=1e-3)  # mm: the rod's tip
+    assert np.allclose(samples.points_mm[:, 1], samples.points_mm[:, 0] - 4 * samples.direction, atol=1e-3)
+    assert np.allclose(np.linalg.norm(samples.direction, axis=1), 1, atol=1e-5)
+    assert len(np.unique(samples.episode)) > 20
+
+
+def test_the_frontier_prefers_rare_places() -> None:
+    frontier = Frontier(np.random.default_rng(0))
+    assert frontier.draw() is None
+    for _ in range(500):
+        frontier.add(np.zeros(1), np.zeros(3))
+    frontier.add(np.ones(1), np.array((0.05, 0, 0)))
+    assert len(frontier) == 2
+    assert np.mean([frontier.draw()[0] for _ in range(200)]) > 0.9  # type: ignore[index]
+
+
+def test_two_devices_move_alone_apart_and_together() -> None:
+    moves = moves_of(4, np.random.default_rng(0))
+    assert isinstance(moves, PairMoves)
+    moves.start()
+    drawn = np.array([moves.action() for _ in range(2000)])
+    assert drawn.dtype == np.float32
+    assert np.abs(drawn).max() <= 1.0
+    wire, catheter = (np.abs(drawn[:, part]).sum(axis=1) > 0 for part in (slice(2), slice(2, 4)))
+    together = (drawn[:, 0] == drawn[:, 2]) & wire & catheter
+    for kind in (wire & ~catheter, catheter & ~wire, together, wire & catheter & ~together):
+        assert 0.05 < kind.mean() < 0.6
+    assert isinstance(moves_of(2, np.random.default_rng(0)), Moves)
+    assert isinstance(moves_of(21, np.random.default_rng(0)), Moves)

@@ -1,7 +1,5 @@
 """A policy as ONNX acts as the policy does."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 

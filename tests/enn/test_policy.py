@@ -1,6 +1,4 @@
-"""Policies: actions, action repeat, the file they are kept in, and what they refuse."""
-
-from __future__ import annotations
+"""Policies act as the library's, on any device."""
 
 from pathlib import Path
 from typing import Any
@@ -10,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from enn.devices import bfloat16_on_processor
 from enn.networks.network import NetworkSettings, build_network
 from enn.networks.normalisation import fit_normalisation
 from enn.policy import Policy
@@ -56,18 +55,6 @@ def test_the_mean_action_is_the_librarys(algorithm: str) -> None:
     np.testing.assert_allclose(policy.act_batch(batch), expected, atol=1e-6)
 
 
-def test_draws_follow_their_generator_and_spread_as_the_network_says() -> None:
-    policy = _policy(NetworkSettings(algorithm="ppo", hidden=(8,)))
-    batch = {name: np.repeat(values, 4000, axis=0) for name, values in _batch(1).items()}
-    first = policy.act_batch(batch, False, np.random.default_rng(1))
-    np.testing.assert_array_equal(first, policy.act_batch(batch, False, np.random.default_rng(1)))
-    assert (first != policy.act_batch(batch, False, np.random.default_rng(2))).any()
-    # a standard deviation of 1 about nearly 0, cut at -1 and 1
-    assert np.mean(np.abs(first[:, 0]) == 1) == pytest.approx(0.317, abs=0.04)
-    with pytest.raises(ValueError, match="seeded numpy Generator"):
-        policy.act_batch(batch, deterministic=False)
-
-
 def test_a_controller_holds_its_actions_and_decides_anew_after_a_reset() -> None:
     policy = _policy(action_repeat=3)
     controller = policy.controller()
@@ -107,15 +94,6 @@ def test_only_the_actors_keys_are_needed_to_act() -> None:
     assert policy.act({"feeder": np.zeros(2, np.float32)}).shape == (2,)
 
 
-def test_a_single_box(tmp_path: Path) -> None:
-    policy = _policy(space=SPACE["tip"])
-    policy.save(tmp_path / "policy.pt")
-    tip = np.array([1, 2, 3], np.float32)
-    np.testing.assert_array_equal(Policy.load(tmp_path / "policy.pt").act(tip), policy.act(tip))
-    with pytest.raises(ValueError, match="sees one array of shape \\(3,\\), got the observations tip"):
-        policy.act({"tip": tip})
-
-
 def test_other_observations_are_one_clear_sentence() -> None:
     policy = _policy()
     with pytest.raises(ValueError, match="sees tip, feeder, but feeder is missing: make the environment with these"):
@@ -128,14 +106,27 @@ def test_other_observations_are_one_clear_sentence() -> None:
         policy.act({"tip": np.zeros(3), "feeder": np.array([0.0, np.nan])})
 
 
-def test_settings_refuse_unknown_names() -> None:
-    for name in ("algorithm", "extractor", "variant", "activation"):
-        with pytest.raises(ValueError, match=f"unknown {name} 'other'; there are"):
-            NetworkSettings(**{name: "other"})
-    with pytest.raises(ValueError, match="leave critic_keys and critic_layer_norm out with ppo"):
-        NetworkSettings(algorithm="ppo", critic_keys=("tip",))
-    image = gymnasium.spaces.Dict({"image": gymnasium.spaces.Box(0, 255, (1, 8, 8), np.uint8)})
-    with pytest.raises(
-        ValueError, match="image is an image: give it an encoder, or a network with extractor='multimod"
-    ):
-        build_network(NetworkSettings(), image, ACTIONS)
+@pytest.mark.parametrize(
+    ("abilities", "expected"),
+    [({"avx512_bf16": True}, torch.bfloat16), ({"amx_bf16": True}, torch.bfloat16), ({"avx2": True}, torch.float32)],
+)
+def test_products_are_bfloat16_where_the_processor_has_it(
+    monkeypatch: pytest.MonkeyPatch, abilities: dict[str, bool], expected: torch.dtype
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: abilities)
+    layer = torch.nn.Conv2d(1, 4, 3)
+    with bfloat16_on_processor():
+        found = layer(torch.zeros(2, 1, 8, 8))
+    assert found.dtype == expected
+    found.float().sum().backward()
+    assert layer.weight.dtype == layer.weight.grad.dtype == torch.float32
+    assert layer(torch.zeros(2, 1, 8, 8)).dtype == torch.float32  # outside
+
+
+def test_a_single_box(tmp_path: Path) -> None:
+    policy = _policy(space=SPACE["tip"])
+    policy.save(tmp_path / "policy.pt")
+    tip = np.array([1, 2, 3], np.float32)
+    np.testing.assert_array_equal(Policy.load(tmp_path / "policy.pt").act(tip), policy.act(tip))
+    with pytest.raises(ValueError, match="sees one array of shape \\(3,\\), got the observations tip"):
+        policy.act({"tip": tip})

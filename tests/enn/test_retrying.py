@@ -1,14 +1,12 @@
 """Retrying: the first attempt is the controller's own, then devices are drawn back and the next one begins anew."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 
-from enn.retrying import WITHIN, RetryingController, steps_of_attempts
+from enn.retrying import WITHIN, RetryingController
 
 FORWARDS = np.array([1.0, 0.2], np.float32)
 
@@ -55,25 +53,6 @@ def test_devices_are_drawn_back_between_attempts(feeders: int) -> None:
     assert (back[1::2] != 0).all()
 
 
-def test_turns_depend_on_the_seed_and_an_episode_begins_anew() -> None:
-    def turn_after_first(controller: RetryingController) -> float:
-        robot = _Feeders(1)
-        for _ in range(6):
-            action = controller(None, robot.info)
-            robot.step(action)
-        return float(action[1])
-
-    def controller_of(seed: int) -> RetryingController:
-        return RetryingController(lambda seed: lambda observation, info: FORWARDS, 5, seed=seed)
-
-    same = controller_of(0)
-    first = turn_after_first(same)
-    same.reset()
-    assert same.attempts == 0
-    assert turn_after_first(same) == first == turn_after_first(controller_of(0))
-    assert turn_after_first(controller_of(1)) != first
-
-
 @pytest.mark.parametrize("catheter", [None, "simmons2"])
 def test_an_environments_devices_come_back_to_the_sheath(catheter: str | None) -> None:
     environment = gymnasium.make("cathsim:cathsim/Navigate-v0", catheter=catheter, observation="tip", max_steps=400)
@@ -91,14 +70,6 @@ def test_an_environments_devices_come_back_to_the_sheath(catheter: str | None) -
     assert insertions[-1] > 0.01  # on its way again
 
 
-def test_the_last_attempt_goes_on() -> None:
-    robot, controller = _Feeders(1), RetryingController(lambda seed: lambda observation, info: FORWARDS, 5, most=2)
-    for _ in range(60):
-        robot.step(controller(None, robot.info))
-    assert controller.attempts == 2
-    assert robot.places[0] == pytest.approx(0.001 + 0.002 * (60 - 5 - 5), abs=0.0021)
-
-
 def test_an_attempt_that_presses_too_hard_ends_and_after_the_last_the_devices_rest() -> None:
     robot = _Feeders(1)
     controller = RetryingController(lambda seed: lambda observation, info: FORWARDS, 50, most=2, most_force=1.0)
@@ -113,14 +84,3 @@ def test_an_attempt_that_presses_too_hard_ends_and_after_the_last_the_devices_re
     assert robot.places[0] == pytest.approx(0.001, abs=WITHIN)
     with pytest.raises(ValueError, match="most_force must be above 0 N, got -1"):
         RetryingController(lambda seed: lambda observation, info: FORWARDS, 50, most_force=-1.0)
-
-
-def test_an_episode_of_several_attempts_leaves_time_to_go_back() -> None:
-    assert steps_of_attempts(300, 1) == 300
-    assert steps_of_attempts(300, 3) - 3 * 300 >= 2 * 200  # an adult's 400 mm, at 2 mm a step
-
-
-@pytest.mark.parametrize(("steps", "most"), [(0, None), (5, 0)])
-def test_attempts_that_cannot_be_are_refused(steps: int, most: int | None) -> None:
-    with pytest.raises(ValueError, match=f"1 step at least, got {most} with {steps}"):
-        RetryingController(lambda seed: lambda observation, info: FORWARDS, steps, most)

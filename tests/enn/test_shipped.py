@@ -1,7 +1,5 @@
 """Shipped policies: found by name, refused in one sentence where they cannot be used, and each steers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,7 +15,7 @@ from enn.imitation.images.policy import ImagePolicy
 from enn.model_file import decoded, write_model
 from enn.policy import Policy
 from tests.enn.imitation.straight_wire import SIZE, WireEnv, policy_on
-from tests.enn.test_damaged_models import policy
+from tests.enn.test_model_file import policy
 
 CARD = "# {}\n\nSteers a\nwire.\n\n| file |\n"
 
@@ -34,18 +32,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return weights
 
 
-def test_models_are_listed_with_what_they_do(folder: Path) -> None:
-    assert enn.models() == {"seer": "Steers a wire.", "teacher": "Steers a wire."}
-    assert shipped.card("seer") == CARD.format("seer")
-
-
-def test_a_policy_of_vectors_acts(folder: Path) -> None:
-    loaded = enn.load("teacher")
-    assert isinstance(loaded, Policy)
-    seen = {"tip": np.zeros(3, np.float32)}
-    np.testing.assert_array_equal(loaded.controller()(seen), policy_file(folder / "teacher.pt").act(seen))
-
-
 def test_half_precision_acts_nearly_the_same_from_half_the_bytes(folder: Path) -> None:
     whole = policy()
     whole.save(folder / "half.pt", half=True)
@@ -53,23 +39,6 @@ def test_half_precision_acts_nearly_the_same_from_half_the_bytes(folder: Path) -
     np.testing.assert_allclose(policy_file(folder / "half.pt").act(seen), whole.act(seen), atol=2e-3)
     weights = decoded((folder / "half.pt").read_bytes())["weights"]
     assert {str(value.dtype) for value in weights.values()} == {"torch.float16"}
-
-
-def test_critics_in_half_precision_leave_the_actor_as_it_is(tmp_path: Path) -> None:
-    shipped_file = next(file for file in shipped.weight_files() if file.stem == "generalist")
-    whole = Policy.load(shipped_file)
-    whole.save(tmp_path / "policy.pt", critics=True, half_critics=True)
-    assert Policy.load(tmp_path / "policy.pt").critics
-    files = (decoded(path.read_bytes())["weights"] for path in (shipped_file, tmp_path / "policy.pt"))
-    before, after = ({key: value.numpy() for key, value in weights.items()} for weights in files)
-    assert before.keys() == after.keys()
-    assert any(key.startswith("critic") for key in after)
-    for key, value in after.items():
-        if key.startswith("actor."):
-            np.testing.assert_array_equal(value, before[key])
-        else:
-            assert value.dtype == np.float16
-            np.testing.assert_allclose(value, before[key], rtol=1e-3, atol=1e-6)
 
 
 def test_the_expert_network_reaches_its_target() -> None:
@@ -127,10 +96,3 @@ def test_a_file_that_cannot_be_used_is_refused(folder: Path, change: Callable[[P
 def test_an_unknown_name_is_refused_with_the_known_ones(folder: Path, use: Callable[[str], object]) -> None:
     with pytest.raises(ValueError, match=r"there is no model '\.\./teacher': choose from seer, teacher"):
         use("../teacher")
-
-
-def test_without_any_model_the_refusal_says_so(folder: Path) -> None:
-    for path in folder.glob("*.pt"):
-        path.unlink()
-    with pytest.raises(ValueError, match="none is shipped"):
-        enn.load("teacher")

@@ -1,16 +1,11 @@
 """Trajectory: invariants, and episodes laid end to end."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 from enn.trajectory import Trajectory, join, require_same_shapes
-
-Make = Callable[..., Trajectory]
 
 
 def arrays(steps: int = 4, side: int = 8) -> dict[str, Any]:
@@ -68,10 +63,3 @@ def test_names_the_episode_of_another_image_size_wire_or_action() -> None:
         require_same_shapes([Trajectory(**arrays(4)), Trajectory(**other)], ("joints",))
     with pytest.raises(ValueError, match=r"5.mcap has 21 actions, the other episodes 2"):
         join([Trajectory(**arrays(4)), Trajectory(**(arrays(5) | {"actions": np.zeros((5, 21))}))], ("image",))
-
-
-def test_says_what_is_missing() -> None:
-    with pytest.raises(ValueError, match=r"4.mcap has no observation mask; it has image, joints"):
-        Trajectory(**arrays()).require(("image", "mask"))
-    with pytest.raises(ValueError, match="no episodes to learn from"):
-        join([], ("image",))

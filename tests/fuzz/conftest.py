@@ -1,7 +1,5 @@
 """The profile of ``make fuzz``, and its table of verdicts."""
 
-from __future__ import annotations
-
 import hypothesis
 import pytest
 

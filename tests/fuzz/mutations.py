@@ -1,7 +1,5 @@
 """Seeded damage: to bytes, to plain values as JSON holds them, and to lines of text."""
 
-from __future__ import annotations
-
 import copy
 import json
 import random

@@ -1,7 +1,5 @@
 """What a reader promises of damaged input: nothing is lost, or one sentence says why, in bounded time and memory."""
 
-from __future__ import annotations
-
 import functools
 import os
 import random

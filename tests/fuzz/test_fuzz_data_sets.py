@@ -1,7 +1,5 @@
 """The bi-planar data set: annotations, curves, truths, cameras and properties that are damaged or say nonsense."""
 
-from __future__ import annotations
-
 import json
 import random
 import shutil

@@ -1,7 +1,5 @@
 """Files of guidewires and catheters: damaged bytes, and values that are exchanged, missing or added."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Files of other programs: surfaces, label volumes, images and texts of cameras and beads with damaged bytes."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Episode logs: damaged bytes, and contents that are wrong behind right checksums."""
 
-from __future__ import annotations
-
 import json
 import random
 from dataclasses import dataclass

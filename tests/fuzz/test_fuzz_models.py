@@ -1,7 +1,5 @@
 """Model files and checkpoints: damaged bytes, and files that are missing or exchanged."""
 
-from __future__ import annotations
-
 import random
 import shutil
 from collections.abc import Callable

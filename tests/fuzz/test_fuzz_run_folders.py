@@ -1,7 +1,5 @@
 """Run folders: manifests, marks and outputs that were damaged, exchanged or removed."""
 
-from __future__ import annotations
-
 import json
 import random
 import shutil

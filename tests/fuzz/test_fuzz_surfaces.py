@@ -1,7 +1,5 @@
 """Surfaces: damaged files and surfaces with faces missing, turned, doubled or moved."""
 
-from __future__ import annotations
-
 import logging
 import random
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What people and pages write: settings on the command line and messages of the console."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import random

@@ -1,7 +1,5 @@
 """X-ray runs: plain, enhanced and compressed DICOM files, damaged or with attributes of other values."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Command lines: whatever is wrong with files, folders and numbers is one sentence and a non-zero exit."""
 
-from __future__ import annotations
-
 import logging
 import subprocess
 import sys
@@ -11,7 +9,6 @@ import numpy as np
 import pytest
 
 from guide3d import train
-from guide3d.calibration import __main__ as calibration_command
 from guide3d.dataset.dataset import Dataset
 from guide3d.dataset.frame import ImageError, read_image
 from guide3d.image_file import write_png
@@ -53,25 +50,6 @@ def test_training_refuses_with_one_sentence(
     said = [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR]
     assert len(said) == 1
     assert "\n" not in said[0]
-
-
-@pytest.mark.parametrize("seed", ["-1", "2147483648", "nan"])
-@pytest.mark.parametrize("name", ["--seed", "--split-seed"])
-def test_a_seed_out_of_range_is_refused(
-    name: str, seed: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        train.main([str(data), *SMOKE, "--output", str(tmp_path), f"{name}={seed}"])
-    assert ended.value.code == 2
-    assert f"a seed is a whole number from 0 to 2147483647, got '{seed}'" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("folder", ["none", "file", "."])
-def test_calibration_refuses_with_one_sentence(
-    folder: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert calibration_command.main([str(data / folder), "--output", str(tmp_path)]) == 1
-    assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.parametrize("name", ["raw.json", "dataset.json", "truth.json"])

@@ -1,7 +1,6 @@
-"""Image files: kinds and depths, what is damaged or cut off, and pictures that come back as written."""
+"""Files of images and texts: values kept, damage refused in one sentence."""
 
-from __future__ import annotations
-
+import codecs
 import os
 import zlib
 from pathlib import Path
@@ -13,6 +12,7 @@ from PIL import Image
 
 from guide3d.image_file import ImageError, eight_bits, encode_png, read_grey_levels, tiff_pages, write_png
 from guide3d.opencv import cv2
+from guide3d.text_file import numbers_in, read_json, read_text
 
 GREY = np.random.default_rng(0).integers(0, 256, (40, 56), np.uint8)
 
@@ -220,3 +220,55 @@ def test_what_is_no_image_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(ImageError, match=said):
             read_grey_levels(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("line", "numbers"),
+    [
+        ("1.5,-2,3e2", [1.5, -2, 300]),
+        ("1.5, -2, 3", [1.5, -2, 3]),
+        ("1.5;-2;3", [1.5, -2, 3]),
+        ("1,5;-2;3,25e1", [1.5, -2, 32.5]),
+        ("1,5\t-2,5\t3", [1.5, -2.5, 3]),
+        ("1,5  -2,5 3", [1.5, -2.5, 3]),
+        ("1.5 -2.5   3", [1.5, -2.5, 3]),
+        ('"1,5","-2,5","3"', [1.5, -2.5, 3]),
+        ("1,2,,,", [1, 2]),
+        ("1;2;\r", [1, 2]),
+        ("4711", [4711]),
+        ("1,5", [1, 5]),
+        ("1.234,5;2;3", None),  # neither a thousand nor a decimal is sure
+        ("1_000,2", None),
+        ("x,y,z", None),
+        ("1,,2", None),
+        ("", []),
+    ],
+)
+def test_numbers_of_a_line(line: str, numbers: list[float] | None) -> None:
+    assert numbers_in(line) == numbers
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_text_with_and_without_a_mark(encoding: str, tmp_path: Path) -> None:
+    path = tmp_path / "marks.json"
+    path.write_bytes('["ä"]'.encode(encoding))
+    assert read_text(path, "file") == '["ä"]'
+    assert read_json(path, "file") == ["ä"]
+
+
+def test_what_is_no_text_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "binary").write_bytes(b"\x89PNG\r\n")
+    (tmp_path / "half").write_bytes(codecs.BOM_UTF16_LE + b"a")
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("binary", "half"):
+        with pytest.raises(ValueError, match=f"{name}: expected a text file, a camera file, found binary data"):
+            read_text(tmp_path / name, "camera file")
+    for name in ("pipe", ""):
+        with pytest.raises(ValueError, match="is no regular file"):
+            read_text(tmp_path / name, "camera file")
+    with pytest.raises(FileNotFoundError, match=r"^camera file .*none is missing$"):
+        read_text(tmp_path / "none", "camera file")
+    with (tmp_path / "large").open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(ValueError, match=r"large has 1.1e.03 GB, at most .* are read"):
+        read_text(tmp_path / "large", "camera file")

@@ -1,7 +1,8 @@
-"""Shipped networks: found by name, each read by its class, refused in one sentence where they cannot be used."""
+"""What is shipped and public: networks by name, threads of OpenCV, names."""
 
-from __future__ import annotations
-
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,6 @@ import pytest
 import guide3d
 from guide3d import shipped
 from guide3d.learning.model_file import read_content, write_content
-from guide3d.reading.maps import Reader
 
 SHIPPED = Path(shipped.__file__).parent / "weights"
 
@@ -25,11 +25,6 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (weights / "reader.pt").write_bytes((SHIPPED / "reader.pt").read_bytes())
     (weights / "reader.md").write_text("# reader\n\nReads\nwires.\n\nmore\n")
     return weights
-
-
-def test_models_are_listed_with_what_they_do(folder: Path) -> None:
-    assert guide3d.models() == {"reader": "Reads wires."}
-    assert isinstance(guide3d.load("reader"), Reader)
 
 
 def test_networks_of_the_data_set_predict() -> None:
@@ -67,3 +62,34 @@ def test_kinds_and_formats_are_refused_by_name(folder: Path) -> None:
 def test_an_unknown_name_is_refused_with_the_known_ones(folder: Path, use: Callable[[str], object]) -> None:
     with pytest.raises(ValueError, match="there is no model 'unet9': choose from reader"):
         use("unet9")
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"),
+    [
+        ({"OMP_NUM_THREADS": "1"}, 1),
+        ({"OMP_NUM_THREADS": "3"}, 3),
+        ({"OMP_NUM_THREADS": "3", "OPENCV_FOR_THREADS_NUM": "2"}, 2),
+        ({"OMP_NUM_THREADS": "4,2"}, None),  # OpenMP's own form for nested loops: left to OpenCV
+        ({}, None),
+    ],
+)
+def test_threads_follow_the_environment(environment: dict[str, str], expected: int | None) -> None:
+    kept = {name: value for name, value in os.environ.items() if not name.endswith(("NUM_THREADS", "THREADS_NUM"))}
+    snippet = "import cv2; own = cv2.getNumThreads(); import guide3d.opencv; print(own, cv2.getNumThreads())"
+    run = subprocess.run([sys.executable, "-c", snippet], env={**kept, **environment}, capture_output=True, check=True)
+    own, followed = (int(word) for word in run.stdout.split())
+    assert followed == (own if expected is None else expected)
+
+
+def test_the_function_read_stays_one_when_its_command_is_imported() -> None:
+    code = "import guide3d, guide3d.read as first; import guide3d.read; assert first is guide3d.read; print(first)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("<function read")
+
+
+def test_the_calibration_runs_as_a_module() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "guide3d.calibration", "--help"], capture_output=True, text=True, check=True
+    )
+    assert "--output" in done.stdout

@@ -1,7 +1,5 @@
 """Environments in checkpoints: what the simulator says of its state is plain data, and it goes on from it exactly."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

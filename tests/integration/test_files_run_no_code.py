@@ -1,14 +1,12 @@
 """Files are data: nothing in the sources reads a file in a way that would run code out of it."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-PROJECT_ROOT = Path(__file__).resolve().parents[2]
+from tests.integration.documents.pages import PROJECT_ROOT
+
 SOURCES = sorted(
     file for folder in ("packages", "pipeline", "benchmarks") for file in (PROJECT_ROOT / folder).rglob("*.py")
 )

@@ -1,7 +1,5 @@
 """Import isolation: who may import whom, by the sources and by what an import really loads."""
 
-from __future__ import annotations
-
 import ast
 import graphlib
 import importlib

@@ -1,7 +1,5 @@
 """The documentation runs: the notebook from top to bottom, kept with its outputs, and the pages' blocks of Python."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 import importlib.util
@@ -43,8 +41,6 @@ def code_cells(notebook: dict[str, Any]) -> list[dict[str, Any]]:
 
 def test_the_script_that_runs_it_keeps_what_a_kernel_shows(tmp_path: Path) -> None:
     specification = importlib.util.spec_from_file_location("run_notebook", DOCS / "run_notebook.py")
-    assert specification is not None
-    assert specification.loader is not None
     script = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(script)
     source = "import matplotlib.pyplot as plt\nplt.plot([1, 2])\nprint('two', 3)\n[1, 2]"

@@ -1,7 +1,5 @@
 """`python -m PACKAGE` lists the command lines that the package has, a line each."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Networks on a second device, in a process of their own: torch must know of it before anything else is learnt."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

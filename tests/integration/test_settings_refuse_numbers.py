@@ -1,7 +1,5 @@
 """Every number of every settings class refuses NaN, infinity and text in one sentence that names the field."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import inspect

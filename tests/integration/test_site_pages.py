@@ -1,7 +1,7 @@
-"""Pages of the documentation site that are no pages below docs/: links, the notebook, the packages' interfaces."""
+"""The site: links, the notebook, entries of every module."""
 
-from __future__ import annotations
-
+import ast
+import importlib
 import importlib.util
 import json
 import subprocess
@@ -18,8 +18,6 @@ DOCS = PROJECT_ROOT / "docs"
 @pytest.fixture(scope="module")
 def site() -> ModuleType:
     specification = importlib.util.spec_from_file_location("site_pages", DOCS / "site_pages.py")
-    assert specification is not None
-    assert specification.loader is not None
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     return module
@@ -73,3 +71,21 @@ def test_the_site_is_built_strictly(tmp_path: Path) -> None:
     assert done.returncode == 0, (done.stdout + done.stderr)[-2000:]
     assert "NavigateEnv" in (tmp_path / "site" / "api" / "cathsim.html").read_text(encoding="utf-8")
     assert (tmp_path / "site" / "tutorial_1.png").stat().st_size > 10_000
+
+
+FOLDER = Path(__file__).parents[2] / "benchmarks"
+OURS = ("cathsim", "enn", "guide3d", "splineformer", "pipeline")
+
+
+@pytest.mark.parametrize("file", sorted(FOLDER.rglob("*.py")), ids=lambda file: str(file.relative_to(FOLDER)))
+def test_what_a_benchmark_imports_is_there(file: Path) -> None:
+    missing = []
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in OURS:
+            module = importlib.import_module(node.module)
+            for name in node.names:
+                part = f"{node.module}.{name.name}"
+                a_module = hasattr(module, "__path__") and importlib.util.find_spec(part) is not None
+                if not a_module and not hasattr(module, name.name):
+                    missing.append(part)
+    assert not missing

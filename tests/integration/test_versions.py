@@ -1,8 +1,12 @@
-"""The five distributions name one version, and the ranges of what they need hold what is pinned."""
+"""Distributions: one version, pinned ranges, declared extras, modules that packages carry alike."""
 
-from __future__ import annotations
-
+import ast
+import importlib.metadata
+import json
+import re
+import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +14,8 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-PROJECT_ROOT = Path(__file__).resolve().parents[2]
+from tests.integration.documents.pages import PACKAGES, PROJECT_ROOT
+
 FOLDERS = (".", *(f"packages/{name}" for name in ("cathsim", "enn", "guide3d", "splineformer")))
 
 
@@ -49,7 +54,146 @@ def test_pinned_versions_lie_in_the_ranges(folder: str) -> None:
         assert wanted.specifier.contains(known[name]), wanted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("folder", FOLDERS[1:])
 def test_every_distribution_brings_the_licence(folder: str) -> None:
     licence = (PROJECT_ROOT / folder / "LICENSE").read_text(encoding="utf-8")
     assert licence == (PROJECT_ROOT / "LICENSE").read_text(encoding="utf-8")
+
+
+PHANTOM = "import cathsim; phantom = cathsim.load_phantom('type_1', resolution=2e-3); "
+# distribution[extra], module that is missing, what needs it
+USES = [
+    ("cathsim[composer]", "dm_control", "import cathsim.composer"),
+    ("cathsim[hulls]", "coacd", f"{PHANTOM}from cathsim.contact.hulls import decompose; decompose(phantom, None)"),
+    ("cathsim[human]", "pygame", "from cathsim.viewing.display import Window; Window()"),
+    ("cathsim[metaimage]", "SimpleITK", "import cathsim; cathsim.import_anatomy('labels.mha')"),
+    ("cathsim[pictures]", "matplotlib", "from cathsim.viewing.figure import new_figure; new_figure()"),
+    ("cathsim[pictures]", "PIL", "from cathsim.viewing.film import film_palette; film_palette([], 2, 2)"),
+    (
+        "cathsim[surfaces]",
+        "lz4",
+        "from cathsim.anatomy.mesh.files.vtp import _unpacker; _unpacker('vtkLZ4DataCompressor')",
+    ),
+    (
+        "cathsim[dicom]",
+        "pydicom",
+        "from cathsim.anatomy.volume.dicom.files import read_dicom as r; r(__import__('pathlib').Path('run.dcm'))",
+    ),
+    ("cathsim[volumes]", "nibabel", "import cathsim; cathsim.import_anatomy('labels.nii.gz')"),
+    ("cathsim[volumes]", "nrrd", "import cathsim; cathsim.import_anatomy('labels.nrrd')"),
+    ("guide3d[dicom]", "pydicom", "from guide3d.dicom import read_xray; read_xray('run.dcm')"),
+    ("guide3d[learning]", "torch", "import guide3d, numpy; guide3d.read(numpy.eye(256))"),
+    ("guide3d[learning]", "torch", "import guide3d; guide3d.load('reader')"),
+    ("guide3d[learning]", "torch", "import guide3d.train"),
+    ("guide3d[learning]", "torch", "import guide3d.train_reader"),
+    ("guide3d[learning]", "torch", "import guide3d.modeling.unet"),
+    ("guide3d[learning]", "torch", "import guide3d.reading.maps"),
+    ("enn[onnx]", "onnx", "from enn.export import _require; _require('onnx')"),
+    ("splineformer[onnx]", "onnx", "from splineformer.export import _require; _require('onnx')"),
+]
+FILES = ("labels.mha", "labels.nii.gz", "labels.nrrd", "run.dcm")
+# console: a line of its own command (tests/cathsim/console); lossless: found by pydicom (tests/guide3d/dicom);
+# video: Gymnasium's own wrapper names moviepy
+ELSEWHERE = {"cathsim[console]", "cathsim[video]", "guide3d[lossless]"}
+
+
+# Each use is tried in a process forked from one that has imported what takes long and is no extra.
+EACH_USE = """
+import json, os, pathlib, sys, tempfile
+import gymnasium, mujoco, pydantic, scipy.ndimage, scipy.spatial, skimage.measure, trimesh
+os.chdir(tempfile.mkdtemp())
+for name in FILES:
+    pathlib.Path(name).write_bytes(b"0")
+for number, (_, module, use) in enumerate(USES):
+    if not os.fork():
+        sys.modules[module] = None
+        try:
+            exec(use)
+        except Exception as error:
+            pathlib.Path(f"{number}.json").write_text(json.dumps(str(error)))
+        os._exit(0)
+    os.wait()
+print(json.dumps([json.loads(pathlib.Path(f"{number}.json").read_text()) for number in range(len(USES))]))
+"""
+
+
+def test_a_missing_dependency_is_named_with_its_extra(run_python: Callable[[str], str]) -> None:
+    sentences = json.loads(run_python(f"FILES, USES = {FILES!r}, {USES!r}\n{EACH_USE}").splitlines()[-1])
+    for (extra, _, use), said in zip(USES, sentences, strict=True):
+        assert f"pip install 'endonav-{extra}'" in said.replace('"', "'"), use
+        assert "\n" not in said
+
+
+def test_every_extra_of_the_packages_is_tried() -> None:
+    declared = {
+        f"{package}[{extra}]"
+        for package in PACKAGES
+        for extra in tomllib.loads((PROJECT_ROOT / "packages" / package / "pyproject.toml").read_text())["project"].get(
+            "optional-dependencies", ()
+        )
+    }
+    assert declared == {extra for extra, _, _ in USES} | ELSEWHERE
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_message_advises_a_distribution_of_a_foreign_name(package: str) -> None:
+    foreign = re.compile(rf"(?<![\w/-]){package}\[\w+\]")
+    sources = (PROJECT_ROOT / "packages" / package / "src").rglob("*.py")
+    assert not [str(file) for file in sources if foreign.search(file.read_text(encoding="utf-8"))]
+
+
+# comes with another one that is declared
+BROUGHT = {"dm_env": "dm_control"}
+
+
+def imports(file: Path) -> set[str]:
+    """Top-level modules that a file imports anywhere, but for type checkers."""
+    found: set[str] = set()
+    pending: list[ast.AST] = [ast.parse(file.read_text(encoding="utf-8"))]
+    while pending:
+        node = pending.pop()
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            pending.extend(node.orelse)
+            continue
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module.split(".")[0])
+        pending.extend(ast.iter_child_nodes(node))
+    return found
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_what_a_package_imports_is_declared(package: str) -> None:
+    project = tomllib.loads((PROJECT_ROOT / "packages" / package / "pyproject.toml").read_text())["project"]
+    lines = [
+        *project["dependencies"],
+        *(line for some in project.get("optional-dependencies", {}).values() for line in some),
+    ]
+    declared = {re.split(r"[\[<>=~; ]", line)[0].lower().replace("_", "-") for line in lines}
+    sources = list((PROJECT_ROOT / "packages" / package / "src").rglob("*.py"))
+    foreign = set().union(*map(imports, sources)) - {package, *sys.stdlib_module_names}
+    brings = importlib.metadata.packages_distributions()
+    missing = {
+        name
+        for name in foreign
+        if not {one.lower().replace("_", "-") for one in brings.get(BROUGHT.get(name, name), [name])} & declared
+    }
+    assert not missing
+
+
+@pytest.mark.parametrize(
+    ("name", "package"),
+    [
+        ("guarded_reading.py", "cathsim/src/cathsim"),
+        ("bounded_content.py", "enn/src/enn"),
+        ("lazy_names.py", "guide3d/src/guide3d"),
+        ("opencv.py", "guide3d/src/guide3d"),
+    ],
+)
+def test_packages_carry_the_same_module(name: str, package: str):
+    copies = sorted((PROJECT_ROOT / "packages").glob(f"*/src/**/{name}"))
+    assert PROJECT_ROOT / "packages" / package / name in copies
+    assert len(copies) > 1
+    assert len({copy.read_bytes() for copy in copies}) == 1

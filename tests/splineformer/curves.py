@@ -1,7 +1,5 @@
 """Curves and images of wires with known truth, for the tests of splineformer."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from guide3d.dataset.frame import strip_mask

@@ -1,7 +1,5 @@
 """The perception network is trained and read on another device than the CPU."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,37 +1,20 @@
-"""Image input: sizes, depths and shapes of images, and pixels as shares of the side."""
-
-from __future__ import annotations
+"""What a network takes from an image, and where it looks."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
+import torch
 
 from guide3d.reading.grey_image import grey_image
-from splineformer.image_input import picture_of, pixels_of_shares, shares_of_pixels
+from splineformer.attention import attention_map
+from splineformer.build import SIZES, VARIANTS, build, size_of
+from splineformer.image_input import picture_of
+from splineformer.map_picture import WHITE, picture_by_reader, reduced
+from splineformer.modeling.ordered import OrderedSplineFormer
+from splineformer.modeling.published import SplineFormer
 from tests.splineformer.curves import image_of, wavy_wire
-
-
-def test_shares_and_pixels() -> None:
-    shares = shares_of_pixels(np.array([[-0.5, 255.5], [127.5, 0.0]]), (256, 256))
-    assert np.allclose(shares, [[0, 1], [0.5, 0.5 / 256]])
-    assert np.allclose(pixels_of_shares(shares, (256, 256)), [[-0.5, 255.5], [127.5, 0.0]])
-
-
-def test_areas_are_averaged_on_the_way_down() -> None:
-    image = np.zeros((128, 128), np.uint8)
-    image[:, 1::2] = 200
-    picture = picture_of(image, 64, 128)
-    assert (picture.pixels == 100).all()
-    assert (picture.side_px, picture.warnings) == (128.0, ())
-    assert picture.pixels.dtype == np.uint8
-
-
-def test_images_of_the_networks_size_stay_as_they_are() -> None:
-    image = image_of(wavy_wire(0, 64), 64)
-    assert np.array_equal(picture_of(image, 64, 64).pixels, image)
-    assert np.array_equal(picture_of(np.stack([image] * 3, -1), 64, 64).pixels, image)
-    assert np.array_equal(picture_of(np.stack([image] * 4, -1), 64, 64).pixels, image)
 
 
 @pytest.mark.parametrize("shape", [(64, 256), (256, 64)])
@@ -54,3 +37,95 @@ def test_deep_images_have_the_grey_levels_that_guide3d_gives_them() -> None:
     flat = np.zeros((128, 128))
     flat[1, 1] = 1.0  # less than the tails: both ends are taken as they are
     assert picture_of(flat, 128, 128).pixels[1, 1] == 235
+
+
+@dataclass(frozen=True)
+class DarkMaps:
+    """Maps that call dark pixels wire."""
+
+    wire: np.ndarray
+    tip: np.ndarray
+    catheter: np.ndarray
+
+
+class DarkReader:
+    """Reads dark pixels as wire, its topmost row as tip."""
+
+    def maps(self, image: np.ndarray) -> DarkMaps:
+        wire = (image < 60).astype(np.float32)
+        tip = wire.copy()
+        tip[np.flatnonzero(wire.any(axis=1))[:1].max(initial=-1) + 1 :] = 0
+        return DarkMaps(wire, tip, np.zeros_like(wire))
+
+
+def lined(height: int = 256, width: int = 256) -> np.ndarray:
+    """A bright image with a dark vertical line of 4 px from row 40 on."""
+    image = np.full((height, width), 180, np.uint8)
+    image[40:, 100:104] = 20
+    return image
+
+
+@pytest.mark.parametrize("side", [256, 250])
+def test_a_wire_stays_in_its_place_and_a_tip_is_seen(side: int) -> None:
+    wire, tip = np.zeros((2, side, side), np.float32)
+    wire[:, 101:107] = 1.0
+    tip[50, 103] = 1.0
+    picture = reduced(wire, tip, 64)
+    dark = WHITE - picture.astype(float)
+    assert np.average(np.arange(64), weights=dark[20]) == pytest.approx((103.5 + 0.5) * 64 / side - 0.5, abs=0.05)
+    row, column = np.unravel_index(picture.argmin(), picture.shape)
+    assert (row, column) == (int(50.5 * 64 / side), int(103.5 * 64 / side))
+
+
+def test_an_image_of_another_shape_lies_in_the_corner() -> None:
+    picture = picture_by_reader(lined(256, 512), 64, DarkReader())
+    assert picture.side_px == 512
+    assert not picture.inverted
+    assert (picture.pixels[40:] == 255).all()  # below the image
+    assert picture.pixels[10, 12] < 180
+
+
+def test_a_negative_is_inverted() -> None:
+    picture = picture_by_reader(255 - lined(), 128, DarkReader())
+    assert picture.inverted
+    plain = picture_by_reader(lined(), 128, DarkReader())
+    assert not plain.inverted
+    assert np.array_equal(picture.pixels, plain.pixels)
+
+
+def network(variant: str, size: str = "smoke") -> SplineFormer | OrderedSplineFormer:
+    torch.manual_seed(0)
+    return build(size_of(variant, size)).eval()
+
+
+def levels(count: int, side: int) -> torch.Tensor:
+    return torch.from_numpy(np.stack([image_of(wavy_wire(k, side), side, k) for k in range(count)]))[:, None].float()
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_attention_map(variant: str) -> None:
+    model = network(variant)
+    weights, lengths = model.attention(levels(2, 64))
+    assert torch.allclose(weights.sum(-1), torch.ones(weights.shape[:3]), atol=1e-5)
+    assert (lengths <= weights.shape[2]).all()
+    seen = attention_map(model, image_of(wavy_wire(0)))
+    assert seen.shape == (256, 256)
+    assert 0 <= seen.min() < seen.max() <= 1
+
+
+def test_attention_map_covers_an_image_that_is_no_square() -> None:
+    model = network("ordered")
+    image = image_of(wavy_wire(0))
+    wide = attention_map(model, image[:128])
+    assert wide.shape == (128, 256)
+    assert np.array_equal(wide, attention_map(model, image[:128]))
+    with pytest.raises(ValueError, match="expected an image of at least 64 x 64 px"):
+        attention_map(model, np.zeros((4, 4)))
+
+
+def test_unknown_variant_and_size() -> None:
+    with pytest.raises(ValueError, match="published, ordered"):
+        size_of("other", "desk")
+    with pytest.raises(ValueError, match="thesis, desk, smoke"):
+        size_of("ordered", "huge")
+    assert set(SIZES) == set(VARIANTS)

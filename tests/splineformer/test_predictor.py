@@ -1,7 +1,5 @@
 """Predictor: an image in, a curve out; warnings, batches, files of models, the compiler."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,6 @@ from splineformer.image_input import picture_of, shares_of_pixels
 from splineformer.predictor import Predictor
 from splineformer.tokens import sampled, tokens_of_polyline, tokens_px
 from tests.damaged_files import refusals
-from tests.forged_models import require_refusals
 from tests.splineformer.curves import image_of, wavy_wire
 
 
@@ -118,21 +115,6 @@ def test_file_of_a_model(variant: str, tmp_path: Path) -> None:
     assert np.array_equal(again(image).tokens, predictor(image).tokens)
 
 
-def test_a_network_of_maps_keeps_its_input(tmp_path: Path) -> None:
-    torch.manual_seed(0)
-    predictor = Predictor(build(size_of("ordered", "smoke")), source_px=256, input="maps")
-    predictor.save(tmp_path / "model.pt", half=True)
-    again = Predictor.load(tmp_path / "model.pt")
-    assert again.input == "maps"
-    assert next(again.network.parameters()).dtype == torch.float32
-    content = read_content(tmp_path / "model.pt")
-    write_content(tmp_path / "model.pt", content | {"preprocessing": {"source_px": 256, "input": "edges"}})
-    with pytest.raises(ValueError, match="unknown input 'edges'"):
-        Predictor.load(tmp_path / "model.pt")
-    with pytest.raises(ValueError, match="there are levels, maps"):
-        Predictor(predictor.network, input="edges")
-
-
 def test_files_of_other_versions(tmp_path: Path) -> None:
     path = tmp_path / "model.pt"
     with pytest.raises(FileNotFoundError, match="train one first"):
@@ -157,12 +139,6 @@ def test_a_wrong_bit_is_refused(tmp_path: Path) -> None:
     untrained("ordered").save(tmp_path / "model.pt")
     messages = refusals(tmp_path / "model.pt", lambda: Predictor.load(tmp_path / "model.pt"))
     assert all("model.pt is damaged or no network" in message for message in messages)
-
-
-@pytest.mark.parametrize("variant", ["ordered", "published"])
-def test_a_model_that_asks_for_more_than_it_holds_is_refused_before_it_is_built(variant: str, tmp_path: Path) -> None:
-    untrained(variant).save(tmp_path / "model.pt")
-    assert require_refusals(tmp_path / "model.pt", lambda: Predictor.load(tmp_path / "model.pt")) > 24
 
 
 def test_graph_for_the_compiler_agrees() -> None:

@@ -1,7 +1,5 @@
 """The shipped network on real X-ray images of a wire in a phantom, where they are, and on one that is drawn."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,7 @@
-"""Shipped networks of splineformer: found by name, and refused in one sentence where they cannot be used."""
+"""The shipped network, its export, and real images."""
 
-from __future__ import annotations
-
+import importlib.util
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,9 @@ import splineformer
 from guide3d import shipped as shelf
 from guide3d.learning.model_file import read_content, write_content
 from splineformer import shipped
-from splineformer.build import build, size_of
+from splineformer.build import VARIANTS, build, size_of
+from splineformer.export import export_onnx, onnx_difference
+from splineformer.modeling.published import SplineFormerSettings
 from splineformer.predictor import Predictor
 from tests.splineformer.curves import image_of, wavy_wire
 
@@ -46,3 +48,18 @@ def test_another_format_or_name_is_refused(folder: Path) -> None:
     write_content(file, {**read_content(file), "format": "guide3d-network-0"})
     with pytest.raises(ValueError, match=r"'ordered' has format guide3d-network-0, but splineformer 0\.1\.0 reads"):
         Predictor.pretrained()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in ("onnx", "onnxruntime", "onnxscript")),
+    reason="the extra splineformer[onnx] is not installed",
+)
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_onnx_agrees_with_torch(variant: str, tmp_path: Path) -> None:
+    settings = size_of(variant, "smoke")
+    # unrolled: every token is a part of the graph of its own
+    model = build(replace(settings, limit=3) if isinstance(settings, SplineFormerSettings) else settings).eval()
+    files = export_onnx(model, tmp_path / "model.onnx", batch=2)
+    assert max(onnx_difference(model, tmp_path / "model.onnx", batch=2).values()) < 1e-3
+    assert sorted(tmp_path.iterdir()) == sorted(files)

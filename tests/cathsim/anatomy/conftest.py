@@ -1,13 +1,25 @@
 """Phantoms shared by the anatomy tests, built once into a cache of the test run."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from cathsim.anatomy import Branch, Phantom, VesselTree, load_phantom
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_pictures() -> Iterator[None]:
+    """Imports draw no picture of what is unsure, which takes a second; tests of pictures draw them directly."""
+
+    def draw(phantom: Phantom, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cathsim.anatomy.pictures.import_picture.draw_import", draw)
+        yield
 
 
 @pytest.fixture(scope="session")

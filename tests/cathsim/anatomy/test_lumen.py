@@ -1,9 +1,13 @@
-"""The lumen's signed distance: known tubes, flat caps, rounded ostia, slope, padding."""
+"""The lumen's distance grid: tubes, caps, ostia, cross sections, interpolation, surfaces."""
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from cathsim.anatomy.lumen import OUTSIDE, build_lumen
+from cathsim.anatomy import SignedDistanceGrid, surface
+from cathsim.anatomy.centreline import LumenPaths
+from cathsim.anatomy.cross_section import wall_distances
+from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.surface import open_ends
 
 
@@ -34,59 +38,131 @@ def test_ostia_are_rounded_on_the_lumen_side_and_only_there(tee):
     assert round_.sample(away) == pytest.approx(sharp.sample(away), abs=1e-6)
 
 
-def test_slope_is_one_at_the_wall(phantom):
-    vertices = phantom.lumen_mesh.vertices
-    for centre, _, radius in open_ends(phantom.tree):
-        vertices = vertices[np.linalg.norm(vertices - centre, axis=1) > radius + 3e-3]
-    slope = np.linalg.norm(phantom.grid.gradient(vertices), axis=1)
-    assert np.percentile(np.abs(slope - 1), 99) < 0.05
-    assert np.abs(slope - 1).max() < 0.3
-
-
-def test_outside_points_are_pushed_back(phantom):
-    """Walking up the gradient from a few millimetres outside ends in the lumen."""
-    mesh = phantom.lumen_mesh
-    outside = mesh.triangles_center[::97] + 3e-3 * mesh.face_normals[::97]
-    outside = outside[phantom.grid.sample(outside) < -1e-3]
-    assert len(outside) > 500
-    for _ in range(40):
-        value = phantom.grid.sample(outside)
-        step = np.where(value < 2e-4, np.minimum(-value + 3e-4, 5e-4), 0.0)
-        outside = outside + step[:, None] * phantom.grid.gradient(outside)
-    assert phantom.grid.sample(outside).min() > 0
-
-
-def test_grid_is_padded_clamped_and_in_c_order(phantom):
-    values = phantom.grid.values
-    assert values.dtype == np.float32
-    assert values.flags.c_contiguous
-    assert values.min() == np.float32(OUTSIDE)
-    inside = np.argwhere(values > 0)
-    assert inside.min() >= 6
-    assert (np.array(values.shape) - 1 - inside.max(axis=0)).min() >= 6
-    assert np.isfinite(values).all()
-
-
-def test_narrow_branches_keep_their_radius(phantom):
-    for name in ("lcca", "rcca", "lsa", "rsa"):
-        branch = phantom.tree[name]
-        arc = np.linspace(0.6 * branch.length, branch.length - 0.008, 12)
-        tangent = branch.tangent_at(arc)
-        first = np.cross(tangent, [0.1, 1.0, 0.2])
-        first /= np.linalg.norm(first, axis=1, keepdims=True)
-        second = np.cross(tangent, first)
-        for angle in np.linspace(0, 2 * np.pi, 9)[:-1]:
-            aside = np.cos(angle) * first + np.sin(angle) * second
-            wall = branch.point_at(arc) + branch.radius_at(arc)[:, None] * aside
-            assert np.abs(phantom.grid.sample(wall)).max() < 1e-4
-
-
-def test_same_tree_same_grid(tee):
-    first = build_lumen(tee, resolution=1e-3, fillet_radius=2e-3)
-    assert np.array_equal(first.values, build_lumen(tee, resolution=1e-3, fillet_radius=2e-3).values)
-
-
 @pytest.mark.parametrize("resolution", [0.0, -1e-3, 1.0, float("nan")])
 def test_an_impossible_resolution_is_refused(tee, resolution):
     with pytest.raises(ValueError, match=r"resolution must lie in \[0.0003, 0.0032\] m .*, got"):
         build_lumen(tee, resolution=resolution, fillet_radius=2e-3)
+
+
+SLOPE = np.array([0.5, -0.3, 0.2])
+
+
+@pytest.fixture(scope="module")
+def linear() -> SignedDistanceGrid:
+    origin = np.array([0.01, -0.02, 0.03])
+    axes = np.meshgrid(np.arange(6), np.arange(7), np.arange(8), indexing="ij")
+    points = origin + np.stack(axes, axis=-1) * 2e-3
+    return SignedDistanceGrid((points @ SLOPE).astype(np.float32), origin, 2e-3)
+
+
+def test_trilinear_interpolation_reproduces_a_linear_field(linear):
+    rng = np.random.default_rng(0)
+    low, high = linear.bounds
+    points = rng.uniform(low, high, (4, 50, 3))
+    assert linear.sample(points).shape == (4, 50)
+    assert linear.sample(points) == pytest.approx(points @ SLOPE, abs=1e-8)
+    inner = rng.uniform(low + 2e-3, high - 2e-3, (50, 3))
+    assert linear.gradient(inner) == pytest.approx(np.broadcast_to(SLOPE, (50, 3)), abs=1e-5)
+
+
+def test_bad_input_is_refused(linear):
+    with pytest.raises(ValueError, match=r"points must have shape \(..., 3\), got \(2,\)"):
+        linear.sample([0.0, 1.0])
+    with pytest.raises(ValueError, match="at least 2 x 2 x 2"):
+        SignedDistanceGrid(np.zeros((1, 4, 4), np.float32), np.zeros(3), 1e-3)
+    with pytest.raises(ValueError, match="spacing must be positive"):
+        SignedDistanceGrid(np.zeros((4, 4, 4), np.float32), np.zeros(3), 0.0)
+    with pytest.raises(ValueError, match="read-only"):
+        linear.values[0, 0, 0] = 1.0
+
+
+def test_a_grid_of_the_nodes_near_a_lumen_is_that_of_the_dense_array():
+    axes = np.meshgrid(*[np.arange(-20, 21) * 1e-3] * 3, indexing="ij")
+    values = np.maximum(6e-3 - np.sqrt(sum(x**2 for x in axes)), -0.01).astype(np.float32)
+    dense = SignedDistanceGrid(values, [-0.02] * 3, 1e-3)
+    near = np.argwhere(values > -0.01)
+    sparse = SignedDistanceGrid.from_nodes(near, values[tuple(near.T)], values.shape, [-0.02] * 3, 1e-3)
+    points = np.random.default_rng(1).uniform(-0.022, 0.022, (2000, 3))
+    assert np.array_equal(sparse.sample(points), dense.sample(points))
+    assert np.array_equal(sparse.values, values)
+    assert np.array_equal(sparse.inside_box(), [[15] * 3, [25] * 3])
+    assert np.array_equal(sparse.silhouette(1), values.max(axis=1))
+    assert sparse.thickness(2)[20, 20] == pytest.approx(0.012, abs=1e-5)
+    assert np.array_equal(sparse.offset(1e-3).moved([0, 0, 0.01]).values, values + np.float32(1e-3))
+    assert sparse.moved([0, 0, 0.01]).sample([0, 0, 0.01]) == pytest.approx(6e-3)
+    assert np.array_equal(sparse.coarser(3).values, values[::3, ::3, ::3])
+    assert np.array_equal(sparse.coarser(3).coordinates([1, 2, 3]), sparse.coordinates([3, 6, 9]))
+
+
+def test_nodes_below_the_clamp_are_refused():
+    nodes = {"shape": (4, 4, 4), "origin": np.zeros(3), "spacing": 1e-3}
+    with pytest.raises(ValueError, match=r"below that outside, -0\.01 m; the least is -0\.02 m"):
+        SignedDistanceGrid.from_nodes([[1, 1, 1]], [-0.02], **nodes)
+    with pytest.raises(ValueError, match="must be negative"):
+        SignedDistanceGrid.from_nodes([[1, 1, 1]], [0.02], **nodes, outside=0.0)
+
+
+def test_cross_sections():
+    spacing = 1e-3
+    x, y, _ = np.meshgrid(*[np.arange(-15, 16) * spacing] * 3, indexing="ij")
+    grid = SignedDistanceGrid(6e-3 - np.hypot(x, y), np.full(3, -15e-3), spacing)
+    reach, rays = wall_distances(grid, np.array([[1e-3, 0, 0]]), np.array([[0, 0, 1.0]]), rays=24)
+    assert reach.shape == (24, 1)
+    ends = np.array([1e-3, 0, 0]) + reach[..., None] * rays
+    assert np.abs(np.linalg.norm(ends, axis=-1) - 6e-3).max() < 1e-4
+
+
+def test_the_lumen_mesh_is_watertight_and_holds_the_lumens_volume(phantom):
+    mesh = phantom.lumen_mesh
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.body_count == 1
+    assert mesh.euler_number == 2, "no handles: vessels do not touch"
+    voxels = np.count_nonzero(phantom.grid.values > 0) * phantom.grid.spacing**3
+    assert mesh.volume == pytest.approx(voxels, rel=0.01)
+    assert np.abs(phantom.grid.sample(mesh.vertices)).max() < 1e-5
+    assert phantom.lumen_mesh is mesh
+
+
+def test_the_wall_is_a_solid_of_even_thickness_open_at_every_end(phantom):
+    wall = phantom.wall_mesh(1.5e-3)
+    assert wall.is_watertight
+    assert wall.is_winding_consistent
+    # A shell round a tree with n openings is a sphere with n - 1 handles, whose Euler number is 2 - 2 (n - 1).
+    ends = open_ends(phantom.tree)
+    assert len(ends) == 6
+    assert wall.euler_number == 2 - 2 * (len(ends) - 1)
+    distance = phantom.grid.sample(wall.vertices)
+    middle = np.all([np.linalg.norm(wall.vertices - c, axis=1) > r + 5e-3 for c, _, r in ends], axis=0)
+    assert np.all((np.abs(distance[middle]) < 5e-5) | (np.abs(distance[middle] + 1.5e-3) < 5e-5))
+    area = phantom.lumen_mesh.area - sum(np.pi * r**2 for _, _, r in ends)
+    assert wall.volume == pytest.approx(area * 1.5e-3, rel=0.12)
+
+
+def test_surface_made_in_slabs_is_the_same(phantom, monkeypatch):
+    whole = phantom.lumen_mesh
+    monkeypatch.setattr(surface, "_DENSE", 0)
+    for level in (0.0, -1.5e-3):
+        pieced = surface.lumen_surface(phantom.grid, level=level)
+        assert pieced.is_watertight
+        assert pieced.is_winding_consistent
+    pieced = surface.lumen_surface(phantom.grid)
+    assert len(pieced.faces) == pytest.approx(len(whole.faces), abs=50)  # collapsed ones are rounding
+    assert pieced.volume == pytest.approx(whole.volume, rel=1e-6)
+    assert cKDTree(whole.vertices).query(pieced.vertices)[0].max() < 1e-4
+
+
+def test_centrelines_of_a_tee():
+    inside = np.zeros((60, 30, 90), dtype=bool)
+    x, y, z = np.indices(inside.shape)
+    inside |= ((x - 15) ** 2 + (y - 15) ** 2 <= 100) & (z >= 5) & (z < 85)
+    inside |= ((z - 45) ** 2 + (y - 15) ** 2 <= 25) & (x >= 15) & (x < 58)
+    paths = LumenPaths(inside, np.zeros(3), 1e-3)
+    ends = paths.ends()
+    assert len(ends) == 3
+    assert sorted(int(end[2] > 45) + int(end[2] > 20) for end in ends) == [0, 1, 2]
+    (way,) = paths.ways(ends[0], ends[1:2])
+    assert (way[0] == ends[0]).all()
+    assert (way[-1] == ends[1]).all()
+    middle = way[(np.abs(way[:, 2] - 25) < 8)]
+    assert np.abs(middle[:, :2] - 15).max() <= 2  # it keeps to the tube's axis

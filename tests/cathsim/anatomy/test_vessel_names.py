@@ -1,7 +1,5 @@
 """Vessels are known by the names that segmentations, atlases and modelling tools give them, and by whole ones alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +13,6 @@ from cathsim.anatomy.vessel_names import (
     PARENTS,
     SUPRA_AORTIC,
     TOTALSEGMENTATOR,
-    is_other,
     not_taken,
     vessel_name,
 )
@@ -85,13 +82,6 @@ def test_the_projects_own_names_mean_themselves():
     assert {name: vessel_name(name) for name in own} == {name: name for name in own}
 
 
-def test_names_of_something_else():
-    for text in ("vertebrae_L1", "Ribs", "V_Subclavian_L", "inferior vena cava", "aortic wall", "left kidney"):
-        assert is_other(text), text
-    for text in ("Segment_1", "lumen", "vessels", "aorta", "", "tree"):
-        assert not is_other(text), text
-
-
 def test_what_is_not_taken_is_listed_with_those_that_resemble_first():
     note = not_taken(["spleen", *(f"rib_left_{n}" for n in range(1, 9)), "aortic wall", "aorta"], "labels")
     assert note == (
@@ -99,13 +89,6 @@ def test_what_is_not_taken_is_listed_with_those_that_resemble_first():
         "rib_left_4, rib_left_5, rib_left_6 and 2 more",
     )
     assert not_taken(["aorta"], "labels") == ()
-
-
-def test_a_volumes_bones_and_walls_are_no_lumen():
-    names = {(0, 1): "aorta", (0, 2): "vertebral column", (0, 3): "aortic wall", (0, 4): "left subclavian artery"}
-    choice = choose_labels(dict.fromkeys(names, 100), names, None, "a.nii.gz")
-    assert choice.vessels == {(0, 1): "aorta", (0, 4): "lsa"}
-    assert choice.notes == ("labels not taken, whose names are no known artery's: vertebral column, aortic wall",)
 
 
 def test_beside_an_aorta_only_names_of_arteries_are_taken():

@@ -1,10 +1,16 @@
-"""Vessel trees: invariants, arc length, ostia, nearest points."""
+"""Vessel trees: invariants, ostia, nearest points, places behind an ostium, extension, how far it is set back."""
+
+import math
 
 import numpy as np
 import pytest
 
 from cathsim.anatomy import Branch, VesselTree
-from cathsim.anatomy.vessel_tree import nearest_on_branch
+from cathsim.anatomy.branch_depth import BranchDepths
+from cathsim.anatomy.extension import DEPTH, extend_short_branches
+from cathsim.anatomy.lumen import build_lumen
+from cathsim.anatomy.phantom import END_CLEARANCE
+from cathsim.anatomy.vessel_tree import nearest_on_branch, set_back
 
 LINE = np.stack([np.zeros(5), np.zeros(5), np.linspace(0, 0.04, 5)], axis=1)
 
@@ -17,13 +23,6 @@ def test_arc_point_tangent_and_radius_of_a_straight_branch():
     assert branch.point_at(9.0) == pytest.approx([0, 0, 0.04])
     assert branch.tangent_at([0.0, 0.033]) == pytest.approx(np.array([[0, 0, 1.0]] * 2))
     assert branch.radius_at(0.02) == pytest.approx(0.008)
-
-
-def test_quarter_circle_has_its_known_length():
-    angle = np.linspace(0, np.pi / 2, 400)
-    branch = Branch("aorta", 0.03 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1), np.full(400, 0.01))
-    assert branch.length == pytest.approx(0.03 * np.pi / 2, rel=1e-5)
-    assert branch.tangent_at(branch.length / 2) == pytest.approx([-np.sqrt(0.5), np.sqrt(0.5), 0], abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -81,3 +80,129 @@ def test_nearest_point_is_that_of_a_dense_search():
     expected = np.array([np.linalg.norm(dense - p, axis=1).min() for p in points])
     assert distance == pytest.approx(expected, abs=2e-6)
     assert branch.point_at(arc) == pytest.approx(foot, abs=1e-9)
+
+
+def straight(name: str, start: tuple, direction: tuple, length: float, radius: float, **of_branch: object) -> Branch:
+    arc = np.arange(0.0, length + 1e-9, 1e-3)
+    points = np.array(start) + arc[:, None] * np.array(direction)
+    return Branch(name, points, np.full(len(arc), radius), **of_branch)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def depths() -> BranchDepths:
+    """An aorta along z, an arm along x, and at 50 mm of it a side branch along y; lumens 20, 8 and 4 mm wide."""
+    aorta = straight("aorta", (0, 0, 0), (0, 0, 1), 0.2, 0.010)
+    arm = straight("arm", (0, 0, 0.1), (1, 0, 0), 0.1, 0.004, parent="aorta", parent_arc=0.1)
+    side = straight("side", (0.05, 0, 0.1), (0, 1, 0), 0.04, 0.002, parent="arm", parent_arc=0.05)
+    return BranchDepths(VesselTree((aorta, arm, side)))
+
+
+@pytest.mark.parametrize(
+    ("point", "branch", "depth"),
+    [
+        ((0.0, 0.0, 0.05), "aorta", 0.0),
+        ((0.0095, 0.0, 0.1), "aorta", 0.0),  # on the arm's centreline, before its ostium
+        ((0.0105, 0.0, 0.1), "arm", 0.0005),
+        ((0.0305, 0.003, 0.1), "arm", 0.0205),  # beside the centreline, between two of its points
+        ((0.0, -0.009, 0.13), "aorta", 0.0),
+        ((0.05, 0.003, 0.1), "arm", 0.04),  # on the side branch's centreline, before its ostium
+        ((0.05, 0.0241, 0.1), "side", 0.0201),
+    ],
+)
+def test_a_point_has_a_branch_and_a_depth(
+    depths: BranchDepths, point: tuple[float, float, float], branch: str, depth: float
+) -> None:
+    place = depths.place(point)
+    assert place.branch == branch
+    assert place.depth == pytest.approx(depth, abs=2e-4)
+
+
+def test_ways_lead_along_the_branch_and_those_that_leave_it_further_on(depths: BranchDepths) -> None:
+    near, far = depths.place((0.045, 0.0, 0.1)), depths.place((0.055, 0.0, 0.1))
+    aside = depths.place((0.05, 0.006, 0.1))
+    assert depths.way(far, near) == pytest.approx(0.010, abs=1e-6)
+    assert depths.way(aside, near) == pytest.approx(0.005 + 0.006, abs=1e-6)
+    assert depths.way(aside, far) == math.inf  # the side branch leaves before the goal
+    assert depths.way(near, aside) == math.inf
+    assert depths.way(depths.place((0.0, 0.0, 0.1)), near) == math.inf
+
+
+AORTA, RADIUS, STUB = 0.010, 0.004, 0.012  # m
+
+
+def extension_straight(name: str, start: tuple, end: tuple, radius: float, **of_branch: object) -> Branch:
+    points = np.linspace(start, end, 60)
+    return Branch(name, points, np.full(60, radius), **of_branch)  # type: ignore[arg-type]
+
+
+def drawn(*more: Branch) -> VesselTree:
+    """A straight aorta along z with a stub along x, and other branches."""
+    root = extension_straight("aorta", (0, 0, 0), (0, 0, 0.08), AORTA)
+    stub = extension_straight("stub", (0, 0, 0.04), (AORTA + STUB, 0, 0.04), RADIUS, parent="aorta", parent_arc=0.04)
+    return VesselTree((root, stub, *more))
+
+
+def test_a_stub_goes_on_along_its_direction_with_its_radius() -> None:
+    tree = drawn()
+    grid = build_lumen(tree, resolution=1e-3, fillet_radius=1e-3)
+    extended, longer, notes = extend_short_branches(tree, grid)
+    stub = extended["stub"]
+    assert notes == (
+        "stub is cut 12 mm behind its ostium, and extended by 23 mm along its direction (extend=False leaves it)",
+    )
+    assert stub.length - extended.ostium_arc("stub") == pytest.approx(DEPTH + END_CLEARANCE, abs=1e-3)
+    assert stub.radius == pytest.approx(RADIUS, abs=1e-4)
+    x = np.arange(AORTA + 5e-3, AORTA + 0.034, 5e-4)
+    for angle in np.linspace(0, 2 * np.pi, 9):
+        at = [np.array([x, r * np.cos(angle) + 0 * x, 0.04 + r * np.sin(angle) + 0 * x]).T for r in (0.0032, 0.0048)]
+        assert (longer.sample(at[0]) > 2e-4).all()  # no step where the tube begins
+        assert (longer.sample(at[1]) < -2e-4).all()
+    assert longer.sample([AORTA + 0.0365, 0, 0.04]) < 0  # closed by a flat end
+    before, places = grid.blocks.where(lambda values: values > -0.005)
+    near_aorta = grid.coordinates(before)[:, 0] < AORTA + 2e-3
+    assert longer.sample(grid.coordinates(before))[near_aorta] == pytest.approx(places[near_aorta], abs=1e-6)
+
+
+def test_another_vessel_in_the_way_keeps_a_stub_as_it_is() -> None:
+    beside = extension_straight("beside", (0, 0, 0.06), (0.027, 0, 0.06), 0.003, parent="aorta", parent_arc=0.06)
+    across = extension_straight(
+        "across", (0.027, 0, 0.06), (0.027, 0, 0.01), 0.003, parent="beside", parent_arc=beside.length
+    )
+    beside = Branch(beside.name, beside.points, beside.radius, "aorta", 0.06, open_end=False)
+    tree = drawn(beside, across)
+    grid = build_lumen(tree, resolution=1e-3, fillet_radius=1e-3)
+    extended, same, notes = extend_short_branches(tree, grid)
+    assert notes == ("stub ends 12 mm behind its ostium: another vessel is in the way of more",)
+    assert extended["stub"].length == tree["stub"].length
+    assert same is grid
+
+
+def arch_with(rise: float) -> VesselTree:
+    """An aorta over a half circle of 40 mm, and a branch from its far limb that rises at `rise` rad from the x axis."""
+    angle = np.linspace(0, np.pi, 181)
+    aorta = 0.040 * np.stack((np.cos(angle), 0 * angle, np.sin(angle)), axis=1)
+    begins = aorta[120]
+    along = np.linspace(0, 0.060, 61)[:, None] * np.array([np.cos(rise), 0.0, np.sin(rise)])
+    side = np.linspace(0, 0.030, 31)[:, None] * np.array([0.0, 1.0, 0.0])
+    arc = 0.040 * np.radians(120)
+    return VesselTree(
+        (
+            Branch("aorta", aorta, np.full(181, 0.010)),
+            Branch("bca", begins + along, np.full(61, 0.004), "aorta", arc),
+            Branch("rcca", begins + along[40] + side, np.full(31, 0.003), "bca", 0.040),
+        )
+    )
+
+
+def test_it_is_the_way_back_along_the_branch() -> None:
+    tree = arch_with(np.pi / 2)
+    top = np.array([0.0, 0.0, 0.050])
+    assert set_back(tree, "bca") == pytest.approx(top[2] - tree.ostium("bca")[2], abs=1e-5)
+    forwards = arch_with(np.radians(150))  # a branch that leads on as the wire comes
+    assert set_back(forwards, "bca") < set_back(tree, "bca") < set_back(arch_with(np.radians(60)), "bca")
+
+
+@pytest.mark.parametrize("name", ["aorta", "lsa"])
+def test_other_names_are_refused(name: str) -> None:
+    with pytest.raises(ValueError, match="must be that of a branch, bca, rcca"):
+        set_back(arch_with(1.0), name)

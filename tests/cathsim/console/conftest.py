@@ -1,7 +1,5 @@
 """Doubles of the console's tests: a recorder that keeps everything in memory, and a page that collects."""
 
-from __future__ import annotations
-
 import json
 import struct
 import threading

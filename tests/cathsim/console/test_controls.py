@@ -1,10 +1,10 @@
-"""The operator's axes: held, released, tapped, gone silent."""
+"""The operator's axes; and the scores of the questionnaire."""
 
-from __future__ import annotations
-
+import numpy as np
 import pytest
 
 from cathsim.console.controls import SILENCE, ControlPanel, Controls
+from cathsim.console.questionnaire import CRITERIA, mean_scores
 
 
 class Clock:
@@ -25,11 +25,6 @@ def clock() -> Clock:
 @pytest.fixture
 def panel(clock: Clock) -> ControlPanel:
     return ControlPanel(clock)
-
-
-def test_nothing_is_pressed_at_first(panel: ControlPanel) -> None:
-    assert not panel.touched
-    assert panel.take() == Controls()
 
 
 def test_a_held_key_counts_at_every_step_and_a_released_one_no_more(panel: ControlPanel) -> None:
@@ -63,12 +58,6 @@ def test_a_tap_of_one_device_counts_while_the_other_is_steered(panel: ControlPan
     assert panel.take() == Controls(sequence=6)
 
 
-def test_letting_go_forgets_taps_too(panel: ControlPanel) -> None:
-    panel.set(Controls(1.0, 0.0, 1))
-    panel.release()
-    assert not panel.take().pressed
-
-
 def test_silence_lets_go(panel: ControlPanel, clock: Clock) -> None:
     panel.set(Controls(1.0, 0.0, 1))
     clock.now += 0.9 * SILENCE
@@ -89,3 +78,16 @@ def test_axes_are_clipped_and_must_be_numbers() -> None:
         Controls(catheter_rotate=float("nan"))
     with pytest.raises(ValueError, match="sequence must be a whole number"):
         Controls(1.0, 0.0, 1.5)  # type: ignore[arg-type]
+
+
+def test_scores_are_means_over_participants_and_nothing_without_answers() -> None:
+    low, high = ({criterion.key: score for criterion in CRITERIA} for score in (2, 4))
+    answers = [
+        {**low, "participant": "P1"}, {**high, "participant": "P1"},
+        {**low, "participant": ""}, {**low, "participant": ""},
+    ]  # fmt: skip
+    table = mean_scores(answers)
+    assert len(table) == 7
+    assert table["motion_accuracy"]["n"] == 3, "P1 counts once, with the last answers"
+    assert table["motion_accuracy"]["score"] == pytest.approx([8 / 3, np.std([4, 2, 2])])
+    assert mean_scores([]) == {}

@@ -1,10 +1,7 @@
 """The real-time loop: pace, first touch, end, replay, choice, and an operator who leaves."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -160,34 +157,6 @@ def test_a_catheter_is_chosen_steered_and_left_out(
     wait_until(lambda: "lead_mm" not in page.last)
 
 
-def test_a_choice_that_cannot_be_is_told_and_changes_nothing(
-    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    finish(loop, page, wait_until)
-    refuse = "a wire of 1.20 mm does not pass a catheter with a lumen of 1.03 mm"
-
-    def refused(*arguments: Any) -> None:
-        raise ValueError(refuse)
-
-    monkeypatch.setattr(Setup, "environment", refused)
-    loop.request({"type": "choose", "phantom": "type_1", "target": "bca", "catheter": "straight_4f"})
-    wait_until(lambda: [notice for notice in page.messages_of("notice") if notice["text"] == refuse])
-    task = page.messages_of("task")[-1]
-    assert (task["catheter"], task["replayable"]) == (None, True)
-    assert len(memory.episodes) == 1
-
-
-def test_a_catheter_of_a_file_is_offered_without_its_path(page: Any, tmp_path: Path) -> None:
-    file = tmp_path / "mine.yaml"
-    file.write_text("kind: catheter\nbased_on: vertebral\n")
-    loop = RealTimeLoop(Setup(accuracy="fast", catheter=str(file)), page)
-    loop._send_task()
-    task = page.messages_of("task")[0]
-    assert (task["catheter"], task["devices"]) == ("own catheter", 2)
-    assert task["catheters"][0] == {"name": "own catheter", "shape": "mine", "french": None}
-    assert str(tmp_path) not in str(task)
-
-
 def test_what_a_request_runs_into_is_told_and_the_loop_goes_on(
     loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -209,28 +178,6 @@ def test_what_a_request_runs_into_is_told_and_the_loop_goes_on(
     monkeypatch.undo()
     finish(loop, page, wait_until)
     assert loop.is_alive()
-
-
-def test_a_thousand_wishes_are_one_of_each_kind(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
-    wait_until(lambda: page.messages_of("task"))
-    for number in range(1000):
-        loop.request({"type": "restart"})
-        loop.request({"type": "choose", "phantom": "type_1", "target": "lcca" if number == 999 else "bca"})
-        hold(loop, number)
-        assert len(loop._inbox) <= 4
-    loop.request({"type": "release"})
-    assert not loop.panel.touched, "a release is obeyed at once, whatever waits"
-    wait_until(lambda: page.messages_of("task")[-1]["target"] == "lcca")
-
-
-def test_stopping_keeps_what_was_going_on(page: Any, memory: Any, wait_until: Wait) -> None:
-    loop = RealTimeLoop(Setup(accuracy="fast"), page, memory)
-    loop.start()
-    hold(loop, 1)
-    wait_until(lambda: page.last["step"] >= 1)
-    loop.stop()
-    assert memory.episodes[0]["state"] == "broken off"
-    assert len(memory.episodes[0]["actions"]) >= 1
 
 
 def test_unknown_names_are_refused_before_anything_starts(page: Any) -> None:
@@ -276,17 +223,6 @@ def test_pedal_contrast_and_roadmap(loop: RealTimeLoop, page: Any, wait_until: W
     wait_until(lambda: page.last["dose_s"] > 0.2)
 
 
-def test_wire_and_time_limit_are_chosen(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
-    task = wait_until(lambda: page.messages_of("task"))[0]
-    assert {"default", "stiff", "floppy"} <= set(task["wires"])
-    chosen = {"type": "choose", "phantom": "type_1", "target": "bca", "wire": "stiff", "max_steps": 9}
-    loop.request(chosen)
-    wait_until(lambda: page.messages_of("task")[-1]["wire"] == "stiff")
-    assert page.messages_of("task")[-1]["max_steps"] == 9
-    with pytest.raises(ValueError, match="unknown wire 'rope'; there are"):
-        loop.request({**chosen, "wire": "rope"})
-
-
 def test_success_radius_and_force_limit_are_chosen_and_count(
     loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
 ) -> None:
@@ -328,3 +264,32 @@ def test_the_page_is_told_how_far_the_expert_is_and_its_score(
     finish(loop, page, wait_until)
     assert page.messages_of("ended")[0]["expert"] == score, "it is known from the procedure before"
     loop.stop()
+
+
+def test_a_thousand_wishes_are_one_of_each_kind(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
+    wait_until(lambda: page.messages_of("task"))
+    for number in range(1000):
+        loop.request({"type": "restart"})
+        loop.request({"type": "choose", "phantom": "type_1", "target": "lcca" if number == 999 else "bca"})
+        hold(loop, number)
+        assert len(loop._inbox) <= 4
+    loop.request({"type": "release"})
+    assert not loop.panel.touched, "a release is obeyed at once, whatever waits"
+    wait_until(lambda: page.messages_of("task")[-1]["target"] == "lcca")
+
+
+def test_a_choice_that_cannot_be_is_told_and_changes_nothing(
+    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finish(loop, page, wait_until)
+    refuse = "a wire of 1.20 mm does not pass a catheter with a lumen of 1.03 mm"
+
+    def refused(*arguments: Any) -> None:
+        raise ValueError(refuse)
+
+    monkeypatch.setattr(Setup, "environment", refused)
+    loop.request({"type": "choose", "phantom": "type_1", "target": "bca", "catheter": "straight_4f"})
+    wait_until(lambda: [notice for notice in page.messages_of("notice") if notice["text"] == refuse])
+    task = page.messages_of("task")[-1]
+    assert (task["catheter"], task["replayable"]) == (None, True)
+    assert len(memory.episodes) == 1

@@ -1,7 +1,5 @@
 """A breathing vessel: still it changes nothing, slow it leaves the shapes of rest, friction goes with its wall."""
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 from collections.abc import Callable
@@ -47,17 +45,6 @@ def test_bad_breathing_is_refused(type_1: Phantom) -> None:
         Simulation(type_1, load_guidewire("default"), ACCURACY["fast"], contact="hulls", breathing=Breathing())
 
 
-@pytest.mark.parametrize("settings", [{}, {"wall_stiffness": 0.5}])
-def test_an_amplitude_of_zero_is_a_vessel_at_rest_bit_for_bit(
-    make_simulation: MakeSimulation, settings: dict[str, float]
-) -> None:
-    still, moving = (make_simulation(breathing=one, **settings) for one in (None, Breathing(amplitude=0.0)))
-    for simulation in (still, moving):
-        fed(simulation, 60)
-    assert np.array_equal(still.state(), moving.state())
-    assert np.array_equal(still.force(), moving.force())
-
-
 def test_a_slow_breath_leaves_the_shape_that_rest_in_a_displaced_vessel_has(
     type_1: Phantom,
 ) -> None:
@@ -84,40 +71,6 @@ def test_a_slow_breath_leaves_the_shape_that_rest_in_a_displaced_vessel_has(
     assert slow.summary.force_mean == pytest.approx(rest.summary.force_mean, rel=0.02)
 
 
-def test_the_wire_goes_along_with_the_vessel_breath_after_breath(make_simulation: MakeSimulation) -> None:
-    simulation = fed(make_simulation(breathing=Breathing()))
-    breaths = []
-    for _ in range(10):
-        rows = []
-        for _ in range(40):
-            simulation.advance(0.0, 0.0)
-            speed = np.abs(simulation.joint_velocities()[2:]).max()
-            rows.append((*simulation.tip_in_vessel, simulation.summary.force_max, speed))
-        breaths.append(rows)
-    periods = np.array(breaths)  # (breaths, steps, 5)
-    assert simulation.valid
-    # nothing grows: the last breaths repeat each other, in shape, force and speed
-    np.testing.assert_allclose(periods[-1, :, :3], periods[-2, :, :3], atol=2e-4)
-    assert periods[-1, :, 3].max() < 1.1 * periods[2:5, :, 3].max()
-    assert periods[-1, :, 4].max() < 1.5 * periods[2:5, :, 4].max()
-    assert np.ptp(periods[-1, :, 3]) > 0.01  # N: and it is felt
-
-
-def test_friction_pulls_along_with_the_wall(type_1: Phantom) -> None:
-    along = type_1.entries["descending"].direction
-    pulls = {}
-    for sign in (1.0, -1.0):
-        breathing = Breathing(amplitude=0.005, direction=tuple(sign * along))
-        wire = dataclasses.replace(load_guidewire("default"), friction=0.3)
-        simulation = fed(Simulation(type_1, wire, ACCURACY["accurate"], breathing=breathing), 80)
-        simulation.data.time = 0.0
-        for _ in range(5):
-            simulation.advance(0.0, 0.0)
-        pulls[sign] = float(np.array(simulation.summary.mean_force[:]) @ along)
-    # 0.17 N; 0.10 N, of the displacement alone, where friction takes the wall to be at rest
-    assert pulls[1.0] - pulls[-1.0] > 0.135
-
-
 def test_state_and_pickle_go_on_in_the_same_breath(make_simulation: MakeSimulation) -> None:
     simulation = fed(make_simulation(breathing=Breathing(period=3.0)), 45)
     twin = pickle.loads(pickle.dumps(simulation))
@@ -128,20 +81,6 @@ def test_state_and_pickle_go_on_in_the_same_breath(make_simulation: MakeSimulati
             one.advance(STEP, 0.1)
     assert np.array_equal(simulation.state(), twin.state())
     assert np.array_equal(simulation.state(), other.state())
-
-
-def test_two_devices_breathe(type_1: Phantom) -> None:
-    forces = []
-    for breathing in (None, Breathing(amplitude=0.0), Breathing()):
-        env = NavigateEnv(type_1, catheter="vertebral", accuracy="fast", observation="tip", breathing=breathing)
-        env.reset(seed=0, options={"start": None})
-        env.simulation.reset(0.05)
-        for _ in range(40):
-            env.step(np.array([1.0, 0.0, 0.8, 0.0]))
-        assert env.simulation.valid
-        forces.append(env.simulation.state())
-    assert np.array_equal(forces[0], forces[1])
-    assert not np.array_equal(forces[0], forces[2])
 
 
 def test_the_target_moves_with_the_vessel_and_the_roadmap_does_not(type_1: Phantom) -> None:

@@ -1,6 +1,4 @@
-"""The native solver of contacts: it finds what MuJoCo's own finds when that goes on to rounding."""
-
-from __future__ import annotations
+"""Contact with the wall: forces are those of MuJoCo's solver, distances exact, walls compliant."""
 
 import copy
 import dataclasses
@@ -9,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cathsim.anatomy import Phantom, load_phantom
+from cathsim.anatomy import Phantom, SignedDistanceGrid, load_phantom
 from cathsim.contact.breathing import Breathing
+from cathsim.contact.sdf import Vessel
 from cathsim.devices.active_chain import ActiveChain
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.shelf import load_catheter
@@ -18,6 +17,7 @@ from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.presets import ACCURACY
 from cathsim.simulation import Simulation
+from tests.cathsim.drawn_vessels import UP, sphere, tube
 
 TIGHT = 1e-16  # of MuJoCo's solver, whose usual tolerance here is 1e-6
 STEPS = 110
@@ -88,3 +88,110 @@ def test_motion_and_forces_are_mujocos(phantom: Phantom, accuracy: str, devices:
     assert max(iterations) >= 2
     assert max(apart) < 1e-8  # m, of 2 mm
     assert max(force) < 1e-5
+
+
+def test_distance_and_normal_of_a_sphere() -> None:
+    """Near the wall the spline is off by spacing^2 / 8 x curvature, 2 / radius, and no more."""
+    radius = 0.006
+    rng = np.random.default_rng(2)
+    direction = rng.normal(size=(500, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    rho = radius + rng.uniform(-0.001, 0.001, (500, 1))
+    distance, gradient = sphere(radius).distance(rho * direction)
+    np.testing.assert_allclose(distance, radius - rho[:, 0], atol=1.4 * 0.001**2 / 8 * 2 / radius)
+    normal = gradient / np.linalg.norm(gradient, axis=1, keepdims=True)
+    assert np.degrees(np.arccos(np.clip(-(normal * direction).sum(1), -1, 1))).max() < 1.0
+
+
+def test_gradient_is_the_distances_derivative() -> None:
+    vessel = sphere(0.008)
+    points = np.random.default_rng(4).uniform(-0.008, 0.008, (100, 3))
+    gradient = vessel.distance(points)[1]
+    step = 1e-7
+    for axis in range(3):
+        shift = step * np.eye(3)[axis]
+        slope = (vessel.distance(points + shift)[0] - vessel.distance(points - shift)[0]) / (2 * step)
+        np.testing.assert_allclose(gradient[:, axis], slope, atol=1e-5)
+
+
+def test_a_flared_sheath_widens_to_its_mouth_without_a_step() -> None:
+    vessel = tube(sheath_radius=0.75e-3, sheath_flare=3e-3)
+    heights = np.array([-0.5, -0.0101, -0.0099, -0.007, -0.005])
+    distance, gradient = vessel.distance(np.array([[0.0005, 0.0, height] for height in heights]))
+    wider = 3e-3 * np.clip(1 + heights / 0.010, 0, 1) ** 2
+    slope = 0.6 * np.clip(1 + heights / 0.010, 0, 1)
+    np.testing.assert_allclose(distance, (0.00025 + wider) / np.hypot(1, slope), atol=1e-9)
+    np.testing.assert_allclose(gradient, np.array([-1 + 0 * slope, 0 * slope, slope]).T / np.hypot(1, slope)[:, None])
+
+
+@pytest.mark.parametrize(
+    ("values", "direction", "message"),
+    [
+        (np.ones((2, 5, 5)), UP, "at least 3 x 3 x 3 nodes, got shape \\(2, 5, 5\\)"),
+        (np.ones((5, 5)), UP, "got shape \\(5, 5\\)"),
+        (np.ones((5, 5, 5)), 2 * UP, "direction must be a unit vector"),
+        (np.ones((5, 5, 5)), np.array([0.0, 1.0]), "direction must be a unit vector"),
+    ],
+)
+def test_impossible_vessel_is_refused(values: np.ndarray, direction: np.ndarray, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Vessel(SignedDistanceGrid(values, np.zeros(3), 0.001), np.zeros(3), direction)
+
+
+@pytest.fixture(scope="module")
+def compliance_phantom() -> Phantom:
+    return load_phantom("type_1")
+
+
+def pushed(compliance_phantom: Phantom, stiffness: float, accuracy: str) -> Simulation:
+    """A wire pushed against the arch and left to rest for 4 s."""
+    simulation = Simulation(compliance_phantom, Guidewire(), ACCURACY[accuracy], wall_stiffness=stiffness)
+    for step in range(90):
+        simulation.advance(0.002, 0.1 if step % 10 == 0 else 0.0)
+    for _ in range(40):
+        simulation.advance(0.0, 0.0)
+    return simulation
+
+
+def contact_stiffnesses(simulation: Simulation) -> np.ndarray:
+    """Normal force over depth at every contact with the wall above 1 mN, N/mm."""
+    data, wall = simulation.data, simulation.model.geom("vessel").id
+    found = []
+    for contact in data.contact:
+        if contact.geom[1] == wall and contact.efc_address >= 0 and data.efc_force[contact.efc_address] > 1e-3:
+            found.append(data.efc_force[contact.efc_address] / -contact.dist / 1000.0)
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("stiffness", "accuracy"), [(0.3, "fast"), (1.0, "accurate")])
+def test_force_at_rest_is_stiffness_times_depth(compliance_phantom: Phantom, stiffness: float, accuracy: str) -> None:
+    measured = contact_stiffnesses(pushed(compliance_phantom, stiffness, accuracy))
+    assert len(measured) >= 2
+    assert np.median(measured) == pytest.approx(stiffness, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "accuracy", "message"),
+    [
+        (5.0, "accurate", "resolves walls of at most 1 N/mm, got wall_stiffness 5: take accuracy='reference'"),
+        (0.0, "reference", "wall_stiffness must lie in 0.1 to 100 N/mm, got 0"),
+        (float("nan"), "reference", "wall_stiffness must be a finite number"),
+    ],
+)
+def test_a_wall_that_cannot_be_is_refused(
+    compliance_phantom: Phantom, stiffness: float, accuracy: str, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        Simulation(compliance_phantom, Guidewire(), ACCURACY[accuracy], wall_stiffness=stiffness)
+
+
+def test_a_catheter_over_the_wire_meets_the_same_wall(compliance_phantom: Phantom) -> None:
+    pair = DevicePair(load_guidewire("default"), load_catheter("vertebral"))
+    simulation = DualSimulation(compliance_phantom, pair, ACCURACY["accurate"], wall_stiffness=0.2)
+    for step in range(90):
+        simulation.advance(0.002, 0.1 if step % 10 == 0 else 0.0, catheter=(0.0018, 0.0))
+    for _ in range(60):
+        simulation.advance(0.0, 0.0)
+    measured = contact_stiffnesses(simulation)
+    assert len(measured) >= 2
+    assert np.median(measured) == pytest.approx(0.2, rel=0.01)

@@ -1,8 +1,5 @@
 """Contact by signed distance: forces, neighbours left alone, layout, NaN, threads."""
 
-from __future__ import annotations
-
-import gc
 import json
 import threading
 from collections.abc import Callable
@@ -13,9 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from cathsim.anatomy import ArchParameters, Branch, Entry, Phantom, SignedDistanceGrid, VesselTree
+from cathsim.anatomy import ArchParameters, Branch, Entry, Phantom, VesselTree
 from cathsim.contact import native
-from cathsim.contact.sdf import MAGIC, Vessel
+from cathsim.contact.sdf import Vessel
 from cathsim.devices.arena import model_spec
 from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.presets import ACCURACY
@@ -80,13 +77,6 @@ def test_wall_balances_the_force_that_presses_a_wire_on_it(push: float) -> None:
     np.testing.assert_allclose(total, [push, 0, 0], atol=0.01 * push)
     # it lies on the wall: axis a radius from it, less a small penetration
     assert data.qpos[0] == pytest.approx(-0.002 + wire.radius, abs=1e-4)
-
-
-def test_a_link_has_at_most_two_contacts(fed_tube: Vessel) -> None:
-    data = pushed(wire_in(fed_tube), 200)
-    assert data.ncon > 0
-    assert np.bincount(data.contact.geom[:, 0]).max() <= 2
-    assert (data.contact.dist < 0.001).all()
 
 
 BOXES = """
@@ -176,35 +166,6 @@ def test_wall_beside_the_sheath_is_the_vessels(place: tuple[float, float, float]
     assert {model.geom(wall).name for wall in walls} == {part}
 
 
-def test_released_numbers_are_used_again() -> None:
-    """There can be 4096 vessels at once, and any number one after the other."""
-    numbers = set()
-    for i in range(5000):
-        vessel = Vessel(
-            SignedDistanceGrid(np.full((3, 3, 3), i), np.zeros(3), 0.001), np.zeros(3), UP, sheath_radius=0.0
-        )
-        assert vessel.distance(np.zeros((1, 3)))[0] == i
-        numbers.add(vessel.number)
-        del vessel
-    gc.collect()
-    assert len(numbers) < 100
-
-
-def test_a_box_that_is_no_vessel_collides() -> None:
-    """A box without the magic number, or with that of no vessel, is an ordinary box."""
-    for user in ([0.0, 0.0], [MAGIC + 1, 0.0], [MAGIC, 4095.0], [MAGIC, -1.0], [MAGIC, 1e6]):
-        spec = mujoco.MjSpec()
-        spec.nuser_geom = 2
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.1] * 3, userdata=user)
-        body = spec.worldbody.add_body(pos=[0, 0, 0.105])
-        body.add_freejoint()
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.01, 0.02, 0])
-        model = spec.compile()
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        assert data.ncon > 0
-
-
 @pytest.fixture(scope="module")
 def touching(fed_tube: Vessel) -> tuple[mujoco.MjModel, mujoco.MjData]:
     """A wire in a tube, moving, with contacts and controls."""
@@ -255,22 +216,6 @@ data.qpos[5] = np.nan
 mujoco.mj_step(model, data, nstep=3)
 print("alive", data.warning[mujoco.mjtWarning.mjWARN_BADQPOS].number > 0)
 """
-
-
-@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (-0.3, 0.2, 0.7)])
-def test_capsule_in_a_flat_field_stays_finite(place: tuple[float, float, float]) -> None:
-    """Inside the wall where the distance has no gradient (medial axis, clamped far outside) no contact is made up."""
-    vessel = sampled(lambda p: np.full(len(p), -0.001), -0.010, 0.010, 0.001)
-    spec = mujoco.MjSpec()
-    vessel.add_to(spec)
-    body = spec.worldbody.add_body(pos=list(place))
-    body.add_freejoint()
-    body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=[0.0005, 0.002, 0], contype=0, conaffinity=1)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, nstep=20)
-    assert data.ncon == 0
-    assert np.isfinite(data.qpos).all()
 
 
 def test_nan_positions_do_not_end_the_process(run_python: Callable[[str], str]) -> None:

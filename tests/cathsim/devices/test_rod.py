@@ -1,6 +1,4 @@
-"""Tests of the composite rod: what each link and joint of the chain is made of, from the data of both devices."""
-
-from __future__ import annotations
+"""The composite rod of wire and catheter: links, masses, stiffness."""
 
 import numpy as np
 import pytest
@@ -10,6 +8,7 @@ from scipy.integrate import quad
 from cathsim.anatomy import load_phantom
 from cathsim.devices.catheter import Catheter
 from cathsim.devices.pair import DevicePair
+from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import LINK_NAME, Guidewire, load_guidewire
 from cathsim.presets import ACCURACY
@@ -59,18 +58,6 @@ def area(device: Guidewire | Catheter) -> float:
     return np.pi / 4 * (device.diameter if isinstance(device, Guidewire) else device.outer_diameter) ** 2
 
 
-def test_radius_and_friction_are_those_of_the_outer_device(simulation: DualSimulation, lead: float) -> None:
-    geoms, _ = of_links(simulation)
-    low, high = links(simulation).T
-    covered = lengths_within(simulation, lead)["catheter"] / (high - low)
-    radius, friction = simulation.model.geom_size[geoms, 0], simulation.model.geom_friction[geoms, 0]
-    assert np.allclose(radius, WIRE.radius + covered * (CATHETER.radius - WIRE.radius), rtol=1e-12)
-    assert np.allclose(friction, 0.04 + covered * 0.13, rtol=1e-12)
-    assert np.allclose(radius[high <= lead], WIRE.radius, rtol=1e-12)
-    assert radius[0] == CATHETER.radius
-    assert friction[0] == CATHETER.friction
-
-
 def test_mass_is_that_of_both_devices(simulation: DualSimulation, lead: float) -> None:
     _, bodies = of_links(simulation)
     within = lengths_within(simulation, lead)
@@ -118,20 +105,6 @@ def test_joints_have_the_stiffness_and_damping_of_their_cell(simulation: DualSim
             assert model.dof_damping[hinge.dofadr[0]] == pytest.approx(damping, rel=2e-3)
 
 
-def test_contacts_slide_with_the_friction_of_what_touches(simulation: DualSimulation) -> None:
-    """The wall has no friction of its own that would hide the devices'."""
-    simulation.reset(0.1, catheter=(0.06, 0.0))
-    seen = set()
-    geoms, _ = of_links(simulation)
-    for _ in range(30):
-        simulation.advance(0.002, 0.1, catheter=(0.001, 0.1))
-        model, data = simulation.model, simulation.data
-        geoms, _ = of_links(simulation)
-        wall = model.geom("vessel").id
-        for contact in data.contact:
-            link = int(contact.geom[0])
-            if contact.geom[1] == wall and geoms.start <= link < geoms.stop:
-                assert contact.friction[0] == pytest.approx(model.geom_friction[link, 0], abs=2e-2)
-                seen.add(round(float(contact.friction[0]), 3))
-    assert min(seen) == pytest.approx(0.04)
-    assert max(seen) == pytest.approx(0.17)
+def test_longer_than_the_devices() -> None:
+    with pytest.raises(ValueError, match="longer than the shorter device"):
+        DevicePair(load_guidewire("default"), load_catheter("vertebral"), reach=1.4)

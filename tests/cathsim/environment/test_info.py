@@ -1,9 +1,6 @@
 """The info of a step in the hands of others: vector environments, statistics and recorders need constant shapes."""
 
-from __future__ import annotations
-
 import functools
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -11,13 +8,11 @@ import numpy as np
 import pytest
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordStatisticsOfVector
 
-from cathsim import ENVIRONMENT, NavigateEnv
+from cathsim import ENVIRONMENT
 from cathsim.contact.measured import MAX_CONTACTS
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.registration import MANY
 from cathsim.vector import ThreadedManyVectorEnv, ThreadedVectorEnv
-
-MakeEnv = Callable[..., NavigateEnv]
 
 FORWARD = np.array([1.0, 0.3], np.float32)
 FAST: dict[str, Any] = {"accuracy": "fast"}
@@ -50,32 +45,6 @@ def test_info_keeps_its_keys_types_and_shapes(ident: str, arguments: dict[str, A
         assert description(env.reset()[1]) == expected
     env.close()
     assert touched or "robot" in further.values(), "contacts came and went"
-
-
-def test_info_of_an_invalid_step_is_like_any_other(make_env: MakeEnv) -> None:
-    env = make_env(contact_info=True)
-    expected = description(env.reset(seed=0)[1])
-    env.simulation.data.qvel[7] = np.nan
-    *_, info = env.step(FORWARD)
-    assert info["invalid"]
-    assert description(info) == expected
-
-
-def test_padded_contacts_are_the_simulations(make_env: MakeEnv) -> None:
-    env = make_env(contact_info=True)
-    env.reset(seed=0)
-    most = 0
-    for _ in range(70):
-        *_, info = env.step(FORWARD)
-        contacts, count = env.simulation.contacts(), info["contacts"]
-        assert len(contacts.points) == count
-        assert info["contact_points"].shape == info["contact_forces"].shape == (MAX_CONTACTS, 3)
-        assert np.array_equal(info["contact_points"][:count], contacts.points)
-        assert np.array_equal(info["contact_forces"][:count], contacts.forces)
-        assert not info["contact_points"][count:].any()
-        assert not info["contact_forces"][count:].any()
-        most = max(most, count)
-    assert most > 1
 
 
 @pytest.mark.parametrize(("ident", "arguments"), BOTH, ids=IDS)

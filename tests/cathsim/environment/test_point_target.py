@@ -1,18 +1,14 @@
 """Targets that are points in the lumen, and tasks with a reward of their own."""
 
-from __future__ import annotations
-
 import dataclasses
-import gc
 import pickle
 from collections.abc import Callable
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
-from cathsim import ENVIRONMENT, NavigateEnv, NavigationTask, Phantom
+from cathsim import NavigateEnv, NavigationTask, Phantom
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.planning.plan_trials import ExpertSettings
 from cathsim.planning.sampling import SamplingExpert
@@ -117,42 +113,6 @@ def test_a_point_out_of_reach_is_refused(make_env: MakeEnv, type_1: Phantom) -> 
         make_env(phantom=type_1, target=far, wire=load_guidewire("default").scaled(0.2))
 
 
-def test_fields_of_points_do_not_pile_up(type_1: Phantom, point: tuple[float, ...]) -> None:
-    import weakref
-
-    fields = [weakref.ref(type_1.geodesic_field((point[0], point[1], point[2] + 1e-4 * number))) for number in range(7)]
-    held = fields[-1]()
-    gc.collect()
-    alive = sum(field() is not None for field in fields)
-    assert alive == 4
-    assert type_1.geodesic_field((point[0], point[1], point[2] + 6e-4)) is held
-
-
-def test_many_anatomies_take_points(type_1: Phantom, beside: np.ndarray, point: tuple[float, ...]) -> None:
-    env = NavigateManyEnv((type_1,), ("bca", beside), observation="goal", accuracy="fast")
-    goal, info = env.reset(seed=0, options={"case": 1})
-    assert np.array_equal(goal, beside.astype(np.float32))
-    assert info["target"].startswith("point_")
-    goal, info = env.reset(seed=0, options={"case": 0, "target": point})
-    assert np.array_equal(goal, np.float32(point))
-    env.step(FORWARD)
-    state = pickle.loads(pickle.dumps(env.state()))
-    env.reset(seed=1, options={"case": 1})
-    assert np.array_equal(env.restore(state), goal)
-    with pytest.raises(ValueError, match="a target is a name, or a point"):
-        NavigateManyEnv((type_1,), point, accuracy="fast")
-
-
-def test_vectors_take_points(beside: np.ndarray) -> None:
-    for mode in ("sync", "vector_entry_point"):
-        vector = gymnasium.make_vec(
-            ENVIRONMENT, 2, vectorization_mode=mode, phantom="type_1", accuracy="fast", observation="goal"
-        )
-        goals, _ = vector.reset(seed=0, options={"target": beside})
-        assert np.array_equal(goals, np.tile(beside.astype(np.float32), (2, 1)))
-        vector.close()
-
-
 def test_the_expert_follows_the_target_of_an_episode(make_env: MakeEnv, point: tuple[float, ...]) -> None:
     settings = ExpertSettings(horizon=6, samples=4, elites=2, rounds=1)
     env, fresh = make_env(phantom="type_1", target="bca"), make_env(phantom="type_1", target=point)
@@ -176,26 +136,6 @@ class Progress(NavigationTask):
         return progress - 1e-3 * moved
 
 
-class Straight(NavigationTask):
-    """Counts the straight distance as what remains."""
-
-    def remaining(self, phantom: Phantom, tip: np.ndarray) -> float:
-        return float(np.linalg.norm(self.goal(phantom) - tip))
-
-    def step_reward(self, distance: float, progress: float, force: float, *_: float, success: bool) -> float:
-        return progress
-
-
-@dataclasses.dataclass(frozen=True)
-class Weighted(NavigationTask):
-    """With a field more."""
-
-    weight: float = 2.0
-
-    def step_reward(self, distance: float, progress: float, *_: float, success: bool) -> float:
-        return self.weight * progress
-
-
 def test_a_tasks_own_reward_is_given_the_progress(make_env: MakeEnv, type_1: Phantom) -> None:
     env = make_env(phantom=type_1, task=Progress(target="lcca"))
     _, info = env.reset(seed=0)
@@ -208,22 +148,6 @@ def test_a_tasks_own_reward_is_given_the_progress(make_env: MakeEnv, type_1: Pha
         assert reward == pytest.approx(progress - 1e-3 * np.linalg.norm(info["tip"] - tip), abs=1e-12)
         total += reward
     assert total > 0.5 * moved > 0.005
-
-
-def test_a_tasks_own_remaining_way_counts(make_env: MakeEnv) -> None:
-    env = make_env(task=Straight())
-    _, info = env.reset(seed=0)
-    for _ in range(5):
-        before = info["distance"]
-        _, reward, *_, info = env.step(FORWARD)
-        assert reward == pytest.approx(before - info["distance"], abs=1e-12)
-
-
-def test_a_task_keeps_its_class_and_further_fields(make_env: MakeEnv) -> None:
-    env = make_env(task=Weighted(weight=3.0), weight=5.0, target="lsa", max_steps=7)
-    assert env.task == Weighted(target="lsa", weight=5.0, max_steps=7)
-    with pytest.raises(ValueError, match=r"the environment has no argument colour; .* weight"):
-        make_env(task=Weighted(), colour="red")
 
 
 def test_vectors_many_anatomies_and_composer_take_a_tasks_own_reward(type_1: Phantom) -> None:
@@ -245,3 +169,18 @@ def test_vectors_many_anatomies_and_composer_take_a_tasks_own_reward(type_1: Pha
     environment.reset()
     total = sum(environment.step([1.0, 0.0]).reward for _ in range(10))
     assert total > 0.005
+
+
+def test_many_anatomies_take_points(type_1: Phantom, beside: np.ndarray, point: tuple[float, ...]) -> None:
+    env = NavigateManyEnv((type_1,), ("bca", beside), observation="goal", accuracy="fast")
+    goal, info = env.reset(seed=0, options={"case": 1})
+    assert np.array_equal(goal, beside.astype(np.float32))
+    assert info["target"].startswith("point_")
+    goal, info = env.reset(seed=0, options={"case": 0, "target": point})
+    assert np.array_equal(goal, np.float32(point))
+    env.step(FORWARD)
+    state = pickle.loads(pickle.dumps(env.state()))
+    env.reset(seed=1, options={"case": 1})
+    assert np.array_equal(env.restore(state), goal)
+    with pytest.raises(ValueError, match="a target is a name, or a point"):
+        NavigateManyEnv((type_1,), point, accuracy="fast")

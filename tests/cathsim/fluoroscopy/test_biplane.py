@@ -1,7 +1,7 @@
-"""Two cameras look at one wire: registration of image, mask and projection, noise, crossings, seeds."""
+"""Two-camera fluoroscopes: wires, devices, the environment that observes through them."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,8 +11,7 @@ from scipy import ndimage
 from cathsim.fluoroscopy import (
     BiplaneFluoroscope,
     Radiograph,
-    Section,
-    WireMaterial,
+    catheter_material,
     guide3d_pair,
     radiograph,
     scene,
@@ -69,21 +68,6 @@ def test_image_and_mask_lie_on_the_projected_wire(fluoroscope, name):
     assert ndimage.label(frame.mask, np.ones((3, 3)))[1] == 1
 
 
-def test_width_follows_the_distance_to_the_source(fluoroscope):
-    camera = fluoroscope.cameras["a"]
-    widths = []
-    for towards in (-0.1, 0.1):
-        middle = towards * camera.projector.R[2]
-        slanted = 0.94 * camera.projector.R[0] + 0.34 * camera.projector.R[1]
-        wire = middle + np.linspace(-0.03, 0.03, 20)[:, None] * slanted
-        mask = fluoroscope.render(wire)["a"].mask
-        widths.append(mask.sum() / np.hypot(*(np.ptp(side) for side in np.nonzero(mask))))
-    distance = fluoroscope.cameras["a"].projector.t[2]
-    radius = fluoroscope.material.radius * camera.projector.K[0, 0]
-    assert widths[0] > widths[1]
-    assert widths[0] == pytest.approx(2 * radius / (distance - 0.1), abs=0.15)
-
-
 def test_same_seed_same_bits_and_cameras_do_not_disturb_each_other(small, fluoroscope):
     wire = arc_wire()
     first, again = small.render(wire, 5), small.render(wire, np.random.default_rng(5))
@@ -95,13 +79,6 @@ def test_same_seed_same_bits_and_cameras_do_not_disturb_each_other(small, fluoro
     assert (five != six).mean() > 0.5
     assert (first["a"].mask != first["b"].mask).any()
     np.testing.assert_array_equal(small.render(wire)["a"].image, small.render(wire)["a"].image)
-
-
-def test_threads_share_a_fluoroscope(small):
-    alone = [small.render(arc_wire(), seed)["b"].image for seed in range(16)]
-    with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda seed: small.render(arc_wire(), seed)["b"].image, range(16)))
-    np.testing.assert_array_equal(together, alone)
 
 
 @pytest.mark.parametrize("expected", [0.4, 3.0, 9.0, 40.0, 300.0])
@@ -124,18 +101,6 @@ def test_counts_are_poisson(expected):
     assert counts.var() == pytest.approx(shown.var(), rel=0.04)
 
 
-def test_noise_has_the_size_and_grain_it_should(fluoroscope):
-    frames = np.stack([fluoroscope.render(NOTHING, seed)["a"].image.astype(float) for seed in range(10)])
-    clean = fluoroscope.render(NOTHING)["a"].image
-    part = np.s_[:, 350:450, 180:330]
-    assert frames[part].mean() == pytest.approx(clean[part[1:]].mean(), abs=0.1)
-    rest = frames[part] - frames[part].mean(axis=0)
-    assert 1.2 < rest.std() < 1.6  # real images of 512 px: 1.1 and 1.2 (docs/results/simulator.md)
-    # half the size: half the screen's blur in px, so that neighbours correlate little
-    beside = (rest[:, :, 1:] * rest[:, :, :-1]).mean() / rest.var()
-    assert 0.02 < beside < 0.3
-
-
 def test_contrast_darkens_and_air_brightens_the_lumen():
     camera = guide3d_pair(np.zeros(3), 96)[0]
     at = np.rint(camera.pixels(BALL[None])[0]).astype(int)[::-1]
@@ -151,56 +116,6 @@ def test_contrast_darkens_and_air_brightens_the_lumen():
     corner = np.s_[10:20, 40:60]
     gain = filled.primary[corner].mean() / empty.primary[corner].mean()
     assert filled.primary[tuple(at)] / empty.primary[tuple(at)] / gain == pytest.approx(ratio, rel=0.06)
-
-
-def test_crossing_strands_both_attenuate():
-    camera = guide3d_pair(np.zeros(3))[0]
-    still = Radiograph(*(np.full((1024, 1024), value, np.float32) for value in (250.0, 0.0)))
-    detector = replace(camera.detector, focal_blur=0.0, screen_blur=0.0)
-    flat = WireMaterial((Section(1.0, ((0.0008, 400.0),)),))
-    one = BiplaneFluoroscope([replace(camera, detector=detector)], [still], material=flat)
-    right, down = camera.projector.R[:2] * 0.03
-    loop = np.concatenate(
-        [
-            start + np.linspace(0, 1, 12)[:, None] * (end - start)
-            for start, end in ((-right, right), (right, down), (down, -down))
-        ]
-    )
-    image = one.render(loop)["a"].image.astype(float)
-    empty = one.render(NOTHING)["a"].image[0, 0]
-    u, v = np.rint(camera.pixels(np.zeros((1, 3)))[0]).astype(int)
-    single, double = np.square(image[[v, v], [u - 60, u]] / empty)
-    assert single == pytest.approx(np.exp(-400 * 0.0016), rel=0.03)
-    assert double == pytest.approx(single**2, rel=0.03)
-
-
-def test_radiographs_are_made_once_and_stay_as_they_are():
-    camera = guide3d_pair(np.zeros(3), 64)[0]
-    first = radiograph(PHANTOM.grid, camera, scene("bath"), key="once")
-    assert radiograph(PHANTOM.grid, camera, scene("bath"), key="once") is first
-    assert radiograph(PHANTOM.grid, camera, scene("bath", "air"), key="once") is not first
-    with pytest.raises(ValueError, match="read-only"):
-        first.primary[0, 0] = 1
-
-
-def test_wire_outside_the_image_and_short_wires(small):
-    empty = small.render(NOTHING, 1)
-    outside = small.render([[0.5, 0.0, 0.0], [0.5, 0.05, 0.0]], 1)
-    point = small.render([[0.0, 0.0, 0.0]], 1)
-    for name in small.names:
-        np.testing.assert_array_equal(outside[name].image, empty[name].image)
-        np.testing.assert_array_equal(point[name].image, empty[name].image)
-        assert not outside[name].mask.any()
-    through = small.render([[-0.3, 0.0, 0.0], [0.3, 0.0, 0.0]])["a"].mask
-    assert through[2].any()
-    assert through[-3].any()
-
-
-def test_every_geometry_and_size_renders():
-    for geometry in ("guide3d", "clinical"):
-        frames = BiplaneFluoroscope.of(PHANTOM, geometry, size=40, surroundings="patient").render(arc_wire(), 0)
-        assert all(frame.image.shape == frame.mask.shape == (40, 40) for frame in frames.values())
-        assert all(ndimage.label(frame.mask, np.ones((3, 3)))[1] == 1 for frame in frames.values())
 
 
 def test_bad_input_is_refused(small):
@@ -223,10 +138,125 @@ def test_bad_input_is_refused(small):
         BiplaneFluoroscope([camera], [])
 
 
-@pytest.mark.parametrize(("size", "real"), [(512, 1.19), (256, 0.76), (128, 0.45)])
-def test_a_smaller_image_has_less_noise_as_the_mean_of_more_pixels(size, real):
-    camera = guide3d_pair(np.zeros(3), size)[0]
-    field = np.full((size, size), camera.detector.white(size, size) * (100 / 255) ** 2, np.float32)
-    one = BiplaneFluoroscope([camera], [Radiograph(field, np.zeros_like(field))])
-    images = [one.render(NOTHING, seed)["a"].image.astype(float) for seed in range(4)]
-    assert real < np.std(images, axis=0, ddof=1).mean() < 1.7 * real
+BIPLANE_DEVICES_NOTHING = np.empty((0, 3))
+SIZE = 512
+
+
+def tube(marker_length: float = 4e-3):
+    return catheter_material(0.835e-3, 0.6e-3, wall=170.0, marker=1430.0, marker_length=marker_length)
+
+
+def bend(start: float) -> np.ndarray:
+    """Nodes of an arc from a distance (m) along it on."""
+    angle = np.arange(start, 0.12, 0.002) / 0.045
+    return np.column_stack((0.045 * np.cos(angle), 0.01 * np.sin(2 * angle), 0.045 * np.sin(angle) - 0.01))
+
+
+@pytest.fixture(scope="module")
+def biplane_devices_fluoroscope() -> BiplaneFluoroscope:
+    """Of nothing but air: every pixel expects as many photons, and none are scattered."""
+    cameras = guide3d_pair(np.zeros(3), SIZE)
+    stills = [Radiograph(np.full((SIZE, SIZE), 500.0, np.float32), np.zeros((SIZE, SIZE), np.float32)) for _ in cameras]
+    return BiplaneFluoroscope(cameras, stills, catheter=tube())
+
+
+def depth(image: np.ndarray) -> np.ndarray:
+    """Optical depth in an image without noise, whose grey levels are the square root of the light."""
+    return -2 * np.log(image / image.max())
+
+
+def test_without_a_catheter_it_is_the_bare_wire_bit_for_bit(biplane_devices_fluoroscope: BiplaneFluoroscope) -> None:
+    bare, both = (
+        biplane_devices_fluoroscope.render(bend(0.0), 3),
+        biplane_devices_fluoroscope.render_devices(bend(0.0), BIPLANE_DEVICES_NOTHING, 3),
+    )
+    for name in biplane_devices_fluoroscope.names:
+        assert np.array_equal(bare[name].image, both[name].image)
+        assert np.array_equal(bare[name].mask, both[name].mask)
+        assert np.array_equal(bare[name].mask, both[name].mask_wire)
+        assert not both[name].mask_catheter.any()
+
+
+@pytest.mark.parametrize("name", ["a", "b"])
+def test_attenuation_of_both_adds(biplane_devices_fluoroscope: BiplaneFluoroscope, name: str) -> None:
+    wire, catheter = bend(0.0), bend(0.04)
+    both, inner, outer = (
+        biplane_devices_fluoroscope.render_devices(*pair)[name]
+        for pair in ((wire, catheter), (wire, BIPLANE_DEVICES_NOTHING), (BIPLANE_DEVICES_NOTHING, catheter))
+    )
+    assert depth(both.image) == pytest.approx(depth(inner.image) + depth(outer.image), abs=0.05)
+    assert depth(both.image).max() > depth(inner.image).max() + 0.02
+    assert np.array_equal(both.mask, both.mask_wire | both.mask_catheter)
+    assert np.array_equal(both.mask_catheter, outer.mask)
+    ahead = both.mask_wire > both.mask_catheter
+    inside = (both.mask_wire == 1) & (both.mask_catheter == 1)
+    assert ahead.any()
+    assert inside.sum() > ahead.sum()
+
+
+def test_the_marker_is_at_the_tip_alone(biplane_devices_fluoroscope: BiplaneFluoroscope) -> None:
+    image = biplane_devices_fluoroscope.render_devices(BIPLANE_DEVICES_NOTHING, bend(0.04))["a"].image
+    dark = np.argwhere(depth(image) > 0.4)
+    camera = biplane_devices_fluoroscope.cameras["a"]
+    tip = camera.pixels(bend(0.04)[:1])[0]
+    assert len(dark) > 5
+    assert np.linalg.norm(dark[:, ::-1] - tip, axis=1).max() < 4.5e-3 * camera.projector.pixels_per_metre(bend(0.04)[0])
+
+
+def test_a_fluoroscope_without_the_material_says_how_to_have_it(
+    biplane_devices_fluoroscope: BiplaneFluoroscope,
+) -> None:
+    cameras = list(biplane_devices_fluoroscope.cameras.values())
+    still = Radiograph(np.ones((SIZE, SIZE), np.float32), np.zeros((SIZE, SIZE), np.float32))
+    with pytest.raises(ValueError, match="with_catheter"):
+        BiplaneFluoroscope(cameras, [still, still]).render_devices(BIPLANE_DEVICES_NOTHING, bend(0.0))
+    with pytest.raises(ValueError, match="unknown camera 'c'"):
+        biplane_devices_fluoroscope.render_devices(BIPLANE_DEVICES_NOTHING, bend(0.0), only=("c",))
+
+
+NAMES = ("image_a", "mask_a", "image_b", "mask_b")
+
+
+def test_observations_match_their_spaces_and_repeat(make_env):
+    env = make_env(cameras="guide3d", observation=(*NAMES, "image"), image_size=64)
+    runs = []
+    for _ in range(2):
+        observation, _ = env.reset(seed=3)
+        steps = [observation] + [env.step(np.array([1.0, 0.4]))[0] for _ in range(4)]
+        runs.append(steps)
+    for one, other in zip(*runs, strict=True):
+        assert env.observation_space.contains(one)
+        for name in one:
+            np.testing.assert_array_equal(one[name], other[name])
+    first, second = runs[0][0], runs[0][1]
+    assert (first["image_a"] != second["image_a"]).mean() > 0.3  # noise is new in every step
+    assert set(np.unique(first["mask_a"])) == {0, 255}
+    observation, _ = env.reset(seed=4)
+    assert (observation["image_a"] != first["image_a"]).mean() > 0.3
+
+
+def test_unknown_cameras_are_refused(make_env):
+    with pytest.raises(ValueError, match="pass cameras="):
+        make_env(observation="image_a")
+    with pytest.raises(ValueError, match="the cameras give image_a, mask_a"):
+        make_env(observation="image_left", cameras="guide3d", image_size=32)
+    with pytest.raises(ValueError, match="unknown geometry"):
+        make_env(cameras="x-wing", image_size=32)
+
+
+def test_log_holds_every_camera(make_env, tmp_path: Path):
+    pytest.importorskip("mcap")
+    from pipeline.episodes import EpisodeReader
+    from pipeline.recording.record import record_episode
+
+    env = make_env(cameras="guide3d", observation="tip", image_size=48, max_steps=3)
+    path = tmp_path / "episode.mcap"
+    record_episode(env, lambda observation, info: np.array([1.0, 0.0]), path, seed=0, operator="test")
+    with EpisodeReader(path) as log:
+        assert set(log.cameras) == {"frontal", "a", "b"}
+        arrays, info = log.load_arrays(), log.info
+        np.testing.assert_allclose(log.camera("b").P, env.biplane.fluoroscope.cameras["b"].projector.P)
+    assert arrays["image/a"].shape == arrays["mask/b"].shape == (4, 48, 48)
+    np.testing.assert_array_equal(arrays["image/a"][-1], env.biplane.frame("a").image)
+    np.testing.assert_array_equal(arrays["mask/b"][-1], env.biplane.frame("b").mask)
+    assert info.configuration["cameras"]["a"]["distortion"]["pincushion"] > 0

@@ -1,9 +1,20 @@
-"""Camera geometry: directions on the image, magnification, fit, round trips."""
+"""Views: projections, lenses, C-arms of laboratories and their files."""
+
+import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cathsim.fluoroscopy import VIEWS, Projector
+from cathsim.fluoroscopy import (
+    VIEWS,
+    DetectorDistortion,
+    Projector,
+    XRayCamera,
+    guide3d_pair,
+    read_projection,
+    write_calibration,
+)
 
 BOUNDS = np.array([[-0.06, -0.04, -0.11], [0.05, 0.05, 0.12]])
 CENTRE = BOUNDS.mean(axis=0)
@@ -62,43 +73,6 @@ def test_the_whole_box_is_in_view_and_fills_it(name, size):
     assert camera.name == name
 
 
-def test_matrix_and_method_agree():
-    camera = Projector.view("lao_45", BOUNDS, 128)
-    points = np.random.default_rng(0).uniform(*BOUNDS, size=(50, 3))
-    homogeneous = np.column_stack([points, np.ones(50)]) @ camera.P.T
-    assert camera.P.shape == (3, 4)
-    np.testing.assert_allclose(camera.project(points), homogeneous[:, :2] / homogeneous[:, 2:], atol=1e-9)
-
-
-def test_rays_go_back_to_the_point():
-    camera = Projector.view("caudal_30", BOUNDS, 512)
-    point = beside(0.02, -0.03, 0.05)
-    ray = camera.rays @ np.append(camera.project([point])[0], 1.0)
-    offset = point - camera.source
-    np.testing.assert_allclose(np.cross(ray, offset), 0, atol=1e-9)
-    assert ray @ offset > 0
-
-
-def test_two_views_triangulate():
-    cameras = [Projector.view(name, BOUNDS, 1024) for name in ("frontal", "lateral")]
-    point = beside(0.01, 0.02, -0.04)
-    rows = []
-    for camera in cameras:
-        u, v = camera.project([point])[0]
-        rows += [u * camera.P[2] - camera.P[0], v * camera.P[2] - camera.P[1]]
-    solution = np.linalg.svd(np.array(rows))[2][-1]
-    np.testing.assert_allclose(solution[:3] / solution[3], point, atol=1e-9)
-
-
-def test_resized_view_keeps_its_field():
-    small = Projector.frontal(BOUNDS, 80)
-    large = small.resized(320)
-    points = corners(BOUNDS)
-    np.testing.assert_allclose((small.project(points) + 0.5) * 4, large.project(points) + 0.5, atol=1e-9)
-    assert large.key == Projector.frontal(BOUNDS, 320).resized(320).key
-    assert large.key != small.key
-
-
 def test_bad_geometry_is_refused():
     with pytest.raises(ValueError, match="unknown view 'oblique': expected one of frontal, lateral"):
         Projector.view("oblique", BOUNDS, 80)
@@ -119,3 +93,140 @@ def test_bad_geometry_is_refused():
         camera.project(np.zeros(3))
     with pytest.raises(ValueError, match="in front of the X-ray source"):
         camera.project([camera.source - np.array([0, 0.1, 0])])
+
+
+C_ARMS_CENTRE = np.array([0.01, -0.02, 0.03])
+REAL = Path(__file__).parents[4] / "shared" / "real" / "xray_calibration"
+
+
+def test_public_geometry():
+    a, b = (camera.projector for camera in guide3d_pair(C_ARMS_CENTRE))
+    assert np.linalg.norm(a.source - b.source) == pytest.approx(1.32, abs=1e-9)
+    assert np.degrees(np.arccos(a.R[2] @ b.R[2])) == pytest.approx(91.0, abs=1e-9)
+    assert a.K[0, 0] == pytest.approx(5150)
+    assert b.K[0, 0] == pytest.approx(4450)
+    for projector in (a, b):
+        assert (projector.width, projector.height) == (1024, 1024)
+        assert 0.18e-3 < 1 / projector.pixels_per_metre(C_ARMS_CENTRE) < 0.20e-3
+        np.testing.assert_allclose(projector.project(C_ARMS_CENTRE[None]), [[511.5, 511.5]], atol=1e-9)
+        right, down = projector.project(C_ARMS_CENTRE + np.array([[0, 0, 0.01], [0.01, 0, 0]])) - 511.5
+        assert right[0] > 30
+        assert abs(right[1]) < 1e-9  # the head is to the right
+        assert down[1] > 50
+        assert projector.source_detector_distance > np.linalg.norm(projector.source - C_ARMS_CENTRE)
+
+
+def test_files_hold_the_cameras(tmp_path):
+    cameras = {camera.name: camera for camera in guide3d_pair(C_ARMS_CENTRE, 512)}
+    paths = write_calibration(cameras, tmp_path / "calibration")
+    assert [path.name for path in paths] == ["calibration.json", "projection_a.txt", "projection_b.txt"]
+    for name, camera in cameras.items():
+        back, projector = read_projection(tmp_path / "calibration" / f"projection_{name}.txt"), camera.projector
+        assert (back.width, back.height) == (512, 512)
+        np.testing.assert_allclose(back.K, projector.K, rtol=1e-10, atol=1e-9)
+        np.testing.assert_allclose(back.R, projector.R, atol=1e-11)
+        np.testing.assert_allclose(back.t, 100 * projector.t, atol=1e-9)
+        point = C_ARMS_CENTRE + np.array([0.03, 0.01, -0.02])
+        pixel = back.P @ [*(100 * point), 1]
+        np.testing.assert_allclose(pixel[:2] / pixel[2], projector.project(point[None])[0], atol=1e-6)
+        plain = json.loads(paths[0].read_text())["cameras"][name]
+        np.testing.assert_array_equal(plain["P"], projector.P)
+        assert plain["distortion"]["twist"] == camera.distortion.twist
+
+
+def test_text_layout_is_that_of_the_laboratory(tmp_path):
+    path = REAL / "projection_2024-03-04_16709.txt"
+    if not path.exists():
+        pytest.skip("needs the real calibration files beside the project, shared/real")
+    real = read_projection(path)
+    assert np.linalg.det(real.R) == pytest.approx(1, abs=1e-6)
+    camera = guide3d_pair(C_ARMS_CENTRE)[0]
+    projector = Projector(real.K, real.R, real.t / 100, real.width, real.height, "b")
+    ours = write_calibration(
+        {"b": XRayCamera(projector, DetectorDistortion.none(1024, 1024), camera.detector)}, tmp_path
+    )[1]
+    ours_lines, their_lines = ours.read_bytes().split(b"\r\n"), path.read_bytes().split(b"\r\n")
+    assert len(ours_lines) == len(their_lines)
+    for one, other in zip(ours_lines, their_lines, strict=True):
+        if b"," in other:
+            np.testing.assert_allclose([float(x) for x in one.split(b",")], [float(x) for x in other.split(b",")])
+        else:
+            assert one == other
+
+
+def test_text_that_a_spreadsheet_saved_is_read(tmp_path):
+    camera = guide3d_pair(C_ARMS_CENTRE)[0]
+    path = write_calibration({"a": camera}, tmp_path)[1]
+    text = path.read_text()
+    path.write_text(text.replace(",", ";").replace(".", ",").replace("rotation", "rotation;;"), encoding="utf-8-sig")
+    np.testing.assert_allclose(read_projection(path).P, camera.projector.P * [1, 1, 1, 100])
+
+
+def test_bad_files_and_cameras_are_refused(tmp_path):
+    path = tmp_path / "projection.txt"
+    path.write_text("image size\n8,8\n\ncamera matrix\n1,0\n")
+    with pytest.raises(ValueError, match="3 x 3 numbers under 'camera matrix'"):
+        read_projection(path)
+    path.write_text("hello\n")
+    with pytest.raises(ValueError, match="no projection file"):
+        read_projection(path)
+    with pytest.raises(ValueError, match="unknown unit"):
+        write_calibration({}, tmp_path, unit="inch")
+    camera = guide3d_pair(C_ARMS_CENTRE)[0]
+    with pytest.raises(ValueError, match="resize one of them"):
+        XRayCamera(camera.projector, DetectorDistortion.none(64, 64), camera.detector)
+
+
+MAPS = [camera.distortion for camera in guide3d_pair(np.zeros(3))]
+
+
+def grid(size, step):
+    u, v = np.meshgrid(np.arange(0.0, size, step), np.arange(0.0, size, step))
+    return np.column_stack((u.ravel(), v.ravel()))
+
+
+@pytest.mark.parametrize("distortion", MAPS)
+def test_inverse_gives_the_points_back(distortion):
+    shown = grid(1024, 31)
+    ideal = distortion.undistort(shown)
+    np.testing.assert_allclose(distortion.distort(ideal), shown, atol=1e-6)
+    np.testing.assert_allclose(distortion.undistort(distortion.distort(ideal)), ideal, atol=1e-6)
+
+
+@pytest.mark.parametrize("camera", guide3d_pair(np.zeros(3)), ids=["a", "b"])
+def test_displacement_is_as_large_as_measured_on_the_public_data(camera):
+    shown = grid(1024, 8)
+    lit = camera.detector.illumination(1024, 1024)[::8, ::8].ravel() > 0.02
+    moved = np.linalg.norm(shown - camera.distortion.undistort(shown), axis=1)[lit]
+    assert moved.mean() == pytest.approx(11, abs=1)
+    assert moved.max() == pytest.approx(28, abs=2)
+
+
+def test_size_scales_the_map_and_nothing_is_none():
+    big, small = MAPS[0], MAPS[0].resized(256, 256)
+    ideal = grid(1024, 64)
+    shrunk = (ideal + 0.5) / 4 - 0.5
+    np.testing.assert_allclose(small.distort(shrunk), (big.distort(ideal) + 0.5) / 4 - 0.5, atol=1e-9)
+    flat = DetectorDistortion.none(64, 48)
+    assert flat.identity
+    np.testing.assert_array_equal(flat.distort(ideal), ideal)
+    np.testing.assert_array_equal(flat.undistort(ideal), ideal)
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(ValueError, match="folds the image"):
+        DetectorDistortion(64, 64, pincushion=-0.5)
+    with pytest.raises(ValueError, match="twist must be a finite number"):
+        DetectorDistortion(64, 64, twist=np.nan)
+    with pytest.raises(ValueError, match=r"shape \(n, 2\)"):
+        MAPS[0].distort(np.zeros((3, 3)))
+    with pytest.raises(ValueError, match="width must lie in 1 to 8192 px, got 0"):
+        DetectorDistortion(0, 4)
+
+
+def test_far_points_stay_far_and_in_order():
+    line = np.column_stack((np.linspace(-5000, 6000, 400), np.full(400, 300.0)))
+    moved = MAPS[1].distort(line)
+    assert (np.diff(moved[:, 0]) > 0).all()
+    with pytest.raises(ValueError, match="too far outside the image"):
+        MAPS[1].undistort([[1e5, 0.0]])

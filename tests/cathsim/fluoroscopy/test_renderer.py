@@ -1,15 +1,15 @@
-"""The drawn wire: where it lies, how dark it is, and that its mask has no gap."""
-
-from concurrent.futures import ThreadPoolExecutor
+"""Wires and devices drawn as X-rays show them."""
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from cathsim.fluoroscopy import FluoroscopyRenderer, Projector, quantum_noise
+from cathsim.fluoroscopy import DeviceRenderer, FluoroscopyRenderer, Projector, catheter_material, quantum_noise
+from cathsim.fluoroscopy.attenuation import GAMMA
+from cathsim.fluoroscopy.curve import smooth_curve, split
+from cathsim.fluoroscopy.device_renderer import EMPHASIS
 
 BOUNDS = np.array([[-0.06, -0.04, -0.11], [0.06, 0.04, 0.11]])
-EIGHT = np.ones((3, 3))
 
 
 def make(size=80, level=180.0, view="frontal", **options):
@@ -33,46 +33,6 @@ def straight_wire(start, end, nodes=20):
     return np.linspace(start, end, nodes)
 
 
-@pytest.mark.parametrize("size", [80, 128])
-def test_mask_has_no_gap(size):
-    renderer, whole = make(size), 0
-    for seed in range(150):
-        wire = random_wire(seed)
-        mask = renderer.mask(wire)
-        pixels = renderer.projector.project(wire)
-        if (pixels < 0).any() or (pixels > size - 1).any():
-            continue
-        whole += 1
-        assert ndimage.label(mask, EIGHT)[1] == 1
-        for axis, covered in ((0, mask.any(axis=0)), (1, mask.any(axis=1))):
-            low, high = np.rint([pixels[:, axis].min(), pixels[:, axis].max()]).astype(int)
-            assert covered[low : high + 1].all()
-        nearest = np.rint(pixels).astype(int)
-        assert mask[nearest[:, 1], nearest[:, 0]].all()
-    assert whole > 100  # the others leave the image
-
-
-def test_mask_is_thin_and_every_pixel_of_it_is_darkened():
-    renderer = make(80)
-    wire = random_wire(3)
-    image, mask = renderer.render(wire), renderer.mask(wire)
-    assert set(np.unique(mask)) == {0, 1}
-    assert (image[mask == 1] < 170).all()
-    length = np.linalg.norm(np.diff(renderer.projector.project(wire), axis=0), axis=1).sum()
-    assert mask.sum() < 1.8 * length
-    assert (image != 180).sum() < 3.2 * length
-
-
-def test_away_from_the_wire_the_image_is_the_background():
-    grey = np.random.default_rng(0).uniform(20, 230, (80, 80))
-    renderer = FluoroscopyRenderer(Projector.frontal(BOUNDS, 80), grey)
-    wire = random_wire(5)
-    image = renderer.render(wire)
-    far = ndimage.distance_transform_cdt(renderer.mask(wire) == 0, "chessboard") > 2
-    np.testing.assert_array_equal(image[far], np.rint(grey).astype(np.uint8)[far])
-    assert (image <= np.rint(grey)).all()
-
-
 def test_wire_attenuates_as_a_cylinder_when_the_image_resolves_it():
     renderer = make(1024, level=200.0, wire_radius=1e-3, wire_attenuation=1000.0, gamma=0.5)
     width = renderer.wire_width_px
@@ -85,14 +45,6 @@ def test_wire_attenuates_as_a_cylinder_when_the_image_resolves_it():
         chord = 2e-3 * np.sqrt(1 - edges**2).mean()
         assert row[column] == pytest.approx(200 * np.exp(-0.5 * 1000.0 * chord), abs=1.5)
     assert row[512 + int(width / 2) + 2] == 200
-
-
-def test_thin_wire_is_drawn_at_least_1_2_px_wide():
-    assert make(80).wire_width_px == pytest.approx(1.2)
-    assert make(80, wire_radius=1e-5).wire_width_px == pytest.approx(1.2)
-    image = make(80).render(straight_wire([0.001, 0, -0.05], [0.02, 0, 0.06]))
-    rows = image[30:50].min(axis=1)
-    assert rows.max() < 100  # the wire darkens every row, whatever the position between pixels
 
 
 @pytest.mark.parametrize("links", [[0.016] * 9, [0.004] * 6 + [0.016] * 8, [0.003, 0.017] * 7])
@@ -109,62 +61,6 @@ def test_long_links_are_drawn_as_a_smooth_curve(links):
     assert ndimage.distance_transform_edt(drawn == 0)[truth == 1].max() < 1.5
 
 
-def test_order_of_the_nodes_and_repeated_nodes_do_not_matter():
-    renderer = make(128)
-    wire = random_wire(8)
-    image = renderer.render(wire).astype(int)
-    assert np.abs(renderer.render(wire[::-1]).astype(int) - image).max() <= 1
-    doubled = np.repeat(wire, 2, axis=0)
-    assert np.isfinite(doubled).all()
-    assert ndimage.label(renderer.mask(doubled), EIGHT)[1] == 1
-
-
-def test_wire_partly_or_wholly_outside_the_image():
-    renderer = make(80)
-    through = straight_wire([-0.3, 0, 0], [0.3, 0, 0])
-    assert renderer.mask(through)[39:41].any(axis=0).all()
-    outside = straight_wire([0.3, 0, 0], [0.4, 0, 0.1])
-    assert not renderer.mask(outside).any()
-    np.testing.assert_array_equal(renderer.render(outside), renderer.background)
-    far_away = np.array([[0.0, -0.7, 0.0], [1e7, 0.0, 1e7]])
-    assert renderer.mask(far_away).shape == (80, 80)
-
-
-@pytest.mark.parametrize("count", [0, 1])
-def test_fewer_than_two_nodes_draw_nothing(count):
-    renderer = make(80)
-    np.testing.assert_array_equal(renderer.render(np.zeros((count, 3))), renderer.background)
-    assert not renderer.mask(np.zeros((count, 3))).any()
-
-
-def test_one_pass_equals_two_and_repeats_itself():
-    renderer = make(80)
-    wire = random_wire(4)
-    image, mask = np.full((80, 80), 7, np.uint8), np.full((80, 80), 7, np.uint8)
-    for _ in range(2):
-        renderer.render_into(wire, image, mask)
-        np.testing.assert_array_equal(image, renderer.render(wire))
-        np.testing.assert_array_equal(mask, renderer.mask(wire))
-
-
-def test_threads_share_a_renderer():
-    renderer = make(128)
-    wires = [random_wire(seed) for seed in range(40)]
-    alone = [renderer.render(wire) for wire in wires]
-    with ThreadPoolExecutor(4) as pool:
-        np.testing.assert_array_equal(list(pool.map(renderer.render, wires)), alone)
-
-
-def test_any_view_any_size():
-    projector = Projector.view("lateral", BOUNDS, (120, 90))
-    renderer = FluoroscopyRenderer(projector, np.full((90, 120), 150.0))
-    wire = straight_wire([0, -0.02, -0.04], [0, 0.02, 0.05])
-    rows, columns = np.nonzero(renderer.mask(wire))
-    pixels = projector.project(wire)
-    assert columns.min() == pytest.approx(pixels[:, 0].min(), abs=1.5)
-    assert rows.max() == pytest.approx(pixels[:, 1].max(), abs=1.5)
-
-
 def test_quantum_noise_follows_the_counts():
     image = np.full((200, 200), 120, np.uint8)
     generator = np.random.default_rng(1)
@@ -173,18 +69,6 @@ def test_quantum_noise_follows_the_counts():
     assert weak.std() / strong.std() == pytest.approx(5.0, rel=0.1)
     with pytest.raises(ValueError, match="positive number of photons"):
         quantum_noise(image, 0, generator)
-
-
-def test_noise_is_off_unless_asked_for_and_seeded():
-    wire = random_wire(2)
-    clean = make(80)
-    np.testing.assert_array_equal(clean.render(wire), clean.render(wire))
-    noisy = make(80, photons=500)
-    first = noisy.render(wire, generator=np.random.default_rng(7))
-    np.testing.assert_array_equal(first, noisy.render(wire, generator=np.random.default_rng(7)))
-    assert (first != clean.render(wire)).mean() > 0.5
-    with pytest.raises(ValueError, match="pass render"):
-        noisy.render(wire)
 
 
 def test_bad_input_is_refused():
@@ -206,3 +90,98 @@ def test_bad_input_is_refused():
         FluoroscopyRenderer(renderer.projector, np.full((80, 80), 300.0))
     with pytest.raises(ValueError, match="must be positive"):
         make(80, wire_radius=0.0)
+
+
+RADIUS, INNER, WIRE_RADIUS = 0.835e-3, 0.6e-3, 0.445e-3
+WALL, MARKER, MARKER_LENGTH = 149.4, 1409.4, 4e-3
+TUBE = catheter_material(
+    RADIUS, INNER, wall=WALL + 20.6, marker=MARKER + 20.6, marker_length=MARKER_LENGTH
+)  # over water, of 20.6 /m
+SIZE = 400
+PROJECTOR = Projector.frontal(np.array([[-0.015, -0.005, -0.015], [0.015, 0.005, 0.015]]), SIZE)
+BACKGROUND = np.full((SIZE, SIZE), 200.0, np.float32)
+NOTHING = np.empty((0, 3))
+
+
+def line(start: float, end: float, x: float = 0.0) -> np.ndarray:
+    """Nodes of an upright device from its tip at a height (m) downwards."""
+    return np.stack((np.full(8, x), np.zeros(8), np.linspace(start, end, 8)), axis=1)
+
+
+def drawn(wire: np.ndarray, catheter: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    out = [np.empty((SIZE, SIZE), np.uint8) for _ in range(3)]
+    renderer = DeviceRenderer(PROJECTOR, BACKGROUND, wire_radius=WIRE_RADIUS, catheter=TUBE)
+    renderer.render_into(wire, catheter, *out)
+    return out[0], out[1], out[2]
+
+
+def column(x: float) -> int:
+    return round(float(PROJECTOR.project(np.array([[x, 0.0, 0.0]]))[0, 0]))
+
+
+def test_a_tube_attenuates_by_its_wall_and_its_edges_are_darkest() -> None:
+    image, _, mask = drawn(NOTHING, line(0.012, -0.015))
+    row, middle = SIZE // 2, column(0.0)
+    expected = 200.0 * np.exp(-GAMMA * EMPHASIS * WALL * 2 * (RADIUS - INNER))
+    assert image[row, middle] == pytest.approx(expected, abs=2.0)
+    # tangential to the lumen the way through the wall is longest
+    thickest = 200.0 * np.exp(-GAMMA * EMPHASIS * WALL * 2 * np.sqrt(RADIUS**2 - INNER**2))
+    assert image[row].min() == pytest.approx(thickest, abs=8.0)
+    assert abs(abs(int(image[row].argmin()) - middle) - INNER * PROJECTOR.pixels_per_metre(np.zeros(3))) < 2
+    assert mask[row].sum() == pytest.approx(2 * RADIUS * PROJECTOR.pixels_per_metre(np.zeros(3)), abs=1.5)
+
+
+def test_the_wire_shows_within_the_catheter_and_in_its_own_mask() -> None:
+    image, wire_mask, catheter_mask = drawn(line(0.012, -0.015), line(0.005, -0.015))
+    row, ahead, middle = SIZE - 100, SIZE // 2 - 120, column(0.0)
+    assert wire_mask[ahead, middle]
+    assert not catheter_mask[ahead].any()
+    assert wire_mask[row, middle]
+    assert catheter_mask[row].sum() > wire_mask[row].sum() > 0
+    assert (catheter_mask[row] >= wire_mask[row]).all()
+    assert image[row, middle] < image[row, middle + int(catheter_mask[row].sum() / 2) - 2]
+
+
+@pytest.mark.parametrize("links", [[0.004] * 15, [0.004] * 6 + [0.016] * 3, [0.003, 0.012] * 5])
+def test_curve_follows_a_circle(links):
+    radius = 0.03
+    angle = np.concatenate(([0.0], np.cumsum(links))) / radius
+    nodes = radius * np.column_stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)))
+    points, arc = smooth_curve(nodes, 2e-4)
+    # of a link of length h the parabolic slopes at its ends leave an error of the order of h^4 / r^3
+    assert np.abs(np.hypot(points[:, 0], points[:, 1]) - radius).max() < 0.01 * max(links) ** 2 / radius
+    assert arc[-1] == pytest.approx(radius * angle[-1], rel=5e-3)
+    assert np.linalg.norm(np.diff(points, axis=0), axis=1).max() < 2.4e-4
+
+
+def test_line_repeated_nodes_and_few_nodes():
+    line = np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 1.0], [0, 0, 1.0]])
+    points, arc = smooth_curve(line, 0.25)
+    np.testing.assert_allclose(points[:, 2], np.linspace(0, 1, 5))
+    np.testing.assert_allclose(arc, points[:, 2])
+    for count in (0, 1):
+        points, arc = smooth_curve(np.zeros((count, 3)), 0.1)
+        assert points.shape == (count, 3)
+        assert arc.shape == (count,)
+
+
+def test_a_cut_has_the_node_at_its_distance_in_both_parts():
+    nodes = np.array([[0.0, 0, 0], [1, 0, 0], [1, 2, 0], [1, 2, 3]])
+    before, behind = split(nodes, 1.5)
+    assert before == pytest.approx(np.array([[0.0, 0, 0], [1, 0, 0], [1, 0.5, 0]]))
+    assert behind == pytest.approx(np.array([[1, 0.5, 0], [1, 2, 0], [1, 2, 3.0]]))
+    before, behind = split(nodes, 3.0)
+    assert (len(before), len(behind)) == (3, 2), "a cut at a node repeats none"
+    assert len(split(nodes, 7.0)[1]) == len(split(nodes[:1], 1.0)[1]) == 0
+
+
+def test_noise_is_off_unless_asked_for_and_seeded():
+    wire = random_wire(2)
+    clean = make(80)
+    np.testing.assert_array_equal(clean.render(wire), clean.render(wire))
+    noisy = make(80, photons=500)
+    first = noisy.render(wire, generator=np.random.default_rng(7))
+    np.testing.assert_array_equal(first, noisy.render(wire, generator=np.random.default_rng(7)))
+    assert (first != clean.render(wire)).mean() > 0.5
+    with pytest.raises(ValueError, match="pass render"):
+        noisy.render(wire)

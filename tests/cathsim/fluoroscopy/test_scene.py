@@ -1,24 +1,29 @@
-"""What lies in the beam: sections of wire, solids, fillings and the detector's light, against values by hand."""
+"""What attenuates: scenes, materials, bodies, vessels."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from cathsim.fluoroscopy import (
     SCENES,
-    Box,
     Detector,
-    Ellipsoid,
+    Projector,
     Section,
     WireMaterial,
     XRayScene,
+    background_image,
+    catheter_material,
     coil_tipped_wire,
     jacketed_wire,
+    lumen_path_length,
     scene,
     steel_wire,
     wire_material,
 )
 from cathsim.fluoroscopy.materials import ATTENUATION
 from cathsim.guidewire import load_guidewire
+from cathsim.lattice.node_blocks import NodeBlocks
 
 
 def test_section_attenuates_as_nested_cylinders():
@@ -52,23 +57,6 @@ def test_steel_wires_are_as_full_of_steel_as_their_density_says():
         assert wire_material(name, 4e-4) == steel_wire(4e-4)
 
 
-@pytest.mark.parametrize(("material", "low", "high"), [("nitinol", 740, 780), ("silicone", 24, 28), ("water", 20, 22)])
-def test_attenuation_lies_where_the_tables_put_it(material, low, high):
-    assert low < ATTENUATION[material] < high
-
-
-def test_chords_of_solids():
-    source = np.array([0.0, -1.0, 0.0])
-    ahead, aside = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0])
-    slanted = np.array([0.0, np.cos(0.02), np.sin(0.02)])
-    box = Box((0, 0, 0), (0.1, 0.05, 0.2), 1.0)
-    np.testing.assert_allclose(box.chord(source, np.stack((ahead, aside, slanted))), [0.1, 0, 0.1 / np.cos(0.02)])
-    ball = Ellipsoid((0, 0, 0), (0.1, 0.05, 0.2), 1.0)
-    np.testing.assert_allclose(ball.chord(source, np.stack((ahead, aside))), [0.1, 0])
-    with pytest.raises(ValueError, match=r"half_sides\[1\] must lie in 0 \(excluded\) to 10 m"):
-        Box((0, 0, 0), (0.1, 0.0, 0.2), 1.0)
-
-
 def test_fillings():
     assert scene("bath").filling == 0
     assert scene("bath", "air").filling == -SCENES["bath"].surroundings
@@ -77,24 +65,6 @@ def test_fillings():
         scene("bath", "beer")
     with pytest.raises(ValueError, match="unknown scene"):
         scene("moon")
-
-
-def test_light_has_a_round_border_a_vignette_and_a_heel():
-    detector = Detector(field_radius=0.9, penumbra=20, vignette=0.6, heel=0.2)
-    light = detector.illumination(256, 256)
-    assert light.shape == (256, 256)
-    assert light[0, 0] == 0
-    assert light[128, 128] == pytest.approx(1, abs=0.02)
-    radius = np.hypot(*np.mgrid[:256, :256] - 127.5)
-    assert light[radius > 0.9 * 128].max() == 0
-    assert light[128, 48] > light[128, 207]  # the heel
-    assert light[68, 128] == pytest.approx(np.exp(-0.5 * (59.5 / (0.9 * 128 * 0.6)) ** 2), rel=0.01)
-    flat = Detector(field_radius=None).illumination(40, 30)
-    np.testing.assert_array_equal(flat, np.ones((30, 40), np.float32))
-
-
-def test_larger_pixels_catch_more_photons():
-    assert Detector(photons=800).white(512, 512) == 3200
 
 
 @pytest.mark.parametrize(
@@ -115,3 +85,69 @@ def test_larger_pixels_catch_more_photons():
 def test_bad_input_is_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+RADIUS = 0.012
+CENTRE = np.array([0.004, -0.003, 0.002])
+
+
+def ball(spacing=1e-3, clamp=-0.01):
+    """Distance grid of a ball, clamped far outside as those of phantoms are."""
+    half = 0.03
+    axis = np.arange(-half, half + spacing / 2, spacing)
+    x, y, z = np.meshgrid(axis, axis, axis, indexing="ij")
+    distance = RADIUS - np.sqrt((x - CENTRE[0]) ** 2 + (y - CENTRE[1]) ** 2 + (z - CENTRE[2]) ** 2)
+    values = np.maximum(distance, clamp).astype(np.float32)
+    return SimpleNamespace(blocks=NodeBlocks.from_dense(values), origin=np.full(3, -half), spacing=spacing)
+
+
+def camera(size=64, **angles):
+    return Projector.c_arm(centre=(0, 0, 0), field_of_view=0.06, size=size, **angles)
+
+
+def chords(projector, radius):
+    u, v = np.meshgrid(np.arange(projector.width), np.arange(projector.height))
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ projector.rays.T
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    offset = CENTRE - projector.source
+    miss2 = offset @ offset - (rays @ offset) ** 2
+    return 2 * np.sqrt(np.maximum(radius**2 - miss2, 0))
+
+
+@pytest.mark.parametrize("angles", [{}, {"primary_deg": 90}, {"primary_deg": 37, "secondary_deg": -21}])
+def test_path_through_a_ball_is_its_chord(angles):
+    projector = camera(**angles)
+    lengths = lumen_path_length(ball(), projector, samples=1)
+    expected = chords(projector, RADIUS)
+    assert lengths.shape == (64, 64)
+    inside = expected > 0.006
+    np.testing.assert_allclose(lengths[inside], expected[inside], atol=1.5e-4)
+    assert lengths[expected == 0].max() < 2e-3  # grazing rays only
+    assert lengths.sum() == pytest.approx(expected.sum(), rel=0.01)
+
+
+def test_vessel_is_darker_than_the_tissue_beside_it():
+    image = background_image(ball(), camera(48))
+    u, v = np.rint(camera(48).project([CENTRE])[0]).astype(int)
+    assert image.dtype == np.float32
+    assert image.min() >= 0
+    assert image.max() <= 255
+    assert image[v, u] < 0.92 * image[v, 2]
+    plain = background_image(ball(), camera(48), contrast=0.0)
+    assert image[v, u] < plain[v, u]
+
+
+WATER = ATTENUATION["water"]
+
+
+def material(marker_length: float = 3e-3, lumen: str = "water"):
+    return catheter_material(1e-3, 0.6e-3, wall=170.0, marker=1430.0, marker_length=marker_length, lumen=lumen)
+
+
+def test_a_tube_counts_over_the_water_that_it_displaces() -> None:
+    marker, shaft = material().sections
+    assert shaft.depth(0.0) == pytest.approx((170.0 - WATER) * 0.8e-3)
+    assert marker.depth(0.0) == pytest.approx((1430.0 - WATER) * 0.8e-3)
+    assert shaft.depth(0.8e-3) == pytest.approx((170.0 - WATER) * 2 * np.sqrt(1 - 0.64) * 1e-3)
+    assert shaft.depth(1.1e-3) == 0.0
+    assert material(lumen="blood").sections[-1].depth(0.0) > shaft.depth(0.0)

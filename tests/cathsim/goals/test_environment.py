@@ -1,6 +1,4 @@
-"""The goal-conditioned environment: Gymnasium's contract, drawn goals, repetition, registration, messages."""
-
-from __future__ import annotations
+"""Navigation towards goals: rewards, draws, limits, messages."""
 
 import json
 
@@ -10,9 +8,10 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
-from cathsim import NavigateEnv, NavigationTask
+from cathsim import NavigationTask
 from cathsim.contact.breathing import Breathing
 from cathsim.goals.environment import NavigateGoalEnv
+from cathsim.goals.task import GoalTask
 from cathsim.registration import GOAL
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*(minimum value is -inf|maximum value is inf)")
@@ -26,7 +25,6 @@ def environment() -> NavigateGoalEnv:
 def test_the_registered_environment_passes_the_checker() -> None:
     env = gymnasium.make(GOAL, accuracy="fast")
     check_env(env.unwrapped, skip_render_check=True)
-    assert env.spec is not None
     again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
     one, other = env.reset(seed=4), again.reset(seed=4)
     assert all(np.array_equal(one[0][key], other[0][key]) for key in one[0])
@@ -68,14 +66,6 @@ def test_every_reset_draws_a_goal_within_reach(environment: NavigateGoalEnv) -> 
     assert np.array_equal(environment.reset(seed=3)[0]["desired_goal"], again)
 
 
-def test_the_start_is_that_of_the_plain_environment(environment: NavigateGoalEnv) -> None:
-    _, info = environment.reset(seed=9)
-    plain = NavigateEnv("type_1", environment.task.target, accuracy="fast")
-    assert np.array_equal(plain.reset(seed=9)[1]["tip"], info["tip"])
-    action = np.array([1.0, 0.5])
-    assert np.array_equal(plain.step(action)[4]["tip"], environment.step(action)[4]["tip"])
-
-
 def test_a_goal_may_be_given_and_reaching_it_ends_the_episode() -> None:
     env = NavigateGoalEnv("type_1", ("bca", (0.05, 0.012, -0.07)), observation=("tip", "force"), accuracy="fast")
     assert len(env.goals) == 2
@@ -89,21 +79,6 @@ def test_a_goal_may_be_given_and_reaching_it_ends_the_episode() -> None:
     assert info["is_success"]
     assert reward == 0.0
     assert np.array_equal(observation["desired_goal"], env.goals[1])
-
-
-def test_an_image_is_observed_alone() -> None:
-    env = NavigateGoalEnv("type_1", observation="image", image_size=32, accuracy="fast")
-    observation, _ = env.reset(seed=0)
-    assert observation["observation"].shape == (1, 32, 32)
-    assert env.observation_space.contains(observation)
-
-
-def test_vectors_draw_their_own_goals() -> None:
-    vector = gymnasium.make_vec(GOAL, 2, threads=1, accuracy="fast")
-    observation, _ = vector.reset(seed=0)
-    assert observation["desired_goal"].shape == (2, 3)
-    assert not np.array_equal(*observation["desired_goal"])
-    vector.close()
 
 
 @pytest.mark.parametrize(
@@ -128,3 +103,33 @@ def test_wrong_arguments_are_refused(arguments: dict[str, object], message: str)
     with pytest.raises((ValueError, KeyError), match=message) as caught:
         NavigateGoalEnv("type_1", **{"accuracy": "fast", **arguments})  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
+
+
+REACHED = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+WANTED = np.array([[0.0, 0.0, 0.007], [0.0, 0.008, 0.0], [0.03, 0.0, 0.04]])
+
+
+def test_sparse_and_dense_rewards() -> None:
+    assert np.array_equal(GoalTask().goal_reward(REACHED, WANTED, {}), [0.0, 0.0, -1.0])
+    dense = GoalTask(reward="dense").goal_reward(REACHED, WANTED, {})
+    np.testing.assert_allclose(dense, [-0.007, -0.008, -0.05])
+    assert GoalTask(success_radius=0.06).goal_reward(REACHED[2], WANTED[2], {}) == 0.0
+    assert GoalTask().goal_reward(REACHED.reshape(1, 3, 3), WANTED.reshape(1, 3, 3), {}).shape == (1, 3)
+
+
+def test_forces_are_subtracted() -> None:
+    task = GoalTask(force_penalty=0.5)
+    infos = [{"force": 1.0}, {"force": 0.0}, {"force": 2.0}]
+    assert np.array_equal(task.goal_reward(REACHED, WANTED, infos), [-0.5, 0.0, -2.0])
+    assert task.goal_reward(REACHED[0], WANTED[0], infos[0]) == -0.5
+    above = GoalTask(force_penalty=0.5, force_threshold=1.5)
+    assert np.array_equal(above.goal_reward(REACHED, WANTED, infos), [0.0, 0.0, -1.25])
+    with pytest.raises(ValueError, match=r"needs info\['force'\] of every step: keep the infos"):
+        task.goal_reward(REACHED, WANTED, [{}, {}, {}])
+
+
+@pytest.mark.parametrize("given", [0.0, np.zeros(2), np.full(3, np.nan), "much"])
+def test_a_wrong_reward_is_refused(given: object) -> None:
+    task = GoalTask(reward=lambda achieved, desired, info: given)
+    with pytest.raises(ValueError, match=r"must give finite numbers of shape \(3,\), gave"):
+        task.goal_reward(REACHED, WANTED, {})

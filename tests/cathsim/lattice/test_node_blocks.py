@@ -1,12 +1,14 @@
-"""Values in blocks are those of the dense lattice, whatever part of it is stored."""
+"""Sparse lattices: blocks of nodes, sets of nodes, parts."""
 
 import pickle
 from itertools import product
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from cathsim.lattice.node_blocks import STRIDES, NodeBlocks
+from cathsim.lattice.node_blocks import NodeBlocks
+from cathsim.lattice.node_set import NodeSet
 
 SHAPE = (21, 40, 33)  # none but one a multiple of a block's edge
 CLAMP = -0.01
@@ -43,36 +45,11 @@ def test_a_box_is_that_of_the_dense_array(values: np.ndarray, blocks: NodeBlocks
         blocks.dense(np.s_[::2, :, :])
 
 
-def test_nodes_in_any_order_give_the_same_blocks(values: np.ndarray, blocks: NodeBlocks) -> None:
-    order = np.random.default_rng(0).permutation(np.argwhere(values > CLAMP))
-    built = NodeBlocks.from_nodes(order, values[tuple(order.T)], SHAPE, CLAMP)
-    assert np.array_equal(built.table, blocks.table)
-    assert np.array_equal(built.nodes, blocks.nodes)
-
-
-def test_every_stored_node_has_its_neighbours_beside_it(values: np.ndarray, blocks: NodeBlocks) -> None:
-    """3 x 3 x 3 nodes around any inner node lie within the middle one's block."""
-    inner = np.argwhere(np.ones([n - 2 for n in SHAPE], bool)) + 1
-    flat = blocks.nodes.reshape(-1)
-    for offset in product((-1, 0, 1), repeat=3):
-        found = flat[blocks.positions(inner) + int(np.dot(offset, STRIDES))]
-        assert np.array_equal(found, values[tuple((inner + offset).T)])
-
-
 def test_nodes_that_fulfil_a_condition_come_in_c_order(values: np.ndarray, blocks: NodeBlocks) -> None:
     for least in (0.0, -0.005, -1.0):  # the last one holds for the constant too
         indices, found = blocks.where(lambda value, least=least: value > least)
         assert np.array_equal(indices, np.argwhere(values > least))
         assert np.array_equal(found, values[values > least])
-
-
-def test_box_of_nodes_that_fulfil_a_condition(values: np.ndarray, blocks: NodeBlocks) -> None:
-    for least in (0.0, -0.005, -1.0):
-        found = np.argwhere(values > least)
-        box = blocks.box_where(lambda value, least=least: value > least)
-        assert box.tolist() == [found.min(axis=0).tolist(), found.max(axis=0).tolist()]
-    with pytest.raises(ValueError, match="zero-size"):
-        blocks.box_where(lambda value: value > 1.0)
 
 
 def test_values_between_nodes_are_those_of_the_eight_around(values: np.ndarray, blocks: NodeBlocks) -> None:
@@ -94,32 +71,6 @@ def test_values_between_nodes_are_those_of_the_eight_around(values: np.ndarray, 
         NodeBlocks.from_dense(np.arange(27, dtype=np.int32).reshape(3, 3, 3)).interpolated(index)
 
 
-@pytest.mark.parametrize("stride", [1, 2, 3, 5])
-def test_coarser_lattice_holds_every_nth_node(values: np.ndarray, blocks: NodeBlocks, stride: int) -> None:
-    assert np.array_equal(blocks.coarser(stride).dense(), values[::stride, ::stride, ::stride])
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_views_along_an_axis(values: np.ndarray, blocks: NodeBlocks, axis: int) -> None:
-    assert np.array_equal(blocks.maximum_along(axis), values.max(axis=axis))
-    inside = blocks.sum_along(axis, lambda value: value > 0)
-    assert np.array_equal(inside, (values > 0).sum(axis=axis))
-
-
-def test_a_lattice_of_one_value_stores_nothing() -> None:
-    blocks = NodeBlocks.from_dense(np.full((9, 3, 17), 0.25, np.float32))
-    assert len(blocks.nodes) == 1
-    assert (blocks.dense() == 0.25).all()
-    assert len(blocks.where(lambda value: value > 0)[0]) == 9 * 3 * 17
-    empty = NodeBlocks.from_nodes(np.zeros((0, 3), int), np.zeros(0, np.float32), (5, 6, 7), -1.0)
-    assert (empty.dense() == -1.0).all()
-
-
-def test_it_never_changes(blocks: NodeBlocks) -> None:
-    with pytest.raises(ValueError, match="read-only"):
-        blocks.nodes[0, 0, 0, 0] = 1.0
-
-
 @pytest.mark.parametrize(
     ("indices", "values", "shape", "message"),
     [
@@ -134,3 +85,22 @@ def test_it_never_changes(blocks: NodeBlocks) -> None:
 def test_impossible_nodes_are_refused(indices: list, values: list, shape: tuple, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         NodeBlocks.from_nodes(indices, np.array(values, np.float32), shape, -1.0)
+
+
+NODE_SET_SHAPE = (19, 23, 30)
+
+
+def scattered(seed: int = 0) -> np.ndarray:
+    """Blobs of random size, several of which do not touch."""
+    noise = np.random.default_rng(seed).normal(size=NODE_SET_SHAPE)
+    return ndimage.gaussian_filter(noise, 1.5).astype(np.float32)
+
+
+def test_parts_are_those_of_a_labelled_image() -> None:
+    values = scattered(1)
+    chosen = NodeSet.where(NodeBlocks.from_dense(values), lambda value: value > 0.05)
+    labels, count = ndimage.label(values > 0.05)
+    parts = chosen.parts()
+    assert len(np.unique(parts)) == count > 3
+    pairs = {(int(a), int(b)) for a, b in zip(parts, labels[values > 0.05], strict=True)}
+    assert len(pairs) == count

@@ -1,12 +1,13 @@
-"""The local roadmap: the way, the walls and the wire in the tip's frame, and the observations that know the target."""
+"""Observations beside images: roadmap, history of the progress, tracking, vectors of the simulation."""
 
-from __future__ import annotations
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from cathsim.environment import NavigateEnv
-from cathsim.observations.roadmap import PATH_ARCS, RAYS, ROADMAP_SIZE, WIRE_ARCS, Roadmap, target_image
+from cathsim.observations.roadmap import PATH_ARCS, RAYS, WIRE_ARCS
+from cathsim.observations.tracking import POINTS, SPACING, in_view, viewed_range
 
 FORWARD = np.array([1.0, 0.2])
 
@@ -42,31 +43,6 @@ def test_walls_are_where_the_grid_says(environment: NavigateEnv) -> None:
     free = lengths < 0.0299
     assert np.abs(environment.phantom.grid.sample(ends[free])).max() < 0.3e-3
     assert free.any()
-
-
-def test_the_frame_goes_along_the_wire(environment: NavigateEnv) -> None:
-    axes, points = environment.roadmap.frame(), environment.simulation.inserted_points()
-    np.testing.assert_allclose(axes.T @ axes, np.eye(3), atol=1e-9)
-    ahead = points[0] - points[1]
-    np.testing.assert_allclose(axes[:, 2], ahead / np.linalg.norm(ahead), atol=1e-9)
-    free = NavigateEnv(environment.phantom, "lcca", observation="tip")
-    free.reset(seed=1)
-    # the unloaded tip is bent about x towards -y: what lies behind it lies at -y too
-    behind = (free.simulation.inserted_points()[4] - free.simulation.tip) @ free.roadmap.frame()
-    assert behind[1] < -1e-3
-    assert abs(behind[0]) < 1e-3
-
-
-def test_observation_is_of_the_order_of_one_and_follows_the_rotation(environment: NavigateEnv) -> None:
-    seen = environment.roadmap.read()
-    assert seen.shape == (ROADMAP_SIZE,)
-    assert seen.dtype == np.float32
-    assert np.isfinite(seen).all()
-    assert np.abs(seen).max() <= 3.0
-    first = seen[: 3 * len(PATH_ARCS)].reshape(-1, 3)
-    assert np.linalg.norm(first, axis=1).max() <= 1.001
-    wire = seen[3 * len(PATH_ARCS) + 2 + len(RAYS) :][: 3 * len(WIRE_ARCS)].reshape(-1, 3)
-    assert (wire[:4, 2] < 0).all()  # the wire lies behind
 
 
 def test_registration_noise_moves_the_map_but_not_the_wire(type_1) -> None:
@@ -116,16 +92,109 @@ def test_dot_lies_on_the_target(environment: NavigateEnv) -> None:
     np.testing.assert_allclose(centre, pixel, atol=0.1)
 
 
-def test_dot_has_its_size() -> None:
-    dot = target_image(np.array([20.0, 10.0]), 40, 3.0)
-    assert dot[10, 20] == 255
-    assert dot.sum() / 255 == pytest.approx(np.pi * 9, rel=0.1)
+KEYS = ("history", "tip")
 
 
-def test_roadmap_needs_a_target(environment: NavigateEnv) -> None:
-    from cathsim.observations.observables import make_observable
+@pytest.fixture
+def progress_history_environment(make_env) -> NavigateEnv:
+    return make_env(target="lcca", observation=KEYS, start_rotation=np.pi)
 
-    with pytest.raises(ValueError, match="'roadmap' needs a target"):
-        make_observable("roadmap", environment.simulation, environment.fluoroscope)
-    with pytest.raises(ValueError, match="unknown target"):
-        Roadmap(environment.simulation, "aorta").read()
+
+def test_state_keeps_it(progress_history_environment: NavigateEnv) -> None:
+    progress_history_environment.reset(seed=3)
+    for _ in range(12):
+        progress_history_environment.step(FORWARD)
+    state = progress_history_environment.state()
+    after = progress_history_environment.step(FORWARD)[0]["history"]
+    progress_history_environment.reset(seed=4)
+    progress_history_environment.restore(state)
+    np.testing.assert_array_equal(progress_history_environment.step(FORWARD)[0]["history"], after)
+
+
+@pytest.fixture
+def tracking_environment(type_1) -> NavigateEnv:
+    tracking_environment = NavigateEnv(type_1, "lcca", observation="tracking")
+    tracking_environment.reset(seed=1)
+    return tracking_environment
+
+
+def places(observation: np.ndarray, phantom) -> np.ndarray:
+    low, high = viewed_range(phantom)
+    return low + (observation[:14].reshape(7, 2) + 1) / 2 * (high - low)
+
+
+def test_points_lie_on_the_wire_two_millimetres_apart(tracking_environment: NavigateEnv, type_1) -> None:
+    for _ in range(20):
+        observation, *_ = tracking_environment.step(np.array([1.0, 0.3]))
+    seen = places(observation, type_1)
+    assert seen[0] == pytest.approx(in_view(tracking_environment.simulation.tip), abs=1e-6)
+    assert np.linalg.norm(np.diff(seen[:POINTS], axis=0), axis=1) == pytest.approx(SPACING, rel=0.05)
+    assert seen[6] == pytest.approx(in_view(tracking_environment.goal), abs=1e-6)
+    assert observation[14:] == pytest.approx([1.0, 0.3])
+    assert np.abs(observation).max() <= 1
+
+
+def test_state_keeps_it_of_tracking(tracking_environment: NavigateEnv) -> None:
+    tracking_environment.step(np.array([1.0, 0.5]))
+    state, expected = tracking_environment.state(), tracking_environment.observe()
+    tracking_environment.step(np.array([-1.0, 0.5]))
+    assert (tracking_environment.restore(state) == expected).all()
+
+
+MakeEnv = Callable[..., NavigateEnv]
+
+
+def advanced(env: NavigateEnv, steps: int = 60) -> dict[str, np.ndarray]:
+    """The last of some steps forwards with rotation."""
+    env.reset(seed=0)
+    for _ in range(steps):
+        observation, *_, info = env.step(np.array([1.0, 0.4]))
+    return {**observation, "info": info}
+
+
+def test_vectors_are_those_of_the_simulation(make_env: MakeEnv) -> None:
+    env = make_env(observation=("joints", "shape", "tip", "feeder", "force"))
+    seen, simulation = advanced(env), env.simulation
+    positions, velocities = seen["joints"].reshape(2, -1)
+    assert positions == pytest.approx(simulation.joint_positions(), abs=1e-6)
+    assert velocities == pytest.approx(simulation.joint_velocities(), rel=1e-6, abs=1e-6)
+    assert positions[0] == pytest.approx(simulation.insertion)
+    assert seen["feeder"] == pytest.approx(
+        [simulation.insertion, np.cos(simulation.rotation), np.sin(simulation.rotation)], abs=1e-6
+    )
+    assert seen["tip"] == pytest.approx(simulation.tip, abs=1e-7)
+    assert seen["shape"][0] == pytest.approx(simulation.tip, abs=1e-7)
+    assert seen["force"] == pytest.approx(seen["info"]["force_vector"], abs=1e-6)
+
+
+def test_internal_holds_what_the_thesis_lists(make_env: MakeEnv) -> None:
+    env = make_env(observation=("internal", "joints"))
+    seen, simulation = advanced(env), env.simulation
+    nq, bodies = simulation.nq, len(simulation.wire.links)
+    joints, actuator, rest = np.split(seen["internal"], [2 * nq, 3 * nq])
+    assert np.array_equal(joints, seen["joints"])
+    assert actuator[:2] == pytest.approx(simulation.data.qfrc_actuator[:2], rel=1e-6)
+    assert not actuator[2:].any(), "only the feeder is actuated"
+    per_body = rest.reshape(bodies, 22)
+    waiting = bodies - simulation.active_links
+    assert waiting > 0
+    assert not per_body[1 : 1 + waiting].any(), "links that are not simulated yet"
+    # column 9 of MuJoCo's com-based inertia is the mass; the feeder's body carries the first link
+    assert per_body[0, 9] == pytest.approx(simulation.model.body_mass[1], rel=1e-6)
+    assert per_body[1 + waiting :, 9] == pytest.approx(simulation.model.body_mass[2:], rel=1e-6)
+    assert np.abs(per_body[:, 16:]).max() > 1e-3, "external forces of contact"
+
+
+def test_sequence_is_the_last_three_images_oldest_first(make_env: MakeEnv) -> None:
+    env = make_env(observation=("sequential", "image"))
+    observation, _ = env.reset(seed=0)
+    images = [observation["image"][0]] * 3
+    assert np.array_equal(observation["sequential"], np.stack(images))
+    for _ in range(5):
+        observation, *_ = env.step(np.array([1.0, 1.0]))
+        images = [*images[1:], observation["image"][0]]
+        assert np.array_equal(observation["sequential"], np.stack(images))
+        assert np.array_equal(env.observe()["sequential"], np.stack(images)), "a second look is no new frame"
+    assert not np.array_equal(images[0], images[2])
+    observation, _ = env.reset(seed=0)
+    assert np.array_equal(observation["sequential"], np.stack([observation["image"][0]] * 3))

@@ -1,7 +1,5 @@
 """The composite rod of two devices against theory: cantilevers, two rods held coaxial, twist in a bent sheath."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 

@@ -1,16 +1,30 @@
-"""Trials of plans: what is claimed is checked, what presses is refused, threads change nothing."""
+"""Plans: manoeuvres, trials of them, primitives, scripts."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 
-from cathsim import NavigateEnv
-from cathsim.planning.manoeuvres import Manoeuvre
+from cathsim import NavigateEnv, load_phantom
+from cathsim.planning.manoeuvres import (
+    Ending,
+    Manoeuvre,
+    parameter_limits,
+    retreat,
+    search_manoeuvres,
+)
 from cathsim.planning.plan_trials import ExpertSettings, PlanTrials
+from cathsim.planning.sampling import BEYOND, EMERGED, wire_advances
+from cathsim.planning.scripted_motions import (
+    MOTIONS,
+    ROOT,
+    Script,
+    ScriptedOperator,
+    arch_branches,
+    placement_paths,
+)
 from cathsim.presets import ACCURACY
+from cathsim.robot.pace import PACES
 from cathsim.simulation import Simulation
 
 MakeEnv = Callable[..., NavigateEnv]
@@ -22,7 +36,6 @@ def test_claims_are_checked_in_the_environments_own_steps(make_env: MakeEnv, mon
     env.reset(seed=0)
     env.simulation.reset(insertion=0.12)
     own = trials.confirming
-    assert own is not None
     assert own.numerics == env.simulation.numerics
     real = PlanTrials._cost
 
@@ -54,22 +67,6 @@ def test_forces_beyond_the_most_cost_more_than_any_distance_gains(make_env: Make
     assert endings[0][1] > endings[1][1] or endings[0][0] < endings[1][0], "the manoeuvre ends where the force is"
 
 
-def test_threads_change_no_cost(make_env: MakeEnv) -> None:
-    env = make_env(target="lcca")
-    env.reset(seed=0)
-    env.simulation.reset(insertion=0.12)
-    state = env.simulation.state()
-    plans = np.random.default_rng(0).uniform(-1, 1, (5, 4, 2))
-    costs = []
-    for threads in (1, 3):
-        trials = PlanTrials(env, ExpertSettings(), ACCURACY["fast"], threads)
-        costs.append(trials.costs(state, plans))
-        assert (trials.rollouts, trials.steps) == (5, 20)
-        trials.close()
-    assert np.array_equal(*costs)
-    assert len(set(costs[0].tolist())) == 5
-
-
 def test_an_ending_is_confirmed_only_where_that_is_asked_for(make_env: MakeEnv) -> None:
     env = make_env(target="lcca", accuracy="accurate")
     env.reset(seed=0)
@@ -82,3 +79,70 @@ def test_an_ending_is_confirmed_only_where_that_is_asked_for(make_env: MakeEnv) 
     assert (cost, steps) != (0.5, 3)
     assert (found.rollouts, checked.rollouts) == (0, 1)
     assert (found.steps, checked.steps) == (0, 8)
+
+
+PACE = PACES["usual"]
+
+
+def moved(plan: np.ndarray) -> np.ndarray:
+    """What a plan moves in all: m and rad of each device."""
+    return plan.sum(axis=0) * np.resize([PACE.translation, PACE.rotation], plan.shape[1])
+
+
+def test_search_finds_a_better_manoeuvre_than_it_draws_at_first() -> None:
+    low, high = parameter_limits(4)
+    aim = low + 0.3 * (high - low)
+    first: list[float] = []
+
+    def evaluate(tried: Sequence[Manoeuvre]) -> list[Ending]:
+        costs = [float(np.abs((one.parameters - aim) / (high - low)).sum()) for one in tried]
+        first.append(min(costs))
+        return [(cost, 5) for cost in costs]
+
+    found = search_manoeuvres(evaluate, np.random.default_rng(0), 4, PACE)
+    costs = [cost for (cost, _), _ in found]
+    assert costs == sorted(costs)
+    assert costs[0] < first[0]
+
+
+@pytest.mark.parametrize("lead", [-0.03, 0.0, 0.05])
+def test_a_retreat_draws_the_foremost_tip_back(lead: float) -> None:
+    wire, _, catheter, _ = moved(retreat(np.random.default_rng(1), 4, PACE, lead=lead))
+    foremost = max(lead + wire, catheter)  # before the catheter's tip at the start
+    assert -0.10 <= foremost - max(lead, 0.0) <= -0.03
+    assert 0.0 <= lead + wire - catheter <= 0.05
+    alone = moved(retreat(np.random.default_rng(1), 2, PACE))
+    assert -0.10 <= alone[0] <= -0.03
+
+
+def test_paths_lead_from_the_entry_to_every_end_of_a_branch() -> None:
+    phantom = load_phantom("type_1")
+    assert {"bca", "lcca"} <= set(arch_branches(phantom))
+    entry = phantom.entry("descending").position
+    for target in (*arch_branches(phantom), ROOT):
+        for path in placement_paths(phantom, target):
+            assert np.linalg.norm(path[0] - entry) < 0.01
+            assert (phantom.grid.sample(path) > 0).mean() > 0.95  # inside the lumen
+    assert placement_paths(phantom, "bca") is placement_paths(phantom, "bca")
+
+
+def test_a_script_repeats_itself_and_a_tip_that_nobody_sees_ends_in_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script("type_1", "bca", "angled", shapes=2, steps=1, seed=3)
+    operator = ScriptedOperator(load_phantom("type_1"), "angled")
+    motion, shapes = operator.film(script, lambda tip: True)
+    again, same = operator.film(script, lambda tip: True)
+    assert motion == again
+    assert motion in MOTIONS
+    assert all(np.array_equal(one, other) for one, other in zip(shapes, same, strict=True))
+    monkeypatch.setattr("cathsim.planning.scripted_motions._RESTARTS", 1)
+    with pytest.raises(RuntimeError, match="came to an end"):
+        operator.film(script, lambda tip: False)
+
+
+def test_plans_that_bring_the_wire_out_are_as_long_as_it_takes() -> None:
+    plans = wire_advances(-0.08, 0.002)
+    assert len(plans) > 3
+    for plan in plans:
+        assert plan.shape[1] == 4
+        assert 0.002 * plan[:, 0].sum() == pytest.approx(0.08 + BEYOND, abs=0.002)
+    assert len(wire_advances(EMERGED, 0.002)) == 0

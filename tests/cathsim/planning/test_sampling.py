@@ -1,6 +1,4 @@
-"""The sampling expert: it solves the task by itself, and repeats itself."""
-
-from __future__ import annotations
+"""The expert: plans, retreats, demonstrations."""
 
 import dataclasses
 from collections.abc import Callable
@@ -8,7 +6,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from cathsim import NavigateEnv
+from cathsim import NavigateEnv, load_guidewire
+from cathsim.many_anatomies import NavigateManyEnv
+from cathsim.planning.demonstration import demonstrate
 from cathsim.planning.plan_trials import ExpertSettings, PlanTrials
 from cathsim.planning.sampling import SamplingExpert
 
@@ -52,18 +52,6 @@ def test_same_seed_same_plan_whatever_the_threads(make_env: MakeEnv) -> None:
     assert np.array_equal(plan(env, 12), one)
     assert np.array_equal(plan(env, 12, threads=3), one)
     assert not np.array_equal(plan(env, 12, seed=1), one)
-
-
-def test_restart_forgets_the_plan(make_env: MakeEnv) -> None:
-    env = make_env(target="lcca")
-    expert = SamplingExpert(env, seed=2, settings=SMALL, threads=1)
-    runs = []
-    for _ in range(2):
-        env.reset(seed=0)
-        env.simulation.reset(insertion=0.12)
-        expert.restart(seed=2)
-        runs.append([expert.action() for _ in range(3)])
-    assert np.array_equal(runs[0], runs[1])
 
 
 def test_planning_leaves_the_environment_alone(make_env: MakeEnv) -> None:
@@ -115,3 +103,50 @@ def test_a_retreat_is_drawn_again_until_one_is_gentle(make_env: MakeEnv, monkeyp
     chosen = expert._gentle_retreat(env.simulation.state(), 0.0)
     assert len(drawn) == 3
     assert chosen is drawn[2]
+
+
+KEYS = ("roadmap", "history")
+
+
+def test_a_demonstration_is_a_trajectory_of_held_actions_in_its_case() -> None:
+    wire = load_guidewire("default").scaled(0.312)
+    environment = NavigateManyEnv((0,), ("bca", "lcca"), (wire,), observation=KEYS, accuracy="fast", max_steps=80)
+    made = demonstrate(environment, 1, KEYS, hold=4, seed=3)
+    assert {*KEYS, "tips", "states", "actions", "rewards", "forces", "terminated"} == set(made)
+    assert [len(made[name]) for name in (*KEYS, "tips", "states")] == [81] * 4
+    assert [len(made[name]) for name in ("actions", "rewards", "forces")] == [80] * 3
+    assert (made["states"][:, -1] == 1).all()  # the case comes along
+    held = made["actions"].reshape(20, 4, 2)
+    assert (held == held[:, :1]).all()
+    assert len(np.unique(held[:, 0], axis=0)) > 1
+    environment.close()
+
+
+def test_a_demonstration_with_two_devices_has_four_actions_that_are_held() -> None:
+    environment = NavigateManyEnv(
+        ("type_1",), ("bca",), catheter="vertebral", observation="devices", accuracy="fast", max_steps=8
+    )
+    environment.reset(seed=0)
+    made = demonstrate(environment, 0, (), hold=4, seed=3)
+    assert made["actions"].shape == (8, 4)
+    held = made["actions"].reshape(2, 4, 4)
+    assert (held == held[:, :1]).all()
+    environment.close()
+
+
+@pytest.mark.parametrize(("catheter", "usual"), [(None, 1000.0), ("vertebral", 2.0)])
+def test_a_gentle_one_is_limited_in_force(catheter: str | None, usual: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Searches(Exception):
+        pass
+
+    def search(*_: object, settings: ExpertSettings, **__: object) -> None:
+        raise Searches(settings)
+
+    monkeypatch.setattr("cathsim.planning.demonstration.SamplingExpert", search)
+    environment = NavigateManyEnv(("type_1",), ("bca",), catheter=catheter, observation="tip", max_steps=8)
+    for gentle, most in ((False, usual), (True, 0.4)):
+        with pytest.raises(Searches) as raised:
+            demonstrate(environment, 0, (), hold=3, seed=0, gentle=gentle)
+        (settings,) = raised.value.args
+        assert (settings.most_force, settings.hold) == (most, 3)
+    environment.close()

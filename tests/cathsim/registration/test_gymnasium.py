@@ -1,13 +1,9 @@
 """What users of Gymnasium and Stable-Baselines3 expect of every registered environment."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
-import threading
 import warnings
-from collections import Counter
 from typing import Any
 
 import gymnasium
@@ -139,33 +135,6 @@ assert env.step(env.action_space.sample())[0].any()
     assert done.returncode == 0, done.stderr
 
 
-def test_one_thread_after_the_other_may_use_an_environment() -> None:
-    env, counts = NavigateEnv(accuracy="fast", observation="tip"), Counter[str]()
-    env.reset(seed=0)
-
-    def use() -> None:
-        counts.update(["step"] if env.step(np.zeros(2))[1] < 0 else [])
-
-    for _ in range(3):
-        one = threading.Thread(target=use)
-        one.start()
-        one.join()
-    assert counts == {"step": 3}
-
-
-@pytest.mark.parametrize("ident", [ENVIRONMENT, MANY, GOAL])
-def test_a_closed_environment_says_so(ident: str) -> None:
-    single = gymnasium.make(ident, **arguments(ident))
-    vector = gymnasium.make_vec(ident, 2, **arguments(ident))
-    for env in (single, vector):
-        env.reset(seed=0)
-        env.close()
-        env.close()
-        for use in (env.reset, lambda env=env: env.step(env.action_space.sample())):
-            with pytest.raises(RuntimeError, match="the environment is closed: make it again"):
-                use()
-
-
 def test_actions_that_are_no_numbers_are_refused_in_a_sentence() -> None:
     torch = pytest.importorskip("torch")
     env = NavigateEnv(accuracy="fast", observation="tip")
@@ -207,14 +176,6 @@ def test_channels_last_moves_the_channels_alone(name: str) -> None:
     assert moved[name].shape == (32, 32, 3 if name == "sequential" else 1)
     assert np.array_equal(np.moveaxis(moved[name], -1, 0), seen[name])
     assert np.array_equal(moved["tip"], seen["tip"])
-
-
-def test_channels_last_of_c_arms() -> None:
-    env = NavigateEnv(
-        accuracy="fast", observation=("image_a", "mask_b"), cameras="guide3d", image_size=32, channels_last=True
-    )
-    shapes = {name: one.shape for name, one in env.reset(seed=0)[0].items()}
-    assert shapes == {"image_a": (32, 32, 1), "mask_b": (32, 32, 1)}
 
 
 @pytest.mark.parametrize("ident", [ENVIRONMENT, MANY, GOAL])

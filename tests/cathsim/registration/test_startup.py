@@ -1,11 +1,7 @@
 """What `import cathsim` pulls in, and how Gymnasium finds the environment."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
-
-import cathsim
 
 
 def test_import_stays_light(run_python: Callable[[str], str]) -> None:
@@ -49,19 +45,3 @@ def test_an_environment_without_images_loads_no_importer_and_no_fluoroscope(run_
     loaded = json.loads(run_python(snippet))
     assert sum(name.split(".")[0] == "cathsim" for name in loaded) <= 90
     assert not {"scipy", "skimage", "trimesh", "cathsim.fluoroscopy", "cathsim.anatomy.importing"} & set(loaded)
-
-
-def test_gymnasium_imports_the_module_that_an_id_names(run_python: Callable[[str], str]) -> None:
-    snippet = (
-        "import gymnasium, sys\n"
-        "print('cathsim' in sys.modules)\n"
-        "env = gymnasium.make('cathsim:cathsim/Navigate-v0', accuracy='fast')\n"
-        "print(type(env.unwrapped).__name__)\n"
-        "print('cathsim/Navigate-v0' in gymnasium.registry)"
-    )
-    assert run_python(snippet).split() == ["False", "NavigateEnv", "True"]
-
-
-def test_registering_again_is_harmless() -> None:
-    cathsim.registration.register()
-    cathsim.registration.register()

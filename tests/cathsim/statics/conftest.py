@@ -1,7 +1,5 @@
 """A wire at rest in an arch, shared by the tests of forces from shape."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,15 +1,26 @@
-"""Films: every second step and the last one are shown, in one palette."""
+"""Films, windows and videos of episodes, and the fluoroscope of the room."""
 
-from __future__ import annotations
-
+import pickle
+import sys
+import time
 from pathlib import Path
+from typing import Any
 
+import gymnasium
+import imageio.v3 as imageio
 import numpy as np
 import pytest
 from PIL import Image
 
-from cathsim import NavigateEnv
-from cathsim.viewing.film import HEIGHT_PX, STRIDE, Film, film_palette, film_states, write_gif
+import cathsim  # noqa: F401
+from cathsim import ENVIRONMENT, NavigateEnv, load_phantom
+from cathsim.fluoroscopy import scene
+from cathsim.observations.framing import framed
+from cathsim.registration import MANY
+from cathsim.viewing import camera_view as view
+from cathsim.viewing.display import LEAST_HEIGHT
+from cathsim.viewing.film import HEIGHT_PX, ROOM_PX, STRIDE, Film, film_states, write_gif
+from cathsim.viewing.room_fluoroscope import CATHETER, VIEWS, WIRE, RoomFluoroscope, contrast_picture
 
 
 @pytest.mark.parametrize(("stride", "frames"), [(STRIDE, 3), (4, 2)])
@@ -57,19 +68,117 @@ def test_a_gif_keeps_the_colours_of_its_palette(tmp_path: Path) -> None:
         assert shown.info["duration"] == 1500
 
 
-def test_grey_images_stay_grey_beside_colours(tmp_path: Path) -> None:
-    frame = np.repeat(np.arange(256, dtype=np.uint8)[None, :, None], 3, axis=2).repeat(64, axis=0)
-    frame[30:33] = (255, 214, 10)
-    frame[50:] = np.stack([np.linspace(90, 240, 256)] * 2 + [np.full(256, 60.0)], axis=1).astype(np.uint8)
-    palette = film_palette([frame], 32, 16)
-    assert len(palette) == 3 * 48
-    write_gif(tmp_path / "one.gif", [frame], palette, 10.0)
-    with Image.open(tmp_path / "one.gif") as shown:
-        found = np.asarray(shown.convert("RGB"), int)
-    assert np.ptp(found[:30], axis=2).max() == 0
-    assert np.abs(found[:30] - frame[:30]).max() <= 8  # half a step of the scale, and what Pillow rounds
-    assert np.abs(found[31] - (255, 214, 10)).max() <= 24
-    assert film_palette([frame[:30]], 4, 16) == [0] * 3 + [85] * 3 + [170] * 3 + [255] * 3
+def test_a_film_of_nothing_is_refused(tmp_path: Path) -> None:
+    environment = NavigateEnv("type_1", "bca", observation="tip")
+    with pytest.raises(ValueError, match="at least one state"):
+        film_states(tmp_path / "none.gif", environment.simulation, [])
+
+
+FORWARD = np.array([1.0, 0.0], np.float32)
+
+
+@pytest.fixture
+def screen(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """pygame, drawing nowhere."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    return pytest.importorskip("pygame")
+
+
+@pytest.fixture
+def no_opengl(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(width: int, height: int) -> None:
+        raise view.RenderingUnavailableError("no OpenGL")
+
+    monkeypatch.setattr(view, "open_context", refuse)
+
+
+def shown(pygame: Any) -> np.ndarray:
+    """What the window shows. Shape (height, width, 3)."""
+    return pygame.surfarray.array3d(pygame.display.get_surface()).transpose(1, 0, 2)
+
+
+@pytest.mark.parametrize("ident", [ENVIRONMENT, MANY])
+@pytest.mark.usefixtures("no_opengl")
+def test_the_window_shows_every_step_at_its_speed(screen: Any, ident: str) -> None:
+    arguments = {"phantoms": ("type_1",)} if ident == MANY else {}
+    env = gymnasium.make(ident, render_mode="human", image_size=64, accuracy="fast", **arguments)
+    env.reset(seed=0)
+    first, begun = shown(screen), time.perf_counter()
+    assert first.shape == (512, 512, 3)
+    assert len(first) >= LEAST_HEIGHT
+    for _ in range(10):
+        env.step(FORWARD)
+    assert time.perf_counter() - begun > 0.9, "the speed of the simulated time"
+    last = shown(screen)
+    assert not np.array_equal(first, last)
+    image = env.unwrapped.fluoroscope.image()
+    assert np.array_equal(last[::8, ::8, 0], image)
+    assert env.render() is None
+    twin = pickle.loads(pickle.dumps(env))
+    twin.step(FORWARD)
+    env.close()
+    env.close()
+    assert screen.display.get_surface() is None
+
+
+def test_a_missing_pygame_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(ImportError, match=r"needs pygame: pip install 'endonav-cathsim\[human\]'") as caught:
+        gymnasium.make(ENVIRONMENT, render_mode="human", accuracy="fast")
+    assert "\n" not in str(caught.value)
+
+
+def test_record_video_writes_an_episode(tmp_path: Path) -> None:
+    base = gymnasium.make("cathsim/Navigate-v0", phantom="type_1", render_mode="fluoroscopy", max_steps=10)
+    env = gymnasium.wrappers.RecordVideo(base, str(tmp_path), name_prefix="wire")
+    env.reset(seed=0)
+    ended, steps = False, 0
+    while not ended:
+        _, _, terminated, truncated, _ = env.step([1.0, 0.0])
+        ended, steps = terminated or truncated, steps + 1
+    env.close()
+    frames = imageio.imread(tmp_path / "wire-episode-0.mp4")
+    assert len(frames) in (steps, steps + 1)
+    assert frames[0].std() > 1
+
+
+SIZE = 160
+
+
+@pytest.mark.parametrize("catheter", [None, "vertebral"])
+def test_devices_are_drawn_where_they_are(catheter: str | None) -> None:
+    devices: dict[str, Any] = {} if catheter is None else {"catheter": catheter}
+    environment = NavigateEnv("type_1", "bca", observation="tip", **devices)
+    environment.reset(seed=0)
+    for _ in range(10):
+        environment.step(np.array([1.0, 0.0] if catheter is None else [1.0, 0.0, 0.5, 0.0]))
+    simulation = environment.simulation
+    panels = np.split(RoomFluoroscope(simulation, SIZE, scene("patient")).image(), len(VIEWS), axis=1)
+    for angle, panel in zip(VIEWS, panels, strict=True):
+        assert panel.shape == (SIZE, SIZE, 3)
+        drawn = np.argwhere(np.abs(panel.astype(int) - WIRE).max(axis=-1) < 90)[:, ::-1]
+        tip = framed(simulation.phantom, angle, SIZE).project(simulation.wire_points()[:1])[0]
+        assert np.linalg.norm(drawn - tip, axis=1).min() < 2.0, angle
+        blue = (np.abs(panel.astype(int) - CATHETER).max(axis=-1) < 60).any()
+        assert blue == (catheter is not None)
+
+
+def test_contrast_medium_shows_the_vessels() -> None:
+    phantom = load_phantom("type_1")
+    picture = contrast_picture(phantom, SIZE, scene("patient"), views=("frontal",)).astype(float)
+    points = framed(phantom, "frontal", SIZE).project(np.asarray(phantom.tree.root.points)[20:-20])
+    columns, rows = np.rint(points).astype(int).T
+    assert picture[rows, columns].mean() < picture.mean() - 20
+
+
+def test_a_film_in_a_room_has_both_c_arms() -> None:
+    environment = NavigateEnv("type_1", "bca", observation="tip")
+    environment.reset(seed=0)
+    film = Film(room=scene("patient"))
+    film.add(environment)
+    film.close()
+    assert film._frames[0].shape[0] == ROOM_PX
+    assert film._frames[0].shape[1] >= 2 * ROOM_PX
 
 
 def test_states_of_two_devices_make_a_film(tmp_path: Path) -> None:
@@ -88,9 +197,3 @@ def test_states_of_two_devices_make_a_film(tmp_path: Path) -> None:
         shown.seek(5)
         last = np.asarray(shown.convert("L"), float)[:, :HEIGHT_PX]
     assert (last < first - 40).sum() > 30, "the devices have moved"
-
-
-def test_a_film_of_nothing_is_refused(tmp_path: Path) -> None:
-    environment = NavigateEnv("type_1", "bca", observation="tip")
-    with pytest.raises(ValueError, match="at least one state"):
-        film_states(tmp_path / "none.gif", environment.simulation, [])

@@ -1,7 +1,5 @@
 """Episodes in which a force depends on the image, samples of them, and a network fitted to those."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

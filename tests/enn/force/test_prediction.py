@@ -1,19 +1,22 @@
-"""Force prediction: samples, a network that learns, what its error means, and what is refused."""
-
-from __future__ import annotations
+"""Prediction of force from images: samples, the network, its scores."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
-from enn.force.evaluation import score
+from enn.force.evaluation import calibration, evaluate_predictor, score
 from enn.force.prediction import DESK_FORCE, ForceNetwork, ForceNetworkSettings, ForcePredictor, fit_force
-from enn.force.samples import ForceSamples
+from enn.force.samples import (
+    ForceInputs,
+    ForceSamples,
+    force_samples,
+    matched_features,
+    split_episodes,
+)
 from enn.model_file import decoded, write_model
-from tests.enn.force.conftest import QUICK
+from enn.trajectory import Trajectory
 
 
 def test_predicts_far_better_than_the_mean(
@@ -22,18 +25,6 @@ def test_predicts_far_better_than_the_mean(
     result = score(predictor.predict(halves[1].images), halves[1].forces)
     assert result.share_of_variance < 0.2
     assert result.correlation > 0.9
-
-
-def test_the_loss_on_features_makes_the_network_predict_them(halves: tuple[ForceSamples, ForceSamples]) -> None:
-    samples = halves[0]
-    network = fit_force(samples, QUICK)[0].network
-    assert samples.features is not None
-    with torch.no_grad():
-        features, _ = network(torch.as_tensor(samples.images), torch.as_tensor(samples.vectors))
-    wanted = (samples.features - samples.features.mean(0)) / samples.features.std(0)
-    assert np.square(features.numpy() - wanted).mean() < 0.3
-    plain = fit_force(replace(samples, features=None), replace(QUICK, fit=replace(QUICK.fit, epochs=1)))[0]
-    assert plain.network.features is None
 
 
 def test_saved_predictor_predicts_the_same(
@@ -74,3 +65,72 @@ def test_predicts_from_numbers_alone(halves: tuple[ForceSamples, ForceSamples]) 
         ForceSamples(
             np.zeros((1, 1, 40, 40), np.uint8), np.full((1, 2), np.inf, np.float32), np.zeros(1), np.zeros(1, np.int64)
         )
+
+
+def test_score_of_known_numbers() -> None:
+    result = score(np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 6.0]))
+    assert result.mse_n2 == pytest.approx(3.0)
+    assert result.variance_n2 == pytest.approx(14 / 3)
+    assert result.share_of_variance == pytest.approx(9 / 14)
+    assert score(np.zeros(4), np.arange(4.0)).correlation == 0.0
+    with pytest.raises(ValueError, match="as many predicted as true"):
+        score(np.zeros(2), np.zeros(3))
+
+
+def test_calibration_bins_by_predicted_force() -> None:
+    bins = calibration(np.array([3.0, 1.0, 2.0, 4.0]), np.array([30.0, 10.0, 20.0, 50.0]), bins=2)
+    assert bins["predicted"].tolist() == [1.5, 3.5]
+    assert bins["true"].tolist() == [15.0, 40.0]
+    assert bins["true_sd"].tolist() == [5.0, 10.0]
+
+
+def test_a_predictor_is_compared_with_the_mean_and_an_untrained_network(
+    predictor: ForcePredictor, halves: tuple[ForceSamples, ForceSamples]
+) -> None:
+    training, test = halves
+    outcome = evaluate_predictor(predictor, training, test, seed=1)
+    assert outcome["mse_n2"] < 0.5 * outcome["mean_mse_n2"] < 0.5 * outcome["untrained_mse_n2"]
+    assert outcome["share_pct"] == pytest.approx(100 * outcome["mse_n2"] / outcome["variance_n2"])
+    assert outcome["force_max_n"] == test.forces.max()
+    assert outcome["untrained_mse_n2"] == evaluate_predictor(predictor, training, test, seed=1)["untrained_mse_n2"]
+
+
+def test_a_sample_is_the_end_of_a_step_and_its_force(episodes: list[Trajectory]) -> None:
+    samples = force_samples(episodes[:2], ForceInputs(vectors=("place",), frames=3, actions=True))
+    first = episodes[0]
+    images = first.observations["image"]
+    np.testing.assert_array_equal(samples.images[0], np.concatenate((images[0], images[0], images[1])))
+    np.testing.assert_array_equal(samples.images[2], np.concatenate((images[1], images[2], images[3])))
+    np.testing.assert_allclose(samples.vectors[0], np.append(first.observations["place"][1], first.actions[0]))
+    np.testing.assert_allclose(samples.forces[: len(first)], first.forces, rtol=1e-6)
+    assert (samples.episodes == np.repeat([0, 1], [len(e) for e in episodes[:2]])).all()
+
+
+def test_matched_features_are_the_experts_and_the_shape(episodes: list[Trajectory]) -> None:
+    class Expert:
+        keys = ("place",)
+
+        def features(self, observations: dict[str, np.ndarray]) -> np.ndarray:
+            return 2 * observations["place"]
+
+    for episode in episodes[:3]:
+        episode.observations["shape"] = np.random.default_rng(len(episode)).normal(size=(len(episode) + 1, 5, 3))
+    features = matched_features(episodes[:3], Expert())
+    np.testing.assert_array_equal(features[1][:, :2], 2 * episodes[1].observations["place"])
+    assert [part.shape for part in features] == [(len(one) + 1, 2 + 15) for one in episodes[:3]]
+
+
+def test_draws_are_nested_and_bounded(halves: tuple[ForceSamples, ForceSamples]) -> None:
+    samples = halves[0]
+    few, more = samples.drawn(10, seed=1), samples.drawn(20, seed=1)
+    np.testing.assert_array_equal(few.forces, more.forces[:10])
+    with pytest.raises(ValueError, match="record more episodes"):
+        samples.drawn(len(samples) + 1, seed=1)
+
+
+def test_every_so_many_th_episode_is_held_out(episodes: list[Trajectory]) -> None:
+    learnt, tested = split_episodes(episodes[:9], 4)
+    assert [id(one) for one in tested] == [id(episodes[3]), id(episodes[7])]
+    assert len(learnt) == 7
+    assert [len(part) for part in split_episodes(episodes[:3], 4)] == [2, 1]
+    assert [len(part) for part in split_episodes(episodes[:1], 4)] == [1, 1]

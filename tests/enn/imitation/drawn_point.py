@@ -1,7 +1,5 @@
 """A point to be steered to the middle of a picture: a task that imitation learns in a second."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

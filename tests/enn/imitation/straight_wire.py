@@ -1,7 +1,5 @@
 """A wire of pixels that is to reach a dot, as images or X-ray images, with an expert and a perception, for tests."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Behaviour cloning: the thesis's network and loss, a student that learns, resuming, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,15 +10,11 @@ import torch
 from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitError
 from enn.imitation.behaviour_cloning import (
     DESK_CLONING,
-    BehaviourCloningSettings,
     clone,
-    entropy,
-    negative_log_likelihood,
 )
 from enn.imitation.cloned_policy import ClonedPolicy, CloningNetworkSettings
 from enn.imitation.dagger import record
 from enn.model_file import decoded, write_model
-from enn.networks.image_network import shifted
 from enn.trajectory import Trajectory
 from tests.enn.imitation.drawn_point import SIDE, DrawnPoint, expert
 
@@ -40,35 +34,11 @@ def student(episodes: list[Trajectory]) -> ClonedPolicy:
     return clone(episodes, QUICK)[0]
 
 
-def test_likelihood_and_entropy_of_a_known_gaussian() -> None:
-    mean, log_std = torch.zeros(3, 2), torch.zeros(2)
-    expected = 0.5 * (1.0 + 4.0) + np.log(2 * np.pi)
-    assert negative_log_likelihood(mean, log_std, torch.tensor([[1.0, 2.0]] * 3)).item() == pytest.approx(expected)
-    assert entropy(log_std).item() == pytest.approx(np.log(2 * np.pi * np.e))
-
-
-def test_shift_moves_the_picture_and_fills_the_border() -> None:
-    image = torch.zeros(1, 1, 5, 5, dtype=torch.uint8)
-    image[0, 0, 2, 2] = 9
-    moved = shifted(image, torch.tensor([[1, -2]]), torch.full((1, 5, 5), 7.0))
-    assert moved[0, 0, 3, 0] == 9
-    assert (moved[0, 0, 0] == 7).all()
-    assert (moved[0, 0, 1:, :3].sum(), moved.dtype) == (9, torch.uint8)
-
-
 def test_student_reaches_the_target_from_the_image_alone(student: ClonedPolicy) -> None:
     environment = DrawnPoint()
     steers = student.controller()
     reached = [record(environment, steers, seed=1000 + seed, keys=()).terminated for seed in range(20)]
     assert np.mean(reached) >= 0.9
-
-
-def test_cloning_is_deterministic_and_depends_on_the_seed(episodes: list[Trajectory]) -> None:
-    settings = replace(QUICK, fit=replace(QUICK.fit, epochs=1))
-    seen = {"image": episodes[0].observations["image"]}
-    first, again, other = (clone(episodes[:6], settings, seed=seed)[0].act_batch(seen) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(first, again)
-    assert not np.array_equal(first, other)
 
 
 def test_interrupted_fit_goes_on_to_the_same_student(episodes: list[Trajectory], tmp_path: Path) -> None:
@@ -144,10 +114,3 @@ def test_student_refuses_what_it_was_not_trained_on(student: ClonedPolicy) -> No
         student.act({"image": np.full((1, SIDE, SIDE), np.nan, np.float32)})
     with pytest.raises(ValueError, match="needs a seeded numpy Generator"):
         student.act({"image": np.zeros((1, SIDE, SIDE), np.uint8)}, deterministic=False)
-
-
-def test_settings_refuse_negative_weights() -> None:
-    with pytest.raises(ValueError, match="l2 must be greater than or equal to 0, got -1"):
-        BehaviourCloningSettings(l2=-1.0)
-    with pytest.raises(ValueError, match="a cloned policy sees some of image"):
-        CloningNetworkSettings(keys=("joints",))

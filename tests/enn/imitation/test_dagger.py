@@ -1,25 +1,27 @@
-"""DAgger: labels of the expert where the student goes, disturbed demonstrations, determinism."""
+"""Learning from an expert that advises: DAgger, advised episodes, distillation, disturbed controllers."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
 from enn.fitting import EpisodeFitSettings
+from enn.imitation.advised_episodes import FIRST_NOISE, NOISE, TEACHER_SHARE, advised_rounds
 from enn.imitation.behaviour_cloning import DESK_CLONING
 from enn.imitation.dagger import DaggerSettings, DisturbanceSettings, Disturbed, dagger, record
+from enn.imitation.distillation import distil
+from enn.imitation.images.egocentric import VIEW_SIZE
+from enn.imitation.perturbed_controller import PerturbedController
+from enn.imitation.sequence_cloning import AdvisedEpisode
+from enn.trajectory import Trajectory
 from tests.enn.imitation.drawn_point import DrawnPoint, expert
+from tests.enn.imitation.straight_wire import CLONING, advised, policy_on, untrained
 
 QUICK = replace(DESK_CLONING, fit=EpisodeFitSettings(epochs=6, batch_size=32, learning_rate=3e-3))
-
-
-def test_labels_are_the_experts_and_the_way_is_the_students() -> None:
-    still = record(DrawnPoint(), lambda o, i: np.zeros(2), seed=1, keys=("place",), labels=expert)
-    assert np.ptp(still.tips, axis=0).max() == 0
-    np.testing.assert_allclose(still.actions[0], expert({"place": still.observations["place"][0]}, {}))
-    assert (len(still), still.terminated) == (20, False)
 
 
 def test_rounds_aggregate_and_the_student_improves() -> None:
@@ -32,14 +34,6 @@ def test_rounds_aggregate_and_the_student_improves() -> None:
     assert rounds[-1].disagreement < rounds[0].disagreement
     reached = [record(environment, student.controller(), seed=500 + k, keys=()).terminated for k in range(20)]
     assert np.mean(reached) >= 0.9
-
-
-def test_same_seed_gives_the_same_student() -> None:
-    first = [record(DrawnPoint(), expert, seed=seed, keys=("image",)) for seed in range(3)]
-    settings, cloning = DaggerSettings(rounds=1, episodes=2), replace(QUICK, fit=replace(QUICK.fit, epochs=1))
-    seen = {"image": first[0].observations["image"]}
-    one, two = (dagger(DrawnPoint, expert, first, settings, cloning, seed=7)[0].act_batch(seen) for _ in range(2))
-    np.testing.assert_array_equal(one, two)
 
 
 def test_disturbance_is_seeded_and_spells_push() -> None:
@@ -58,8 +52,115 @@ def test_disturbance_is_seeded_and_spells_push() -> None:
     assert (np.abs(pair[[1, 3]]) < 1.0).all()
 
 
-def test_refuses_nothing_to_start_from() -> None:
-    with pytest.raises(ValueError, match="no episodes to learn from"):
-        dagger(DrawnPoint, expert, [], cloning=QUICK)
-    with pytest.raises(ValueError, match="rounds must be greater than or equal to 1, got 0"):
-        DaggerSettings(rounds=0)
+def test_teacher_and_policy_steer_and_the_teacher_advises() -> None:
+    perception = untrained()
+    policy = policy_on(perception)
+    by_teacher, by_policy = advised(policy, perception, 1.0, 1), advised(policy, perception, 0.0, 2, 8)
+    assert all(one.success for one in by_teacher)
+    assert not any(one.success for one in by_policy)
+    for one in (*by_teacher, *by_policy):
+        np.testing.assert_allclose(one.actions[:, 0], np.clip(5 * one.hints[:, 0], -1, 1))  # advice, without noise
+        assert one.features.shape == (len(one.hints), VIEW_SIZE)
+        assert one.target == "dot"
+
+
+def test_rounds_aggregate_and_go_on_where_they_stopped() -> None:
+    perception = untrained()
+    asked: list[tuple[int, float, float]] = []
+
+    def rounds(numbers: range, episodes: list[AdvisedEpisode]) -> list[int]:
+        policy = policy_on(perception)
+
+        def play(number: int, teacher_share: float, noise: float) -> list[AdvisedEpisode]:
+            asked.append((number, teacher_share, noise))
+            return advised(policy, perception, 1.0, number, 2)
+
+        passes: dict[int, int] = {}
+        found = advised_rounds(
+            policy, episodes, play, replace(CLONING, epochs=2), rounds=numbers, seed_of=lambda number: number,
+            progress=lambda number, epoch, loss: passes.update({number: epoch}),
+        )  # fmt: skip
+        assert [len(one.new) for one in found] == [2] * len(numbers)
+        return list(passes.values())
+
+    episodes: list[AdvisedEpisode] = []
+    assert rounds(range(3), episodes) == [2, 2, 4]  # the last round has twice as many epochs
+    assert len(episodes) == 6
+    assert asked == [(0, 1.0, FIRST_NOISE), (1, TEACHER_SHARE, NOISE), (2, TEACHER_SHARE, NOISE)]
+    asked.clear()
+    rounds(range(1), episodes[:2])  # with something learnt before, the policy steers from the start
+    rounds(range(2, 3), episodes[:4])
+    assert asked == [(0, TEACHER_SHARE, NOISE), (2, TEACHER_SHARE, NOISE)]
+
+
+DISTILLATION_QUICK = replace(DESK_CLONING, fit=EpisodeFitSettings(epochs=1, batch_size=32))
+
+
+class PlaceExpert:
+    """Sees the place; its features are the place."""
+
+    keys = ("place",)
+
+    def act(self, observation: dict[str, np.ndarray]) -> np.ndarray:
+        return expert(observation, {})
+
+    def features(self, observations: dict[str, np.ndarray]) -> np.ndarray:
+        return observations["place"]
+
+
+@pytest.fixture(scope="module")
+def episodes() -> list[Trajectory]:
+    return [record(DrawnPoint(), expert, seed=seed, keys=("image", "place")) for seed in range(3)]
+
+
+def make_environment(keys: Sequence[str]) -> gymnasium.Env[Any, Any]:
+    assert tuple(keys) == ("image", "place")
+    return DrawnPoint()
+
+
+def test_disturbed_episodes_and_rounds_add_to_what_is_learnt_from(episodes: list[Trajectory]) -> None:
+    told: list[tuple[float, str]] = []
+    rounds = DaggerSettings(rounds=2, episodes=1)
+    full = distil(
+        PlaceExpert(), episodes, DISTILLATION_QUICK, make_environment, disturbed_seeds=(7, 8), rounds=rounds, seed=1,
+        progress=lambda share, words: told.append((share, words)),
+    )  # fmt: skip
+    assert full.episodes == 3 + 2 + 2
+    assert [one.episodes for one in full.rounds] == [6, 7]
+    assert full.samples > sum(map(len, episodes))
+    assert [round(share, 3) for share, _ in told] == [0.333, 0.667, 1.0]
+    assert told[0][1].startswith("epoch 1, loss ")
+    assert told[2][1] == "DAgger round 2, epoch 1"
+
+
+def test_features_are_matched_only_where_the_expert_could_see(episodes: list[Trajectory]) -> None:
+    alone = [replace(one, observations={"image": one.observations["image"]}) for one in episodes]
+    sizes = [
+        distil(PlaceExpert(), given, settings, make_environment).student.network.settings.expert_features
+        for given, settings in (
+            (episodes, DISTILLATION_QUICK),
+            (alone, DISTILLATION_QUICK),
+            (episodes, replace(DISTILLATION_QUICK, feature_matching=0.0)),
+        )
+    ]
+    assert sizes == [2, 0, 0]
+
+
+REPEAT = 3
+
+
+def policy(action: tuple[float, float] = (0.5, -0.5)) -> Any:
+    """Always says the same, and counts how often it is asked."""
+    asked: list[Any] = []
+
+    def act_batch(observations: dict[str, np.ndarray]) -> np.ndarray:
+        asked.append(observations)
+        return np.array([action], np.float32)
+
+    space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
+    return SimpleNamespace(action_space=space, keys=("tip",), action_repeat=REPEAT, act_batch=act_batch, asked=asked)
+
+
+def actions(seed: int, steps: int, steered: Any) -> np.ndarray:
+    controller = PerturbedController(steered, np.random.default_rng(seed))
+    return np.array([controller({"tip": np.zeros(3), "other": np.zeros(1)}) for _ in range(steps)])

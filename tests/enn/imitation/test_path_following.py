@@ -1,7 +1,5 @@
 """Path following: progress along a path, a follower that learns a simple one, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -55,13 +53,6 @@ def follower() -> PathFollower:
     return fit_path_follower([episode(a, k) for k, a in enumerate(angles)], [bent_path(a) for a in angles], SETTINGS)[0]
 
 
-def test_progress_is_the_nearest_point_and_never_jumps_back() -> None:
-    path = PlannedPath([[0, 0, 0], [0.02, 0, 0], [0.02, 0.01, 0], [0, 0.01, 0]])
-    assert path.length == pytest.approx(0.05)
-    assert path.progress(np.array([0.01, 0.001, 0]), 0.0) == pytest.approx(0.01, abs=1e-3)
-    assert path.progress(np.array([0.01, 0.001, 0]), 0.035) == pytest.approx(0.04, abs=1e-3)  # not the former arm
-
-
 def test_what_is_seen_is_relative_to_the_tip() -> None:
     path, moved = PlannedPath(bent_path(0.5)), PlannedPath(bent_path(0.5) + 0.1)
     tips = [np.array([0.0, 0.001, 0.0]), np.array([0.002, 0.001, 0.0])]
@@ -91,12 +82,3 @@ def test_saved_follower_acts_the_same(follower: PathFollower, tmp_path: Path) ->
     (tmp_path / "bad.pt").write_bytes(b"x")
     with pytest.raises(ValueError, match="damaged or no path follower"):
         PathFollower.load(tmp_path / "bad.pt")
-
-
-def test_refuses_what_is_no_path() -> None:
-    with pytest.raises(ValueError, match=r"shape \(n, 3\) with n >= 2, got shape \(1, 3\)"):
-        PlannedPath([[0, 0, 0]])
-    with pytest.raises(ValueError, match="length above nought"):
-        PlannedPath([[0, 0, 0], [0, 0, 0]])
-    with pytest.raises(ValueError, match="a path for each of at least one episode, got 0 for 1"):
-        fit_path_follower([episode(0.0, 0)], [])

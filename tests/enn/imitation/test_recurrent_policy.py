@@ -1,6 +1,4 @@
-"""The recurrent policy: what its network sees, how its controller holds actions, and the file that it is kept in."""
-
-from __future__ import annotations
+"""Recurrent policies and the cloning of sequences."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,7 +10,7 @@ import pytest
 import torch
 
 from enn.imitation.recurrent_policy import RecurrentController, RecurrentPolicy, RecurrentPolicySettings
-from enn.model_file import write_model
+from enn.imitation.sequence_cloning import AdvisedEpisode, SequenceCloningSettings, clone_sequences
 
 SETTINGS = RecurrentPolicySettings(
     features=10, encoder_blocks=((1, 3), (6, 3)), block_units=2, hidden=8, action_repeat=3
@@ -28,20 +26,6 @@ def scaled(settings: RecurrentPolicySettings = SETTINGS, seed: int = 1) -> Recur
 
 def features(seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-1, 1, (2, SETTINGS.features)).astype(np.float32)
-
-
-def test_blocks_of_encoder_outputs_are_reduced_alike_and_all_else_is_seen() -> None:
-    network = scaled().network
-    assert network.inner[0].in_features == 10 - 2 * (3 - 2)
-    swapped = torch.tensor([[0.0, 1, 2, 3, 0, 0, 4, 5, 6, 0]])
-    inputs = []
-    network.inner.register_forward_pre_hook(lambda module, given: inputs.append(given[0]))
-    network(swapped[None])
-    network(swapped[:, [0, 6, 7, 8, 4, 5, 1, 2, 3, 9]][None])
-    one, other = (given[0, 0] for given in inputs)
-    assert torch.equal(one[1:3], other[5:7])  # the same layer reduces both blocks
-    assert torch.equal(one[5:7], other[1:3])
-    assert torch.equal(one[[0, 3, 4, 7]], torch.zeros(4))
 
 
 def test_the_state_remembers_and_the_seed_decides() -> None:
@@ -91,15 +75,58 @@ def test_file_keeps_policy_perception_and_metadata(tmp_path: Path) -> None:
     np.testing.assert_array_equal(back.act(features())[0], policy.act(features())[0])
 
 
-def test_says_what_is_wrong(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="no recurrent policy"):
-        RecurrentPolicy.load(tmp_path / "none.pt")
-    (tmp_path / "broken.pt").write_bytes(b"no file of torch")
-    with pytest.raises(ValueError, match="is damaged or no recurrent policy"):
-        RecurrentPolicy.load(tmp_path / "broken.pt")
-    write_model(tmp_path / "other.pt", {"format": "something else"})
-    with pytest.raises(ValueError, match="is no recurrent policy of format"):
-        RecurrentPolicy.load(tmp_path / "other.pt")
-    for blocks in (((0, 3), (2, 3)), ((0, 3), (4, 2)), ((8, 3),)):
-        with pytest.raises(ValueError, match="encoder_blocks: expected blocks of one length"):
-            replace(SETTINGS, encoder_blocks=blocks)
+SEQUENCE_CLONING_SETTINGS = RecurrentPolicySettings(features=12, encoder_blocks=((4, 6),), hidden=32)
+CLONING = SequenceCloningSettings(epochs=40, batch_size=8)
+
+
+def drawn_episodes(count: int = 12, hints: int = 0) -> list[AdvisedEpisode]:
+    """Episodes in which the first feature gives the translation, and the one before it the rotation."""
+    generator = np.random.default_rng(3)
+    found = []
+    for _ in range(count):
+        length = int(generator.integers(6, 15))
+        features = generator.uniform(-1, 1, (length, SEQUENCE_CLONING_SETTINGS.features)).astype(np.float32)
+        before = np.concatenate(([0.0], features[:-1, 0]))
+        actions = np.stack((0.8 * features[:, 0], 0.8 * before), axis=1).astype(np.float32)
+        found.append(AdvisedEpisode(features, actions, np.full((length, hints), 0.5, np.float32), True))
+    return found
+
+
+def test_cloning_learns_what_was_done_and_what_was_before() -> None:
+    episodes = drawn_episodes(40)
+    policy = RecurrentPolicy(SEQUENCE_CLONING_SETTINGS)
+    losses = clone_sequences(policy, episodes, CLONING)
+    assert losses[-1] < 0.25 * losses[0]
+    assert clone_sequences(RecurrentPolicy(SEQUENCE_CLONING_SETTINGS), episodes, CLONING) == losses
+    few = clone_sequences(RecurrentPolicy(SEQUENCE_CLONING_SETTINGS), episodes, replace(CLONING, epochs=2, updates=17))
+    assert len(few) == 4  # of five batches each
+    assert not policy.network.training
+
+
+def test_hints_and_noise_count_where_they_are_asked_for() -> None:
+    def first_loss(hints: int, **changed: float) -> float:
+        policy = RecurrentPolicy(replace(SEQUENCE_CLONING_SETTINGS, hints=hints))
+        cloning = replace(CLONING, epochs=1, **changed)  # type: ignore[arg-type]
+        return clone_sequences(policy, drawn_episodes(8, hints), cloning)[0]
+
+    state = torch.get_rng_state()
+    assert first_loss(2, hint_weight=10.0) > first_loss(2, hint_weight=0.1)
+    assert first_loss(0, hint_weight=10.0) == first_loss(0, hint_weight=0.1)
+    assert first_loss(0, noise=0.5) != first_loss(0)
+    assert torch.equal(torch.get_rng_state(), state)
+
+
+def test_bad_episodes_are_refused() -> None:
+    policy, good = RecurrentPolicy(replace(SEQUENCE_CLONING_SETTINGS, hints=3)), drawn_episodes(1, 3)[0]
+    with pytest.raises(ValueError, match="at least one episode"):
+        clone_sequences(policy, [], CLONING)
+    with pytest.raises(ValueError, match="takes 12 features, 2 actions and 3 hints, got 11, 2 and 3"):
+        clone_sequences(policy, [replace(good, features=good.features[:, :-1])], CLONING)
+    with pytest.raises(ValueError, match="got 12, 2 and 1"):
+        clone_sequences(policy, [replace(good, hints=good.hints[:, :1])], CLONING)
+    with pytest.raises(ValueError, match="hints must be finite"):
+        replace(good, hints=np.full_like(good.hints, np.nan))
+    with pytest.raises(ValueError, match="as many features as actions"):
+        replace(good, actions=good.actions[:-1])
+    with pytest.raises(ValueError, match="epochs must be greater than or equal to 1, got 0"):
+        SequenceCloningSettings(epochs=0)

@@ -1,6 +1,4 @@
-"""Policies: who sees what, whose loss trains what, saving and loading, the chapter's baselines."""
-
-from __future__ import annotations
+"""Networks of policies: extractors of the thesis's tables, critics, shared features."""
 
 from pathlib import Path
 from typing import Any
@@ -9,10 +7,17 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from stable_baselines3 import PPO, SAC
+import yaml
+from stable_baselines3 import SAC
 
-from enn.networks.features import MultimodalExtractor
-from enn.networks.policies import AsymmetricSACPolicy, LayerNormSACPolicy
+from enn.imitation.cloned_policy import CloningNetwork, CloningNetworkSettings
+from enn.networks.features import (
+    MultimodalExtractor,
+    layer_table,
+    thesis_cnn,
+    thesis_mlp,
+)
+from enn.networks.policies import AsymmetricSACPolicy
 
 ARRAYS = dict[str, np.ndarray]
 
@@ -64,18 +69,6 @@ def moved(module: torch.nn.Module, before: list[torch.Tensor]) -> bool:
     return any(not torch.equal(old, new) for old, new in zip(before, module.parameters(), strict=True))
 
 
-def test_the_actor_ignores_the_critics_keys() -> None:
-    policy = model(actor_keys=("image",), critic_keys=("state",)).policy
-    seen = observed()
-    changed = seen | {"state": seen["state"] + 5}
-    assert torch.equal(policy.actor(seen, deterministic=True), policy.actor(changed, deterministic=True))
-    actions = torch.zeros(4, 2)
-    assert not torch.equal(policy.critic(seen, actions)[0], policy.critic(changed, actions)[0])
-    blind = seen | {"image": 255 - seen["image"]}
-    assert torch.equal(policy.critic(seen, actions)[0], policy.critic(blind, actions)[0])
-    assert not torch.equal(policy.actor(seen, deterministic=True), policy.actor(blind, deterministic=True))
-
-
 def test_the_actor_acts_without_the_critics_keys() -> None:
     trained = model(actor_keys=("image",), critic_keys=("state",))
     whole = Chase().reset(seed=0)[0]
@@ -87,15 +80,6 @@ def test_the_actor_acts_without_the_critics_keys() -> None:
     assert batch.shape == (3, 2)
     with pytest.raises(ValueError, match="actor needs the observations image, got state"):
         trained.predict({"state": whole["state"]})
-
-
-def test_training_moves_both_extractors() -> None:
-    trained = model(actor_keys=("image",), critic_keys=("image", "state"))
-    actor, critic = trained.policy.actor.features_extractor, trained.policy.critic.features_extractor
-    before = weights(actor), weights(critic)
-    trained.learn(14)
-    assert moved(actor, before[0])
-    assert moved(critic, before[1])
 
 
 @pytest.mark.parametrize("trained_by", ["actor", "critic"])
@@ -124,15 +108,6 @@ def test_shared_features_are_trained_by_one_loss(trained_by: str) -> None:
     assert moved(extractor, before)
 
 
-def test_features_of_different_keys_cannot_be_shared() -> None:
-    with pytest.raises(ValueError, match="shared only between equal keys"):
-        model(actor_keys=("image",), critic_keys=("state",), share_features_extractor=True)
-    with pytest.raises(ValueError, match="wants 'joints', but the observation has image, state"):
-        model(actor_keys=("joints",))
-    with pytest.raises(ValueError, match="unknown features_trained_by 'both'"):
-        model(features_trained_by="both")
-
-
 def test_saved_and_loaded_it_is_the_same(tmp_path: Path) -> None:
     trained = model(actor_keys=("image",), critic_keys=("state",))
     trained.learn(12)
@@ -148,44 +123,54 @@ def test_saved_and_loaded_it_is_the_same(tmp_path: Path) -> None:
     assert torch.equal(alone.actor(seen, deterministic=True), trained.policy.actor(seen, deterministic=True))
 
 
-def test_ppo_takes_the_extractor() -> None:
-    kwargs = {
-        "features_extractor_class": MultimodalExtractor,
-        "features_extractor_kwargs": {"keys": ("image", "state"), "variant": "desk"},
-        "net_arch": [16],
+PICTURE = gymnasium.spaces.Box(0, 255, (1, 80, 80), np.uint8)
+SPACE = gymnasium.spaces.Dict(
+    {
+        "joints": gymnasium.spaces.Box(-np.inf, np.inf, (336,), np.float32),
+        "image": PICTURE,
+        "mask": PICTURE,
+        "roadmap": gymnasium.spaces.Box(-np.inf, np.inf, (71,), np.float32),
+        "history": gymnasium.spaces.Box(-np.inf, np.inf, (18,), np.float32),
+        "internal": gymnasium.spaces.Box(-np.inf, np.inf, (40,), np.float32),
+        "sequential": gymnasium.spaces.Box(0, 255, (3, 128, 128), np.uint8),
     }
-    sizes = {"n_steps": 16, "batch_size": 8, "n_epochs": 1}
-    trained = PPO("MultiInputPolicy", Chase(), policy_kwargs=kwargs, seed=0, device="cpu", **sizes)
-    extractor = trained.policy.features_extractor
-    before = weights(extractor)
-    trained.learn(16)
-    assert moved(extractor, before)
+)
+TABLES = Path(__file__).parents[3] / "pipeline" / "report" / "thesis.yaml"
 
 
-@pytest.mark.parametrize("policy", [LayerNormSACPolicy, AsymmetricSACPolicy])
-def test_layer_norm_stands_in_the_critics_alone(policy: type, tmp_path: Path) -> None:
-    arguments = {"features_extractor_class": MultimodalExtractor, "net_arch": [16, 16], "critic_layer_norm": True}
-    arguments["features_extractor_kwargs"] = {"variant": "desk"} | (
-        {"keys": ("image", "state")} if policy is LayerNormSACPolicy else {}
-    )
-    sac = SAC(policy, Chase(), policy_kwargs=arguments, seed=0, device="cpu", buffer_size=100, learning_starts=8)
+def batch(keys: tuple[str, ...], rows: int = 2) -> dict[str, torch.Tensor]:
+    generator = torch.Generator().manual_seed(3)
+    return {key: torch.rand((rows, *SPACE[key].shape), generator=generator) for key in keys}
 
-    def norms(module: torch.nn.Module) -> int:
-        return sum(isinstance(layer, torch.nn.LayerNorm) for layer in module.modules())
 
-    assert norms(sac.critic.qf0) == norms(sac.critic.qf1) == norms(sac.critic_target.qf0) == 2
-    assert norms(sac.actor.latent_pi) == 0
-    action, seen = torch.zeros(4, 2), observed()
-    for first, second in zip(sac.critic(seen, action), sac.critic_target(seen, action), strict=True):
-        assert torch.equal(first, second)
-    with torch.no_grad():  # scale of the hidden layers no longer reaches the value
-        before = sac.critic(seen, action)[0]
-        for layer in sac.critic.qf0:
-            if isinstance(layer, torch.nn.Linear) and layer.out_features == 16:
-                layer.weight.mul_(100.0), layer.bias.mul_(100.0)
-        assert torch.allclose(sac.critic(seen, action)[0], before, atol=0.05 * before.abs().max().item())
-    sac.learn(30)
-    sac.save(tmp_path / "model")
-    again = SAC.load(tmp_path / "model")
-    for first, second in zip(sac.critic(seen, action), again.critic(seen, action), strict=True):
-        assert torch.equal(first, second)
+def thesis_rows(table: str) -> dict[str, list]:
+    return yaml.safe_load(TABLES.read_text())["tables"][table]["rows"]
+
+
+def test_the_enn_networks_reproduce_the_thesis_table() -> None:
+    cnn, mlp = layer_table(thesis_cnn((1, 80, 80)), (1, 80, 80)), layer_table(thesis_mlp(336), (336,))
+    measured = {f"cnn/{name}": row for name, row in cnn.items()} | {f"mlp/{name}": row for name, row in mlp.items()}
+    assert measured == thesis_rows("architecture_params")
+    assert [row[1] for row in cnn.values()] == [0, 2080, 32832, 36928, 0, 590080, 32896]
+    assert [row[1] for row in mlp.values()] == [0, 86272, 32896]
+    inside = layer_table(MultimodalExtractor(SPACE, ("joints",)).networks["joints"], (336,))
+    assert [row[1] for row in inside.values()] == [0, 86272, 32896]
+
+
+def test_the_cloning_network_reproduces_the_thesis_table() -> None:
+    rows = layer_table(CloningNetwork(CloningNetworkSettings(variant="thesis")).layers(), (1, 80, 80))
+    assert rows == thesis_rows("bc_architecture")
+    assert rows["linear_3"] == ["2", 258, "none", None, None, None]
+
+
+def test_bad_arguments_are_refused() -> None:
+    with pytest.raises(ValueError, match="unknown variant 'lab'; there are thesis, desk"):
+        MultimodalExtractor(SPACE, variant="lab")
+    with pytest.raises(ValueError, match="wants 'tip', but the observation has history, image"):
+        MultimodalExtractor(SPACE, ("image", "tip"))
+    with pytest.raises(ValueError, match=r"128 .* or 256 .*, got 64"):
+        MultimodalExtractor(SPACE, ("image",), image_features=64)
+    with pytest.raises(ValueError, match="expected a Dict observation"):
+        MultimodalExtractor(PICTURE, ("image",))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"\(1, 20, 20\) are too small"):
+        thesis_cnn((1, 20, 20))

@@ -1,7 +1,5 @@
 """A training of the toy environment that takes about a second, and demonstrations of it."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

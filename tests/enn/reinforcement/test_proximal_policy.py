@@ -1,7 +1,5 @@
 """Proximal policy optimisation: what demonstrations add to it."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -76,6 +74,11 @@ def test_the_deviation_of_actions_falls_evenly_to_the_end_of_the_budget(
         assert torch.equal(value, resumed.module.state_dict()[name]), name
 
 
+def test_a_deviation_that_is_settled_leaves_no_entropy_to_weigh() -> None:
+    with pytest.raises(ValueError, match=r"log_std_final settles the entropy.*got 0\.01"):
+        dataclasses.replace(SMALL, log_std_final=-2.5, ent_coef=0.01)
+
+
 def test_a_policy_to_start_from_gives_the_deviation_only_where_it_is_learnt(point_env: Any) -> None:
     weights = Training(SMALL, point_env, None, 0).run().policy
     weights.module.log_std.data.fill_(0.3)
@@ -83,27 +86,3 @@ def test_a_policy_to_start_from_gives_the_deviation_only_where_it_is_learnt(poin
         settings = dataclasses.replace(SMALL, log_std_final=final, decisions=4, n_envs=4)
         started = Training(settings, point_env, None, 0, initial=weights).run().policy
         assert torch.allclose(started.module.log_std, torch.full((2,), expected)), final
-
-
-def test_a_deviation_that_is_settled_leaves_no_entropy_to_weigh() -> None:
-    with pytest.raises(ValueError, match=r"log_std_final settles the entropy.*got 0\.01"):
-        dataclasses.replace(SMALL, log_std_final=-2.5, ent_coef=0.01)
-
-
-def test_scaled_rewards_are_learnt_from_as_smaller_ones(point_env: Any) -> None:
-    class Halved(point_env):  # type: ignore[misc]
-        def step(self, action: np.ndarray) -> Any:
-            observation, reward, *rest = super().step(action)
-            return observation, 0.5 * reward, *rest
-
-    settings = dataclasses.replace(SMALL, decisions=400, n_steps=16, reset_bank_share=0.0, reward_scale=1.0)
-    weights = [
-        torch.cat([value.flatten() for value in Training(one, env, None, 1).run().policy.module.parameters()])
-        for one, env in (
-            (settings, Halved),
-            (dataclasses.replace(settings, reward_scale=0.5), point_env),
-            (settings, point_env),
-        )
-    ]
-    assert torch.equal(weights[0], weights[1])
-    assert not torch.equal(weights[0], weights[2])

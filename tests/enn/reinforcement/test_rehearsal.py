@@ -1,7 +1,5 @@
 """Rehearsal over the cases of a toy environment: it learns, starts from a policy, plays every case."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import partial
 from typing import Any
@@ -13,7 +11,6 @@ from enn.reinforcement.rehearsal import (
     SHOWN_FIRST,
     SHOWN_SHARE,
     SHOWN_SLOWER,
-    cases_of,
     demonstrated,
     first_evaluation,
     play_cases,
@@ -87,16 +84,6 @@ def test_it_learns_in_all_cases_and_then_starts_from_that() -> None:
     assert play_cases(second.policy, WindyEnv(), seed=7).success.sum() >= 2
 
 
-def test_the_same_seed_plays_the_same_episodes_and_reports_them() -> None:
-    policy = rehearse(WindyEnv, settings=dataclasses.replace(FROM_NOTHING, decisions=96), seed=0).policy
-    seen: list[tuple[int, int]] = []
-    one = play_cases(policy, WindyEnv(), seed=1, report=lambda *told: seen.append(told))
-    two = play_cases(policy, WindyEnv(), seed=1)
-    np.testing.assert_array_equal(one.forces, two.forces)
-    assert [done for done, _ in seen] == [1, 2, 3]
-    assert seen[-1][1] == one.success.sum()
-
-
 def test_what_others_show_is_learnt_from_nothing_and_from_a_policy(monkeypatch: pytest.MonkeyPatch) -> None:
     def straight(observation: Any, info: dict[str, Any]) -> np.ndarray:
         return np.clip(-20.0 * observation["place"][:2], -1.0, 1.0)
@@ -105,7 +92,6 @@ def test_what_others_show_is_learnt_from_nothing_and_from_a_policy(monkeypatch: 
     shown = [demonstrated(straight, env, case, ("place",), seed=case) for case in range(3)]
     for case, episode in enumerate(shown):
         assert episode.terminated
-        assert episode.simulation_states is not None
         assert set(episode.simulation_states[:, -1]) == {float(case)}
         _, info = env.reset(options={"start": episode.simulation_states[-2]})
         assert info["case"] == case
@@ -135,11 +121,6 @@ def test_an_evaluation_plays_every_case_as_often() -> None:
     rehearse(WindyEnv, make_validation_env=watched, settings=settings, seed=5)
     assert len(played) in (3, 6)  # where none of the scouts arrives, the others are not played
     assert sorted(played) == sorted(list(range(3)) * (len(played) // 3))
-
-
-def test_an_environment_without_cases_is_refused() -> None:
-    with pytest.raises(ValueError, match="a rehearsal needs an environment with cases"):
-        cases_of(PointEnv())
 
 
 def test_the_first_evaluation_can_be_played_before_and_is_the_same() -> None:

@@ -1,6 +1,4 @@
-"""The replay buffer: the same samples as stable-baselines3's, less memory, exact continuation."""
-
-from __future__ import annotations
+"""The replay buffer: samples, memory, demonstrations, frames that are kept once."""
 
 from typing import Any
 
@@ -9,10 +7,9 @@ import numpy as np
 import pytest
 import torch
 from stable_baselines3.common.buffers import DictReplayBuffer
-from stable_baselines3.common.buffers import ReplayBuffer as BoxReplayBuffer
 
 from enn.reinforcement import replay as replay_module
-from enn.reinforcement.observation_store import ObservationStore
+from enn.reinforcement.observation_store import FrameStore, ObservationStore
 from enn.reinforcement.replay import ReplayBuffer, nbytes_needed
 
 SPACE = gymnasium.spaces.Dict(
@@ -98,17 +95,6 @@ def test_the_same_samples_as_the_library_from_the_same_generator(monkeypatch: py
         _equal(mine.sample(64), theirs.sample(64))
 
 
-def test_a_single_box_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    space = SPACE["joints"]
-    mine, theirs = ReplayBuffer(10, space, ACTIONS, seed=1), BoxReplayBuffer(10, space, ACTIONS)
-    for now, last, *rest in _stream(25, 1):
-        mine.add(now["joints"], last["joints"], *rest)
-        theirs.add(now["joints"], last["joints"], *rest)
-    generator = np.random.default_rng(1)
-    monkeypatch.setattr(np.random, "randint", lambda low, high, size: generator.integers(low, high, size))
-    _equal(mine.sample(50), theirs.sample(50))
-
-
 def test_bytes_are_as_foretold_and_a_fraction_of_the_librarys() -> None:
     space = gymnasium.spaces.Dict(
         {
@@ -131,19 +117,6 @@ def test_bytes_are_as_foretold_and_a_fraction_of_the_librarys() -> None:
     theirs = DictReplayBuffer(1000, space, ACTIONS, n_envs=4)
     both = (*theirs.observations.values(), *theirs.next_observations.values())
     assert sum(array.nbytes for array in both) > 7 * buffer.nbytes
-
-
-def test_half_precision_rounds_vectors_alone() -> None:
-    buffer = ReplayBuffer(30, SPACE, ACTIONS, n_envs=2, half=True)
-    stream = _stream(9, 2)
-    for moment in stream:
-        buffer.add(*moment)
-    drawn = buffer.gather(np.arange(9), np.ones(9, int))
-    joints = np.stack([moment[0]["joints"][1] for moment in stream])
-    assert drawn.observations["joints"].dtype == torch.float32
-    np.testing.assert_allclose(drawn.observations["joints"], joints, rtol=1e-3, atol=1e-6)
-    assert not np.array_equal(drawn.observations["joints"], joints)
-    np.testing.assert_array_equal(drawn.observations["image"], [moment[0]["image"][1] for moment in stream])
 
 
 def test_too_little_memory_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -196,23 +169,6 @@ def test_goes_on_exactly_after_a_restore(before: int, monkeypatch: pytest.Monkey
         _equal(first.sample(16), second.sample(16))
 
 
-def test_pieces_that_did_not_change_keep_their_version(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replay_module, "CHUNK", 8)
-    buffer = ReplayBuffer(64, SPACE, ACTIONS)
-    stream = _stream(50, 1)
-    for moment in stream[:40]:
-        buffer.add(*moment)
-    before = {name: (version, array.copy()) for name, version, array in buffer.chunks()}
-    for moment in stream[40:]:
-        buffer.add(*moment)
-    kept = 0
-    for name, version, array in buffer.chunks():
-        if name in before and before[name][0] == version and len(array) == len(before[name][1]):
-            np.testing.assert_array_equal(array, before[name][1])
-            kept += 1
-    assert kept == 5 * 6  # the first 40 slots, six arrays
-
-
 def test_refusals_say_why() -> None:
     with pytest.raises(ValueError, match="replay buffer is empty"):
         ReplayBuffer(10, SPACE, ACTIONS).sample(4)
@@ -222,3 +178,90 @@ def test_refusals_say_why() -> None:
     other = ReplayBuffer(10, SPACE, ACTIONS)
     with pytest.raises(ValueError, match="keep buffer_size and n_envs as they were"):
         ReplayBuffer(20, SPACE, ACTIONS).restore(other.state(), {})
+
+
+SIDE, STACK, ENVS = 48, 3, 2
+OBSERVATION_STORE_SPACE = gymnasium.spaces.Box(0, 255, (STACK, SIDE, SIDE), np.uint8)
+
+
+class Stacks:
+    """Environments whose observation is their last three images: a wire before a background, noisy on request."""
+
+    def __init__(self, noisy: bool, seed: int = 0) -> None:
+        self.generator, self.noisy = np.random.default_rng(seed), noisy
+        self.background = self.generator.integers(60, 250, (SIDE, SIDE), np.uint8)
+        self.length = np.zeros(ENVS, int)
+        self.stacks = np.stack([self._first(env) for env in range(ENVS)])
+
+    def _image(self, env: int) -> np.ndarray:
+        image = self.background.copy()
+        image[: self.length[env], 20:23] -= np.uint8(50)
+        return image + self.generator.integers(0, 5, image.shape, np.uint8) if self.noisy else image
+
+    def _first(self, env: int) -> np.ndarray:
+        self.length[env] = self.generator.integers(1, 10)
+        return np.stack([self._image(env)] * STACK)  # as an episode begins
+
+    def step(self, chance: float) -> tuple[Any, ...]:
+        """A transition as stable-baselines3 gives it."""
+        before, last = self.stacks, self.stacks.copy()
+        done = self.generator.random(ENVS) < chance
+        for env in range(ENVS):
+            self.length[env] += 1
+            last[env] = np.concatenate((before[env][1:], self._image(env)[None]))
+        after = np.stack([self._first(env) if done[env] else last[env] for env in range(ENVS)])
+        self.stacks = after
+        return before, last, np.zeros((ENVS, 2), np.float32), np.zeros(ENVS), done, [{}] * ENVS
+
+
+def _filled(count: int, capacity: int, *, noisy: bool = False) -> tuple[ReplayBuffer, list[tuple[Any, ...]]]:
+    buffer, source = ReplayBuffer(capacity * ENVS, OBSERVATION_STORE_SPACE, ACTIONS, n_envs=ENVS), Stacks(noisy)
+    moments = [source.step(0.1) for _ in range(count)]
+    for moment in moments:
+        buffer.add(*moment)
+    return buffer, moments
+
+
+def _same(buffer: ReplayBuffer, moments: list[tuple[Any, ...]], capacity: int) -> None:
+    rows, envs = np.divmod(np.arange(min(len(moments), capacity) * ENVS), ENVS)
+    drawn = buffer.gather(rows, envs)
+    for place, (row, env) in enumerate(zip(rows.tolist(), envs.tolist(), strict=True)):
+        numbers = [number for number in range(len(moments)) if number % capacity == row]
+        before, last, *_ = moments[numbers[-1]]
+        np.testing.assert_array_equal(drawn.observations[place], before[env])
+        np.testing.assert_array_equal(drawn.next_observations[place], last[env])
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+@pytest.mark.parametrize("count", [5, 40, 97])
+def test_every_bit_comes_back_also_where_episodes_end(count: int, noisy: bool) -> None:
+    buffer, moments = _filled(count, 40, noisy=noisy)
+    _same(buffer, moments, 40)
+
+
+def test_each_frame_of_a_stack_is_kept_once() -> None:
+    buffer, moments = _filled(200, 300)
+    store = buffer._stores[""]
+    assert isinstance(store, FrameStore)
+    frames = {id(frame) for stack in store._rows if stack is not None for frame in stack}
+    ended = sum(int(moment[4].sum()) for moment in moments)
+    assert len(frames) <= 200 * ENVS + STACK * (ended + ENVS)
+    assert len({id(frame) for frame in (store._rows[0] or ())}) == STACK  # as the stacks began
+    plain = 200 * ENVS * STACK * SIDE * SIDE
+    assert store.nbytes < plain / 30
+
+
+def test_saved_frames_go_back_and_the_buffer_goes_on_the_same() -> None:
+    first, moments = _filled(70, 40)
+    second = ReplayBuffer(40 * ENVS, OBSERVATION_STORE_SPACE, ACTIONS, n_envs=ENVS)
+    second.restore(first.state(), {name: array.copy() for name, _, array in first.chunks()})
+    _same(second, moments, 40)
+    source = Stacks(noisy=False, seed=5)
+    for _ in range(30):
+        moment = source.step(0.2)
+        first.add(*moment)
+        second.add(*moment)
+    for _ in range(3):
+        one, other = first.sample(50), second.sample(50)
+        assert torch.equal(one.observations, other.observations)
+        assert torch.equal(one.next_observations, other.next_observations)

@@ -1,11 +1,9 @@
 """Reset banks: draws, capacity, room of each case, more episodes where they fail, random state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
-from enn.reinforcement.reset_bank import LEAST_WEIGHT, CaseResetBank, ResetBank
+from enn.reinforcement.reset_bank import CaseResetBank, ResetBank
 
 
 def test_draws_its_share_from_what_was_added() -> None:
@@ -17,34 +15,6 @@ def test_draws_its_share_from_what_was_added() -> None:
     given = [draw for draw in draws if draw is not None]
     assert 0.22 < len(given) / len(draws) < 0.28
     assert {tuple(draw) for draw in given} == {tuple(row) for row in states}
-
-
-def test_share_zero_gives_nothing_and_one_always_something() -> None:
-    for share, expected in ((0.0, 0), (1.0, 50)):
-        bank = ResetBank(share=share)
-        bank.add_episode(np.ones((3, 4)))
-        assert sum(bank.draw() is not None for _ in range(50)) == expected
-
-
-def test_oldest_states_make_room() -> None:
-    bank = ResetBank(share=1.0, capacity=4)
-    for number in range(3):
-        bank.add_episode(np.full((3, 1), float(number)))
-    assert len(bank) == 4
-    assert {float(bank.draw()[0]) for _ in range(100)} == {1.0, 2.0}  # type: ignore[index]
-
-
-def test_an_episode_longer_than_the_bank_leaves_its_end() -> None:
-    bank = ResetBank(share=1.0, capacity=3)
-    bank.add_episode(np.arange(10.0)[:, None])
-    assert {float(bank.draw()[0]) for _ in range(100)} == {7.0, 8.0, 9.0}  # type: ignore[index]
-
-
-def test_what_is_drawn_can_be_written_into() -> None:
-    bank = ResetBank(share=1.0)
-    bank.add_episode(np.zeros((1, 2)))
-    bank.draw()[:] = 5.0  # type: ignore[index]
-    np.testing.assert_array_equal(bank.draw(), [0.0, 0.0])
 
 
 def test_goes_on_exactly_after_a_restore() -> None:
@@ -93,23 +63,6 @@ def test_a_rare_case_is_drawn_as_often_as_a_frequent_one() -> None:
     assert 0.45 < (cases == 2).mean() < 0.55
 
 
-def test_its_share_starts_from_the_bank() -> None:
-    bank = CaseResetBank(1, share=0.25, seed=1)
-    assert bank.draw() is None
-    bank.add_episode(episode(0, 3))
-    assert 0.2 < np.mean([bank.draw() is not None for _ in range(2000)]) < 0.3
-
-
-def test_episodes_take_place_where_they_fail() -> None:
-    bank = CaseResetBank(4, seed=2)
-    for _ in range(20):
-        for case in range(4):
-            bank.record_outcome(case, success=case != 1)
-    chosen = np.bincount([bank.choose_case() for _ in range(4000)], minlength=4) / 4000
-    assert chosen[1] == pytest.approx((1 + LEAST_WEIGHT) / (1 + 4 * LEAST_WEIGHT), abs=0.03)
-    assert chosen[[0, 2, 3]] == pytest.approx(LEAST_WEIGHT / (1 + 4 * LEAST_WEIGHT), abs=0.03)
-
-
 def test_goes_on_exactly_after_a_restore_of_cases() -> None:
     bank, other = CaseResetBank(3, seed=1, capacity=5), CaseResetBank(3, seed=9, capacity=5)
     bank.add_episode(episode(1, 7))
@@ -125,8 +78,3 @@ def test_goes_on_exactly_after_a_restore_of_cases() -> None:
         assert (first is None) == (second is None)
         if first is not None:
             np.testing.assert_array_equal(first, second)
-
-
-def test_an_episode_in_two_cases_is_one_sentence() -> None:
-    with pytest.raises(ValueError, match="an episode stays in one case, got states of 2"):
-        CaseResetBank(3).add_episode(np.concatenate((episode(0, 2), episode(1, 2))))

@@ -1,15 +1,18 @@
-"""Sampling: threads, action repeat, starts from the reset bank, exact continuation, what is not finite."""
-
-from __future__ import annotations
+"""Sampling: threads, restores, the bank, encoded environments."""
 
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from stable_baselines3.common.vec_env import DummyVecEnv
 
+from enn.encoder import (
+    EncodedEnvs,
+)
 from enn.reinforcement.reset_bank import CaseResetBank, ResetBank
 from enn.reinforcement.sampling import RECORD_EVERY, NotFiniteError, SampledEnvs
+from tests.enn.rod import Rod, fitted
 
 
 def _play(envs: SampledEnvs, count: int, seed: int = 0) -> list[tuple[Any, ...]]:
@@ -26,31 +29,6 @@ def _same(first: list[tuple[Any, ...]], second: list[tuple[Any, ...]]) -> None:
         for a, b in zip(one[:3], other[:3], strict=True):
             np.testing.assert_array_equal(a, b)
         assert one[3] == other[3]
-
-
-def test_shapes_and_infos(point_env: Any) -> None:
-    envs = SampledEnvs([lambda: point_env(("place", "mask"), max_steps=3)] * 3, seed=0)
-    observations = envs.reset()
-    assert observations["place"].shape == (3, 2)
-    assert observations["mask"].shape == (3, 1, 36, 36)
-    for _ in range(3):
-        observations, rewards, dones, infos = envs.step(np.zeros((3, 2)))
-    assert rewards.shape == (3,)
-    assert dones.all()
-    for info, after in zip(infos, observations["place"], strict=True):
-        assert info["TimeLimit.truncated"]
-        assert not info["episode"]["success"]
-        assert info["episode"]["l"] == 3
-        assert info["episode"]["r"] == pytest.approx(-0.3)
-        # the observation is of the next episode already
-        assert np.abs(info["terminal_observation"]["place"] - after).max() > 1e-3
-
-
-def test_environments_start_differently_and_the_same_seed_alike(point_env: Any) -> None:
-    first = SampledEnvs([point_env] * 4, seed=5).reset()["place"]
-    assert len(np.unique(first[:, 0])) == 4
-    np.testing.assert_array_equal(first, SampledEnvs([point_env] * 4, seed=5).reset()["place"])
-    assert (first != SampledEnvs([point_env] * 4, seed=6).reset()["place"]).all()
 
 
 def test_threads_change_nothing(point_env: Any) -> None:
@@ -145,49 +123,11 @@ def test_goes_on_exactly_after_a_restore(point_env: Any) -> None:
     _same(_play(envs, 60, seed=1), _play(other, 60, seed=1))
 
 
-def test_environments_without_state_start_new_episodes(point_env: Any, caplog: pytest.LogCaptureFixture) -> None:
-    class Forgetful(point_env):  # type: ignore[misc]
-        state = restore = property()
-
-    envs = SampledEnvs([Forgetful] * 2, seed=0)
-    envs.reset()
-    envs.step(np.zeros((2, 2)))
-    observations = envs.restore(envs.state())
-    assert observations["place"].shape == (2, 2)
-    assert "they start new episodes" in caplog.text
-
-
 def test_what_is_not_finite_stops_with_one_sentence(point_env: Any) -> None:
     envs = SampledEnvs([point_env, lambda: point_env(broken_at=3)], seed=0)
     envs.reset()
     with pytest.raises(NotFiniteError, match="observation 'place' of environment 1 is not finite after 6 decisions"):
         _play(envs, 5)
-
-
-def test_only_the_keys_asked_for(point_env: Any) -> None:
-    envs = SampledEnvs([lambda: point_env(("place", "range", "image"))], seed=0, keys=("range",))
-    assert list(envs.observation_space.spaces) == ["range"]
-    assert list(envs.reset()) == ["range"]
-    with pytest.raises(ValueError, match="no observation joints; the environment gives place, range"):
-        SampledEnvs([lambda: point_env(("place", "range"))], seed=0, keys=("joints",))
-
-
-def test_a_single_box_is_sampled_too(point_env: Any) -> None:
-    envs = SampledEnvs([lambda: gymnasium.wrappers.FlattenObservation(point_env())] * 2, seed=0)
-    assert envs.reset().shape == (2, 2)
-    assert envs.step(np.zeros((2, 2)))[0].shape == (2, 2)
-
-
-def test_observation_wrappers_are_kept_in_a_restore(point_env: Any) -> None:
-    def make() -> SampledEnvs:
-        return SampledEnvs([lambda: gymnasium.wrappers.FlattenObservation(point_env(("place", "range")))] * 2, seed=3)
-
-    envs, other = make(), make()
-    envs.reset()
-    expected = envs.step(np.full((2, 2), 0.5))[0]
-    np.testing.assert_array_equal(other.restore(envs.state()), expected)
-    for one, two in zip(envs.step(np.ones((2, 2)))[:3], other.step(np.ones((2, 2)))[:3], strict=True):
-        np.testing.assert_array_equal(one, two)
 
 
 def test_refusals_say_why(point_env: Any) -> None:
@@ -207,3 +147,51 @@ def test_refusals_say_why(point_env: Any) -> None:
     envs.reset()
     with pytest.raises(ValueError, match="has 1 environments, this one 2"):
         SampledEnvs([point_env] * 2, seed=0).restore(envs.state())
+
+
+def test_encoded_environments_give_features_at_every_moment() -> None:
+    encoder, _ = fitted("image", "mask")
+    envs = EncodedEnvs(DummyVecEnv([Rod, Rod]), encoder, passthrough=("joints",))
+    plain = DummyVecEnv([Rod, Rod])
+    assert set(envs.observation_space.spaces) == {"features", "joints"}  # type: ignore[attr-defined]
+    observations, raw = envs.reset(), plain.reset()
+    generator = np.random.default_rng(0)
+    ends = 0
+    for _ in range(31):
+        assert observations["features"].shape == (2, 12)
+        assert np.allclose(observations["features"], envs.encode(raw)["features"], atol=1e-5)  # type: ignore[arg-type]
+        assert np.array_equal(observations["joints"], raw["joints"])  # type: ignore[call-overload, index]
+        actions = generator.uniform(-1, 1, (2, 2)).astype(np.float32)
+        observations, _, dones, infos = envs.step(actions)  # type: ignore[assignment]
+        raw, _, _, plain_infos = plain.step(actions)
+        for index in np.flatnonzero(dones):
+            ends += 1
+            last = {key: value[None] for key, value in plain_infos[index]["terminal_observation"].items()}
+            expected = envs.encode(last)["features"][0]
+            assert set(infos[index]["terminal_observation"]) == {"features", "joints"}
+            assert np.allclose(infos[index]["terminal_observation"]["features"], expected, atol=1e-5)
+    assert ends == 2
+
+
+def test_observation_wrappers_are_kept_in_a_restore(point_env: Any) -> None:
+    def make() -> SampledEnvs:
+        return SampledEnvs([lambda: gymnasium.wrappers.FlattenObservation(point_env(("place", "range")))] * 2, seed=3)
+
+    envs, other = make(), make()
+    envs.reset()
+    expected = envs.step(np.full((2, 2), 0.5))[0]
+    np.testing.assert_array_equal(other.restore(envs.state()), expected)
+    for one, two in zip(envs.step(np.ones((2, 2)))[:3], other.step(np.ones((2, 2)))[:3], strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+def test_environments_without_state_start_new_episodes(point_env: Any, caplog: pytest.LogCaptureFixture) -> None:
+    class Forgetful(point_env):  # type: ignore[misc]
+        state = restore = property()
+
+    envs = SampledEnvs([Forgetful] * 2, seed=0)
+    envs.reset()
+    envs.step(np.zeros((2, 2)))
+    observations = envs.restore(envs.state())
+    assert observations["place"].shape == (2, 2)
+    assert "they start new episodes" in caplog.text

@@ -1,7 +1,5 @@
 """A training that starts from a policy: what it takes over, what it refuses, and that it goes on exactly."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -12,8 +10,7 @@ import torch
 
 from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointError
-from enn.reinforcement.training import DESK_PPO, Progress, Training
-from enn.reinforcement.training.training import TrainingRun
+from enn.reinforcement.training import Progress, Training
 from tests.enn.conftest import PointEnv
 from tests.enn.reinforcement.small_training import SMALL
 
@@ -52,21 +49,6 @@ def test_it_begins_with_the_policys_weights_and_keeps_them_if_none_are_better(tr
     assert result.curve[-1]["success"] > 0.8
 
 
-def test_learning_goes_on_from_the_critics_and_the_entropys_weight(trained: Path, point_env: Any) -> None:
-    initial = Policy.load(trained)
-    run = TrainingRun(Training(SHORT, point_env, seed=5, initial=initial), None)
-    weight = float(run.learner.model.log_ent_coef.detach().exp())  # type: ignore[union-attr]
-    assert weight == pytest.approx(initial.metadata["entropy_weight"])
-    assert weight != pytest.approx(0.05)  # where it began
-    run.close()
-    result = Training(dataclasses.replace(SHORT, keep_critics=False), point_env, seed=5, initial=initial).run()
-    assert result.timings["updates"] > 50
-    assert result.evaluation is not None
-    assert result.evaluation["success"] == 1.0
-    mean = result.policy.module.actor.features_extractor.mean
-    torch.testing.assert_close(mean, initial.module.actor.features_extractor.mean, rtol=0, atol=0)
-
-
 def test_an_interrupted_one_goes_on_exactly(
     trained: Path, point_env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -90,16 +72,6 @@ def test_an_interrupted_one_goes_on_exactly(
         torch.testing.assert_close(parts.policy.module.state_dict()[name], value, rtol=0, atol=0, msg=name)
 
 
-def test_ppo_starts_from_a_policy(point_env: Any) -> None:
-    settings = dataclasses.replace(
-        DESK_PPO, action_repeat=1, decisions=600, hidden=(16,), n_steps=32, log_std_final=None, evaluate_every=0
-    )
-    first = Training(settings, point_env, seed=0).run().policy
-    second = Training(dataclasses.replace(settings, decisions=8), point_env, seed=1, initial=first).run().policy
-    for name, value in first.module.state_dict().items():
-        torch.testing.assert_close(second.module.state_dict()[name], value, rtol=0, atol=0, msg=name)
-
-
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
@@ -116,11 +88,3 @@ def test_a_policy_without_critics_is_refused(trained: Path, point_env: Any, tmp_
     Policy.load(trained).save(tmp_path / "acting.pt")
     with pytest.raises(ValueError, match="has no critics"):
         Training(SHORT, point_env, initial=Policy.load(tmp_path / "acting.pt")).run()
-
-
-def test_the_network_of_a_policy_becomes_the_trainings(trained: Path) -> None:
-    policy = Policy.load(trained)
-    settings = dataclasses.replace(SHORT, hidden=(8,)).with_network(policy.network)
-    assert settings.hidden == (32, 32)
-    assert settings.network == policy.network
-    assert settings.decisions == SHORT.decisions

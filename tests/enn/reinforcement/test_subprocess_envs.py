@@ -1,7 +1,5 @@
 """Environments in a process of their own: the same as here, what goes wrong there, and that it ends."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

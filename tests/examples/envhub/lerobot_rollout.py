@@ -3,8 +3,6 @@
 python lerobot_rollout.py ENV.PY PHANTOM/TARGET
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The entry of LeRobot's EnvHub: its documented contract, the same as exported data sets, and LeRobot itself."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os
@@ -29,8 +27,6 @@ FORWARD = np.array([1.0, 0.0], np.float32)
 def entry() -> ModuleType:
     """The module as LeRobot loads it, from its path alone."""
     spec = importlib.util.spec_from_file_location("hub_env_user_repository", ENTRY)
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

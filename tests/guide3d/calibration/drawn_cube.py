@@ -1,7 +1,5 @@
 """A drawn sheet and cube of half the real size, for the calibration tests, with everything about them known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

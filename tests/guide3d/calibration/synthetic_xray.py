@@ -4,8 +4,6 @@ The detector is an image intensifier: a pincushion and a swirl between the ideal
 light towards its rim, noise that grows with the light.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping
 from typing import Annotated

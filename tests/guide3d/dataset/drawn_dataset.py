@@ -1,7 +1,5 @@
 """A tiny data set in the public layout, drawn without a simulator."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Annotation files, splits and masks of the data set."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path
@@ -83,7 +81,6 @@ def test_curves_round_trip_and_damage(tmp_path: Path) -> None:
     curves = read_curves(tmp_path / "set" / "sphere.json", [])
     assert set(curves) == {("1-bca-angle-1", 0), ("1-bca-angle-1", 1)}
     space = curves["1-bca-angle-1", 0].space
-    assert space is not None
     nearest = np.linalg.norm(space.sample(2000)[:, None] - wire(0.0)[None], axis=2).min(axis=0)
     assert nearest.max() < 0.05
     text = (tmp_path / "set" / "sphere.json").read_text()
@@ -150,32 +147,9 @@ def test_partners_with_and_without_fluid_stay_together() -> None:
     assert all(groups)
 
 
-def test_few_acquisitions_leave_no_part_empty() -> None:
-    parts = split_acquisitions(kinds(3, frames=7))
-    assert all((parts.train, parts.validation, parts.test))
-    with pytest.raises(ValueError, match="add up to 1"):
-        split_acquisitions(kinds(3), (0.8, 0.1, 0.2))
-    with pytest.raises(ValueError, match="no acquisition"):
-        split_acquisitions({})
-
-
 def test_a_mask_has_the_area_of_its_strip() -> None:
     mask = strip_mask([[20.0, 30.0], [80.0, 70.0], [100.0, 20.0]], SIZE, SIZE, 6.0)
     lengths = np.hypot(60, 40) + np.hypot(20, 50)
     expected = 6.0 * lengths + np.pi * 9  # a strip and its round ends; the bend takes away what it adds
     assert mask.dtype == np.uint8
     assert (mask > 0).sum() == pytest.approx(expected, rel=0.02)
-
-
-def test_mask_of_a_diagonal_by_hand() -> None:
-    mask = strip_mask([[1.0, 1.0], [4.0, 1.0]], 6, 4, 2.0)
-    assert np.array_equal(mask > 0, [[0, 1, 1, 1, 1, 0], [1, 1, 1, 1, 1, 1], [0, 1, 1, 1, 1, 0], [0, 0, 0, 0, 0, 0]])
-    with pytest.raises(ValueError, match="width_px"):
-        strip_mask([[1.0, 1.0], [4.0, 1.0]], 6, 4, 0.0)
-
-
-def test_a_mask_beyond_the_border_is_cut() -> None:
-    mask = strip_mask([[-10.0, 5.0], [60.0, 5.0]], 20, 10, 4.0)
-    assert mask.shape == (10, 20)
-    assert (mask[3:8] == 255).all()
-    assert not mask[:3].any()

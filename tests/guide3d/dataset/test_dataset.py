@@ -1,6 +1,4 @@
-"""The data set on disk: what is read back, what is damaged, what is missing."""
-
-from __future__ import annotations
+"""The data set: what was written is read, what cannot be used is left out by name, simulated annotations."""
 
 import json
 import os
@@ -11,11 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from guide3d.dataset.acquisition_split import COMPOSITION, composition, plan_acquisitions
 from guide3d.dataset.cvat import write_cvat
-from guide3d.dataset.dataset import Dataset, split
+from guide3d.dataset.dataset import Dataset
 from guide3d.dataset.frame import ImageError
+from guide3d.dataset.simulated_annotation import annotate, click, fit_annotation, visible_part
 from guide3d.dataset.true_curves import TrueCurve, write_truth
-from guide3d.geometry.polyline import arc_length
+from guide3d.geometry.polyline import arc_length, distances_to
 from tests.guide3d.dataset.drawn_dataset import SIZE, annotation, cameras, wire, write_dataset
 
 REAL = Path(__file__).resolve().parents[4] / "shared" / "real"
@@ -51,7 +51,6 @@ def test_what_was_written_is_read(kept: Path) -> None:
     expected = annotation("1-bca-straight-3", 1, wire(0.4 * 2 + 0.05))
     assert np.abs(frame.polyline("a") - expected.points_a).max() <= 0.0051
     assert frame.image("b").shape == (SIZE, SIZE)
-    assert data.camera_a is not None
     assert np.allclose(data.camera_a.P, cameras()["a"].P)
     assert np.allclose(np.diff(arc_length(frame.curve_mm))[:-1], 0.5, atol=0.002)
     seen, drawn = data.camera_a.project(frame.curve_mm), cameras()["a"].project(wire(0.85))
@@ -60,14 +59,6 @@ def test_what_was_written_is_read(kept: Path) -> None:
     assert np.abs(frame.spline("a").sample(50)[[0, -1]] - frame.polyline("a")[[0, -1]]).max() < 0.05
     assert np.abs(frame.reconstruction_mm[0] - wire(0.85)[0]).max() < 0.01
     assert np.allclose(np.diff(arc_length(frame.reconstruction_mm)), 1.0, atol=0.01)
-
-
-def test_a_mask_covers_the_wire_of_the_image(kept: Path) -> None:
-    frame = Dataset.open(kept).frames[0]
-    image, mask = frame.image("a"), frame.mask("a", 3.0)
-    assert set(np.unique(mask)) == {0, 255}
-    assert (image[mask > 0] < 100).all()
-    assert (image[mask == 0] > 100).all()
 
 
 def test_truth_ends_where_the_wire_leaves_an_image(tmp_path: Path) -> None:
@@ -124,30 +115,6 @@ def test_missing_camera_file_and_missing_root(root: Path, tmp_path: Path) -> Non
         Dataset.open(tmp_path / "empty")
 
 
-def test_images_that_cannot_be_used_say_so(root: Path) -> None:
-    data = Dataset.open(root)
-    frame = data.frames[0]
-    path = frame.image_path("a")
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(ImageError, match=r"0-bca-angle-2-2/000\.png cannot be read"):
-        frame.image("a")
-    Image.new("L", (64, 64)).save(path)
-    with pytest.raises(ImageError, match="expected 128 x 128 px, got 64 x 64"):
-        frame.image("a")
-    path.unlink()
-    with pytest.raises(ImageError, match="is missing"):
-        frame.image("a")
-
-
-def test_annotations_without_images(root: Path) -> None:
-    shutil.rmtree(root / "images")
-    frame = Dataset.open(root).frames[0]
-    assert frame.mask("a").any()
-    with pytest.raises(ImageError, match="annotations only"):
-        frame.image("a")
-
-
 def test_names_in_capitals_are_found_and_hidden_files_are_not(root: Path, tmp_path: Path) -> None:
     expected = Dataset.open(root)
     for name in ("raw.json", "sphere.json", "truth.json", "dataset.json"):
@@ -188,14 +155,6 @@ def test_properties_say_whether_annotations_are_undistorted(root: Path) -> None:
         Dataset.open(root)
 
 
-def test_a_data_set_splits_by_acquisition(kept: Path) -> None:
-    data = Dataset.open(kept)
-    parts = split(data, seed=3)
-    assert parts == split(data, seed=3)
-    names = [*parts.train, *parts.validation, *parts.test]
-    assert sorted(names) == sorted(data.acquisitions)
-
-
 @pytest.mark.skipif(not REAL.is_dir(), reason="the real data are not there (../shared/real)")
 def test_the_public_sample_opens_without_images() -> None:
     data = Dataset.open(REAL / "guide3d_raw_sample.json")
@@ -208,3 +167,95 @@ def test_the_public_sample_opens_without_images() -> None:
     assert frame.curve_mm is None
     with pytest.raises(ValueError, match="several sets of cameras"):
         Dataset.open(REAL / "guide3d_raw_sample.json", calibration=REAL / "xray_calibration")
+
+
+SIMULATED_ANNOTATION_SIZE = 256
+
+
+def hook(count: int = 2000) -> np.ndarray:
+    """(count, 2) px: a straight stretch and a tight bend of 12 px radius."""
+    bend = np.pi * np.linspace(0.0, 1.0, count // 2)
+    return np.concatenate(
+        [
+            np.column_stack([50 + 12 * np.sin(bend[::-1]), 40 - 12 * np.cos(bend[::-1])]),
+            np.column_stack([np.linspace(50, -30, count // 2), np.full(count // 2, 28.0)]),
+        ]
+    )
+
+
+def test_exact_annotations_stay_within_a_tenth_of_a_pixel() -> None:
+    wire = hook()
+    points = annotate(wire, 0.0, SIMULATED_ANNOTATION_SIZE, np.random.default_rng(0))
+    assert distances_to(points, wire).max() < 0.1
+    assert np.array_equal(points[[0, -1]], wire[[0, -1]])
+    assert len(points) < 60
+
+
+def test_clicks_are_apart_noisy_and_reach_both_ends() -> None:
+    wire = np.column_stack([np.linspace(10.0, 240.0, 4000), np.full(4000, 100.0)])
+    drawn = [annotate(wire, 1.0, SIMULATED_ANNOTATION_SIZE, np.random.default_rng(seed)) for seed in range(200)]
+    assert np.array_equal(drawn[3], annotate(wire, 1.0, SIMULATED_ANNOTATION_SIZE, np.random.default_rng(3)))
+    assert all(8 <= len(points) <= 17 for points in drawn)
+    off = np.concatenate([points[:, 1] - 100.0 for points in drawn])
+    assert off.std() == pytest.approx(1.0, abs=0.06)
+    ends = np.array([points[[0, -1], 0] for points in drawn])
+    assert np.abs(ends.mean(axis=0) - [10.0, 240.0]).max() < 0.25
+    bent = hook() + np.array([40.0, 0.0])
+    assert (
+        distances_to(annotate(bent, 1e-9, SIMULATED_ANNOTATION_SIZE, np.random.default_rng(0)), bent).max() < 1.5
+    )  # closer in a bend
+
+
+def test_composition_is_the_thesiss() -> None:
+    assert composition(8746) == {kind: count // 2 for kind, count in COMPOSITION.items()}
+    for images in (8, 40, 2400):
+        counts = composition(images)
+        assert sum(counts.values()) == images // 2
+        assert min(counts.values()) >= 1
+    assert composition(2400)[True, "angled"] == round(1200 * 3664 / 8746)
+
+
+def test_a_plan_names_every_acquisition_once_and_repeats_itself() -> None:
+    plan = plan_acquisitions(2400, 13, ["type_1", "type_2"], ["bca", "lsa"])
+    assert len({one.name for one in plan}) == len(plan)
+    assert sum(one.pairs for one in plan) == 1200
+    assert max(one.pairs for one in plan) <= 13
+    assert {one.target for one in plan} == {"bca", "lsa"}
+    assert {one.phantom for one in plan} == {"type_1", "type_2"}
+    assert plan == plan_acquisitions(2400, 13, ["type_1", "type_2"], ["bca", "lsa"])
+
+
+def test_a_curve_is_cut_where_it_leaves_the_image() -> None:
+    wire = hook()
+    part = visible_part(wire, arc_length(wire), SIMULATED_ANNOTATION_SIZE)
+    assert part is not None
+    assert part.points[-1] == pytest.approx([0.0, 28.0])
+    assert part.length == pytest.approx(12 * np.pi + 50, abs=1e-3)
+    assert visible_part(wire[::-1], arc_length(wire), SIMULATED_ANNOTATION_SIZE) is None
+    whole = visible_part(wire + np.array([40.0, 0.0]), arc_length(wire), SIMULATED_ANNOTATION_SIZE)
+    assert whole is not None
+    assert len(whole.points) == len(wire)
+
+
+def test_clicks_on_an_annotation_are_as_near_as_their_noise() -> None:
+    exact = annotate(hook() + np.array([40.0, 0.0]), 0.0, SIMULATED_ANNOTATION_SIZE, np.random.default_rng(0))
+    clicked = click(exact, 1.0, SIMULATED_ANNOTATION_SIZE, np.random.default_rng(1))
+    assert 0.2 < distances_to(exact, clicked).mean() < 1.5
+    assert distances_to(fit_annotation(clicked, 1.0).sample(300), clicked).max() < 4.0
+    assert distances_to(fit_annotation(exact, 0.0).sample(300), exact).max() < 0.3
+
+
+def test_images_that_cannot_be_used_say_so(root: Path) -> None:
+    data = Dataset.open(root)
+    frame = data.frames[0]
+    path = frame.image_path("a")
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ImageError, match=r"0-bca-angle-2-2/000\.png cannot be read"):
+        frame.image("a")
+    Image.new("L", (64, 64)).save(path)
+    with pytest.raises(ImageError, match="expected 128 x 128 px, got 64 x 64"):
+        frame.image("a")
+    path.unlink()
+    with pytest.raises(ImageError, match="is missing"):
+        frame.image("a")

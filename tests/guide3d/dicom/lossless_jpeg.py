@@ -1,7 +1,5 @@
 """A JPEG lossless encoder (process 14, selection value 1) for test files: one Huffman table, every category 5 bits."""
 
-from __future__ import annotations
-
 import struct
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cameras of a C-arm: projections by hand, the simulator's C-arm, what is missing, mirrored pictures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

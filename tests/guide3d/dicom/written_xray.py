@@ -1,7 +1,5 @@
 """X-ray files as pydicom writes them: plain and enhanced runs whose every attribute the caller chooses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,16 +1,17 @@
-"""Cameras: projection, decomposition, and the files that hold them."""
-
-from __future__ import annotations
-
-import dataclasses
+"""Cameras and curves: files, epipolar geometry, splines, metrics."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from guide3d.geometry.bspline import BSplineCurve, fit_bspline
 from guide3d.geometry.camera import Camera, read_camera, read_opencv_yaml, write_camera, write_opencv_yaml
-from guide3d.geometry.distortion import Distortion
+from guide3d.geometry.epipolar import EpipolarGeometry, epilines, fundamental_matrix
+from guide3d.geometry.metrics import chamfer, curve_metrics, distances_along, frechet, max_ed, mers, mete
+from guide3d.geometry.polyline import arc_length, at_length, checked, distances_to, resample
+from guide3d.geometry.triangulation import calibration_covariance, point_covariance, triangulate, triangulate_linear
 from guide3d.opencv import cv2
+from guide3d.reconstruction.synthetic_scene import rig
 
 
 @pytest.fixture
@@ -29,28 +30,12 @@ def test_projection_is_that_of_the_matrix_and_keeps_shapes(camera):
     assert np.allclose(camera.depth_mm(points), homogeneous[..., 2])
 
 
-def test_rays_pass_through_their_points(camera):
-    points = np.random.default_rng(1).normal(size=(7, 3)) * 60
-    away = points - camera.centre_mm
-    assert np.allclose(camera.rays(camera.project(points)), away / np.linalg.norm(away, axis=1, keepdims=True))
-
-
-def test_contains_counts_from_the_pixel_centres(camera):
-    inside = camera.contains([[-0.5, 0.0], [1023.5, 999.5], [-0.6, 0.0], [0.0, 999.6]])
-    assert inside.tolist() == [True, True, False, False]
-
-
 @pytest.mark.parametrize("scale", [1.0, -3.0, 1e-6])
 def test_a_matrix_of_any_scale_gives_the_camera_back(camera, scale):
     again = Camera.from_P(scale * camera.P, 1024, 1000)
     assert np.allclose(again.K, camera.K, atol=1e-6)
     assert np.allclose(again.R, camera.R)
     assert np.allclose(again.t_mm, camera.t_mm)
-
-
-def test_arrays_of_a_camera_are_its_own(camera):
-    with pytest.raises(ValueError, match="read-only"):
-        camera.K[0, 0] = 1.0
 
 
 @pytest.mark.parametrize("unit", ["mm", "cm", "m"])
@@ -68,15 +53,6 @@ def test_xmalab_files_keep_everything_but_the_covariance(camera, tmp_path, unit)
         "translation",
     ]
     assert list(tmp_path.glob("new/.*")) == []  # nothing half-written is left
-
-
-def test_yaml_files_keep_everything(camera, tmp_path):
-    write_opencv_yaml(camera, tmp_path / "camera.yaml", unit="m")
-    again = read_opencv_yaml(tmp_path / "camera.yaml")
-    assert np.allclose(again.P, camera.P, rtol=1e-12)
-    assert np.allclose(again.covariance, camera.covariance)
-    assert again.name == "16710"
-    assert (tmp_path / "camera.yaml").read_text().startswith("%YAML:1.0\n---\n")
 
 
 def test_yaml_files_go_to_opencv_and_back(camera, tmp_path):
@@ -158,11 +134,180 @@ def test_a_camera_refuses_what_is_none(camera):
         write_camera(camera, "never.txt", unit="inch")
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_arrays_of_cameras_and_distortions_are_finite(camera, value):
-    for name in ("K", "R", "t_mm"):
-        with pytest.raises(ValueError, match=f"{name} should be .* of finite numbers"):
-            dataclasses.replace(camera, **{name: np.full_like(getattr(camera, name), value)})
-    with pytest.raises(ValueError, match="control points must be finite"):
-        Distortion(np.zeros((4, 2)), np.full((4, 2), value), 64, 64)
-    assert isinstance(Camera(camera.K.tolist(), camera.R, camera.t_mm, 64, 64).K, np.ndarray)
+def cameras_and_points(seed: int = 0, count: int = 40) -> tuple[Camera, Camera, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return *rig(rng), rng.uniform(-60.0, 60.0, (count, 3))
+
+
+def test_images_of_one_point_satisfy_the_epipolar_constraint() -> None:
+    a, b, X = cameras_and_points()
+    F = fundamental_matrix(a, b)
+    assert abs(np.linalg.det(F)) < 1e-12
+    assert np.linalg.norm(F) == pytest.approx(1.0)
+    lines = epilines(F, a.project(X))
+    assert np.abs((lines[:, :2] * b.project(X)).sum(1) + lines[:, 2]).max() < 1e-7
+    assert np.abs(EpipolarGeometry(a, b).signed_distance(a.project(X), b.project(X))).max() < 1e-9
+
+
+def test_triangulation_returns_the_point() -> None:
+    a, b, X = cameras_and_points(2)
+    for method in (triangulate_linear, triangulate):
+        assert np.abs(method(a, b, a.project(X), b.project(X)) - X).max() < 1e-6
+    with pytest.raises(ValueError, match="two lists of as many points"):
+        triangulate(a, b, np.zeros((3, 2)), np.zeros((2, 2)))
+
+
+def test_refined_triangulation_leaves_less_in_the_images() -> None:
+    a, b, X = cameras_and_points(3, 400)
+    rng = np.random.default_rng(3)
+    x_a, x_b = (camera.project(X) + rng.normal(0.0, 2.0, (len(X), 2)) for camera in (a, b))
+
+    def left(points: np.ndarray) -> np.ndarray:
+        return ((a.project(points) - x_a) ** 2).sum(1) + ((b.project(points) - x_b) ** 2).sum(1)
+
+    linear, refined = triangulate_linear(a, b, x_a, x_b), triangulate(a, b, x_a, x_b)
+    assert (left(refined) <= left(linear) + 1e-9).all()
+    error = refined - X
+    predicted = point_covariance(a, b, X, 2.0)
+    squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(predicted), error)
+    assert squares.mean() == pytest.approx(3.0, rel=0.15)
+
+
+def test_the_cameras_covariance_moves_points_as_sampled_cameras_do() -> None:
+    a, b, X = cameras_and_points(4, 3)
+    sd = np.array([3.0, 3.0, 1.0, 4.0, 4.0, 5e-4, 5e-4, 5e-4, 0.3, 0.3, 0.5])
+    uncertain = Camera(a.K, a.R, a.t_mm, a.width, a.height, "A", np.diag(sd**2))
+    assert np.array_equal(calibration_covariance(a, b, X), np.zeros((3, 3, 3)))
+    rng, moved = np.random.default_rng(0), []
+    for _ in range(600):
+        fx, fy, skew, cx, cy, *rest = rng.normal(0.0, sd)
+        K = a.K + np.array([[fx, skew, cx], [0.0, fy, cy], [0.0, 0.0, 0.0]])
+        R = Rotation.from_rotvec(rest[:3]).as_matrix() @ a.R
+        other = Camera(K, R, a.t_mm + rest[3:], a.width, a.height)
+        moved.append(triangulate(a, b, other.project(X), b.project(X)) - X)
+    sampled = np.einsum("kni,knj->nij", moved, moved) / len(moved)
+    predicted = calibration_covariance(uncertain, b, X)
+    assert np.allclose(np.trace(sampled, axis1=1, axis2=2), np.trace(predicted, axis1=1, axis2=2), rtol=0.15)
+
+
+def circle(radius: float, count: int = 60) -> np.ndarray:
+    angle = np.linspace(0.0, 1.5 * np.pi, count)
+    return radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def test_spline_goes_through_its_points_by_chord_length() -> None:
+    points = circle(100.0)
+    curve = fit_bspline(points)
+    assert np.allclose(curve.at(arc_length(points)), points, atol=1e-9)
+    assert curve.domain == pytest.approx((0.0, arc_length(points)[-1]))
+    between = np.linalg.norm(curve.sample(2000), axis=1)
+    assert np.abs(between - 100.0).max() < 1e-3
+    steps = np.linalg.norm(np.diff(curve.sample(2000), axis=0), axis=1)
+    assert np.abs(steps * 1999 / np.ptp(curve.domain) - 1.0).max() < 2e-3  # chord length is nearly arc length
+
+
+def test_the_public_layout_round_trips() -> None:
+    curve = fit_bspline(circle(80.0))
+    entry = curve.to_tck(u=[0.0, 1.0])
+    assert set(entry) == {"tck", "u"}
+    assert len(entry["tck"]["c"]) == 2
+    assert entry["u"] == [0.0, 1.0]
+    back = BSplineCurve.from_tck(entry)
+    u = np.linspace(*curve.domain, 30)
+    assert np.array_equal(back.at(u), curve.at(u))
+    padded = {"t": entry["tck"]["t"], "c": [[*row, 0, 0, 0, 0] for row in entry["tck"]["c"]], "k": 3}
+    assert np.array_equal(BSplineCurve.from_tck(padded).at(u), curve.at(u))
+    with pytest.raises(ValueError, match=r"\['k'\] missing"):
+        BSplineCurve.from_tck({"tck": {"t": [], "c": []}})
+    with pytest.raises(ValueError, match=r"expected \(n, d\) coefficients and n"):
+        BSplineCurve(np.arange(5.0), np.zeros((3, 2)))
+
+
+LINE = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
+
+
+def test_a_shifted_line_is_off_by_its_shift_everywhere() -> None:
+    shifted = LINE + np.array([0.0, 2.0, 0.0])
+    assert curve_metrics(LINE, shifted) == pytest.approx(
+        {"max_ed": 2.0, "mete": 2.0, "mers": 2.0, "frechet": 2.0, "chamfer": 2.0}
+    )
+    assert curve_metrics(LINE, LINE) == pytest.approx(
+        dict.fromkeys(("max_ed", "mete", "mers", "frechet", "chamfer"), 0.0)
+    )
+
+
+def test_points_are_compared_at_equal_arc_length_up_to_the_shorter_length() -> None:
+    bent = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [4.0, 3.0, 0.0]])
+    along = distances_along(LINE, bent)
+    assert len(along) == 8
+    assert along[4] == 0.0
+    assert along[-1] == pytest.approx(3.0 * np.sqrt(2.0))
+    longer = np.array([[0.0, 0.0, 0.0], [30.0, 0.0, 0.0]])
+    assert max_ed(LINE, longer) == 0.0
+    assert frechet(LINE, longer) == pytest.approx(20.0)
+    assert chamfer(LINE, longer) == pytest.approx(np.maximum(np.arange(31) - 10, 0).mean() / 2)
+
+
+def test_frechet_lies_between_the_ends_and_a_walk_over_the_corners() -> None:
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        a, b = (np.cumsum(rng.normal(size=(count, 3)), axis=0) for count in (7, 9))
+        # over the corners alone: no less than over all points between them
+        distance = np.linalg.norm(a[:, None] - b[None], axis=2)
+        best = np.full(distance.shape, np.inf)
+        for i in range(len(a)):
+            for j in range(len(b)):
+                before = min(
+                    (best[k, m] for k, m in ((i - 1, j), (i, j - 1), (i - 1, j - 1)) if k >= 0 and m >= 0), default=0.0
+                )
+                best[i, j] = max(before, distance[i, j])
+        fine = frechet(a, b, spacing_mm=0.01)
+        assert max(mete(a, b), np.linalg.norm(a[-1] - b[-1])) - 1e-9 <= fine <= best[-1, -1] + 0.02
+
+
+def test_bad_curves_are_refused() -> None:
+    with pytest.raises(ValueError, match="curve b: expected at least 2 different points"):
+        mete(LINE, LINE[:1])
+    with pytest.raises(ValueError, match=r"curve a: expected points of shape \(n, 3\)"):
+        max_ed(LINE[:, :2], LINE)
+    with pytest.raises(ValueError, match="spacing_mm"):
+        mers(LINE, LINE, spacing_mm=0.0)
+
+
+SQUARE = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0]])
+
+
+def test_arc_length_and_points_at_it() -> None:
+    assert arc_length(SQUARE).tolist() == [0.0, 3.0, 7.0]
+    assert at_length(SQUARE, [1.5, 5.0, 99.0]).tolist() == [[1.5, 0.0], [3.0, 2.0], [3.0, 4.0]]
+
+
+def test_resampling_is_even_and_starts_at_the_tip() -> None:
+    by_spacing, by_count = resample(SQUARE, spacing=1.0), resample(SQUARE, count=8)
+    assert np.allclose(by_spacing, by_count)
+    assert np.array_equal(by_spacing[0], SQUARE[0])
+    assert len(resample(SQUARE, spacing=2.0)) == 4  # the end, 1 further, is left out
+    with pytest.raises(ValueError, match="either spacing or count"):
+        resample(SQUARE)
+    with pytest.raises(ValueError, match="spacing above 0"):
+        resample(SQUARE, spacing=0.0)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ([[1.0, 2.0]], "camera A: expected at least 2 different points, got 1"),
+        ([[1.0, 2.0], [1.0, 2.0]], "at least 2 different points, got 1"),
+        ([1.0, 2.0], r"expected points of shape \(n, 2\), got \(2,\)"),
+        ([[0.0, 0.0], [np.nan, 1.0]], "point 1 is not finite"),
+        (np.zeros((0, 2)), "at least 2 different points, got 0"),
+    ],
+)
+def test_what_is_no_polyline_is_refused(points: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        checked(points, 2, "annotation of camera A")  # type: ignore[arg-type]
+
+
+def test_distance_to_a_polyline() -> None:
+    line = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]])
+    assert distances_to(line, [[5.0, 2.0], [12.0, 5.0], [-3.0, 4.0]]).tolist() == [2.0, 2.0, 5.0]

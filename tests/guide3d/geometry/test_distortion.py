@@ -1,14 +1,10 @@
 """The sheet's holes and the distortion map, against a drawn image intensifier."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from guide3d.calibration.hexagonal_lattice import lattice_points
 from guide3d.calibration.perforated_sheet import SheetHoles, find_holes
-from guide3d.geometry.displacement_field import LocalWeightedMean, SplineField
 from guide3d.geometry.distortion import METHODS, Distortion, ideal_lattice, leave_out_errors, swirl_pattern
 from tests.guide3d.calibration.drawn_cube import DETECTORS, among_holes, drawn_sheet
 
@@ -29,17 +25,6 @@ def test_every_hole_is_found_where_it_is(sheet):
     assert np.sqrt((distance[whole] ** 2).mean()) < 0.08
     # what was found beyond the true ones are holes cut by the border or the rim, never clutter
     assert len(holes) < 1.08 * len(true)
-
-
-def test_indices_are_those_of_the_lattice(sheet):
-    _, _, holes = sheet
-    ideal = DETECTORS["A"].undistort(holes.centres_px[~holes.partial])
-    places = lattice_points(holes.indices[~holes.partial])
-    A = np.column_stack([places, np.ones(len(places))])
-    fit, *_ = np.linalg.lstsq(A, ideal, rcond=None)
-    assert np.abs(A @ fit - ideal).max() < 1.0  # one wrong index would be off by a whole pitch
-    assert np.linalg.det(fit[:2]) > 0  # not mirrored
-    assert holes.pitch_px == pytest.approx(13.0, rel=0.08)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -84,17 +69,6 @@ def test_the_ideal_frame_does_not_hang_on_border_holes(sheet):
         ideal_lattice(holes, "frame")
 
 
-def test_an_undistorted_sheet_is_regular(sheet):
-    image, _, holes = sheet
-    straight = Distortion.from_holes(holes).undistort_image(image)
-    assert straight.shape == image.shape
-    assert straight.dtype == np.uint8
-    again = find_holes(straight)
-    ideal = ideal_lattice(again)
-    assert np.linalg.norm(ideal - again.centres_px, axis=1).mean() < 0.3
-    assert np.linalg.norm(ideal_lattice(holes) - holes.centres_px, axis=1).mean() > 1.5
-
-
 def test_images_are_moved_as_points_are(sheet):
     image, _, holes = sheet
     distortion = Distortion.from_holes(holes)
@@ -132,19 +106,6 @@ def test_saved_maps_and_swirls(sheet, tmp_path):
         Distortion.load(tmp_path / "none.npz")
 
 
-def test_fields_reproduce_quadratics_and_lines():
-    rng = np.random.default_rng(0)
-    sources, points = rng.uniform(0, 100, size=(300, 2)), rng.uniform(10, 90, size=(50, 2))
-
-    def bent(p: np.ndarray) -> np.ndarray:
-        return p + np.column_stack([1e-3 * p[:, 0] ** 2 - 2, 5e-4 * p[:, 0] * p[:, 1]])
-
-    assert np.abs(LocalWeightedMean(sources, bent(sources), 12)(points) - bent(points)).max() < 1e-6
-    assert np.abs(SplineField(sources, bent(sources), (100, 100), 6)(points) - bent(points)).max() < 1e-2
-    with pytest.raises(ValueError, match="expected at least 6 neighbours and no fewer control points, found 25 of 10"):
-        LocalWeightedMean(sources[:10], sources[:10])
-
-
 @pytest.mark.parametrize("kind", ["noise", "smooth", "stripes", "tiny", "colour"])
 def test_what_is_no_sheet_is_refused(kind):
     rng = np.random.default_rng(0)
@@ -160,23 +121,16 @@ def test_what_is_no_sheet_is_refused(kind):
         find_holes(images[kind].astype(np.uint8))
 
 
-def test_an_image_of_another_size_is_refused(sheet):
-    with pytest.raises(ValueError, match=r"expected an image of 512 x 512 px, as the sheet's, found 300 x 200"):
-        Distortion.from_holes(sheet[2]).undistort_image(np.zeros((200, 300)))
-    with pytest.raises(ValueError, match=r"expected pixels of shape \(\.\.\., 2\)"):
-        Distortion.from_holes(sheet[2]).undistort_points(np.zeros((4, 3)))
-
-
-def test_a_known_distortion_is_sampled_as_by_a_sheet_without_error():
-    detector = DETECTORS["A"]
-    sampled = Distortion.of_function(detector.distort, 512)
-    ideal = np.random.default_rng(5).uniform(60, 450, size=(200, 2))
-    assert np.abs(sampled.distort_points(ideal) - detector.distort(ideal)).max() < 0.05
-
-
 def test_a_map_that_claims_more_than_memory_is_refused(tmp_path):
     many = np.zeros((5_000_000, 2))
     np.savez_compressed(tmp_path / "bomb.npz", size=[8, 8], fit=[1, 1], method="x", ideal_px=many, raw_px=many)
     assert (tmp_path / "bomb.npz").stat().st_size < 1e6
     with pytest.raises(ValueError, match=r"bomb\.npz: expected a map .* more points than any sheet"):
         Distortion.load(tmp_path / "bomb.npz")
+
+
+def test_an_image_of_another_size_is_refused(sheet):
+    with pytest.raises(ValueError, match=r"expected an image of 512 x 512 px, as the sheet's, found 300 x 200"):
+        Distortion.from_holes(sheet[2]).undistort_image(np.zeros((200, 300)))
+    with pytest.raises(ValueError, match=r"expected pixels of shape \(\.\.\., 2\)"):
+        Distortion.from_holes(sheet[2]).undistort_points(np.zeros((4, 3)))

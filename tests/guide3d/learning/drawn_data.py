@@ -1,7 +1,5 @@
 """A small drawn data set in the public layout: dark arcs on a bright ground, seen by two cameras, with the truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,14 +1,12 @@
 """Evaluation of networks on unseen acquisitions: known errors of known predictions."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 from guide3d.dataset.dataset import Dataset
-from guide3d.learning.evaluation import evaluate_segmentation, evaluate_shape, off_line_px
+from guide3d.learning.evaluation import evaluate_segmentation, evaluate_shape
 from guide3d.learning.picture_store import Preprocessing
 from tests.guide3d.learning.drawn_data import SIDE, draw
 
@@ -88,14 +86,3 @@ def test_masks_that_are_right_and_wrong(data: Dataset) -> None:
     assert np.array_equal(examples["true1"] > 0, examples["predicted1"] > 0)
     wrong, _ = evaluate_segmentation(_TrueMask(data, True), data, [name], images=3)  # type: ignore[arg-type]
     assert wrong["dice"] == wrong["miou"] == [0.0, 0.0]
-
-
-def test_projection_off_the_line(data: Dataset) -> None:
-    frame, camera = data.frames[0], data.camera_a
-    assert camera is not None
-    line = camera.project(frame.curve_mm)
-    assert off_line_px(camera, frame.curve_mm, line) < 0.3
-    straight = np.column_stack([np.linspace(0, 100, 50), np.full(50, 200.0)])
-    pixels = camera.project(frame.curve_mm)
-    expected = np.abs(pixels[:, 1] - 200.0).mean()
-    assert off_line_px(camera, frame.curve_mm, straight) >= 0.9 * expected

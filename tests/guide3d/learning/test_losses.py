@@ -1,14 +1,19 @@
-"""Losses of the networks: nothing where all is right, known values elsewhere, padding without a say."""
-
-from __future__ import annotations
-
-import math
+"""Losses, precisions and metrics of known values."""
 
 import numpy as np
 import pytest
 import torch
+from torch.nn import functional
 
-from guide3d.learning.losses import ShapeLoss, fgrn_loss, segmentation_loss, stop_loss
+from guide3d.learning.evaluation import (
+    centreline_dice,
+    dice,
+    foreground_iou,
+    mean_iou,
+    segmentation_metrics,
+)
+from guide3d.learning.losses import ShapeLoss, fgrn_loss
+from guide3d.learning.precision import attention, bfloat16_on_processor
 from guide3d.modeling.shape_network import PredictedShapes
 
 
@@ -36,29 +41,6 @@ def test_shape_loss_weighs_its_parts_and_ignores_padding() -> None:
     assert loss(right, moved, offsets, last) == pytest.approx(4.0, abs=1e-3)
 
 
-def test_robust_shape_loss_counts_distances_from_the_entry_on() -> None:
-    torch.manual_seed(0)
-    points, last = 10 * torch.randn(2, 6, 3), torch.tensor([5, 3])
-    offsets = torch.zeros(2, 5, 2)
-    logits = torch.full((2, 6), -40.0)
-    logits[torch.arange(2), last] = 40.0
-    tips = points[torch.arange(2), last]
-    loss = ShapeLoss(tip=1.0, offset=0.0, stop=0.0, curve=2.0, length=0.5, robust=True)
-    right = PredictedShapes(tips, offsets, points, logits)
-    assert loss(right, points, offsets, last, "entry") == pytest.approx(0.0, abs=1e-4)
-    far = PredictedShapes(tips + torch.tensor([0.0, 400.0, 0.0]), offsets, points, logits)
-    assert loss(far, points, offsets, last, "entry") == pytest.approx(40.0 - 0.1, abs=1e-2)  # cm, less what is near
-    assert loss(far, points, offsets, last, "tip")[0] > 1.0  # the first point is no tip here
-    flat = PredictedShapes(tips, offsets, points, torch.zeros(2, 6))
-    assert loss(flat, points, offsets, last, "entry").tolist() == pytest.approx([0.5 * 2.5, 0.5 * 0.5])
-
-
-def test_stop_loss_is_binary_cross_entropy_over_positions() -> None:
-    logits, last = torch.zeros(1, 4), torch.tensor([1])
-    assert stop_loss(logits, last)[0] == pytest.approx(-math.log(0.25) - 3 * math.log(0.75))
-    assert torch.isfinite(stop_loss(torch.tensor([[1000.0, -1000.0]]), torch.tensor([1]))).all()
-
-
 def test_fgrn_loss_is_huber_and_spacing_in_metres() -> None:
     line = torch.zeros(1, 5, 3)
     line[0, :, 0] = 2.0 * torch.arange(5)
@@ -74,10 +56,68 @@ def test_fgrn_loss_is_huber_and_spacing_in_metres() -> None:
     assert fgrn_loss(line, far, torch.tensor([2]))[0] == 0.0
 
 
-def test_segmentation_loss_falls_towards_the_mask() -> None:
-    mask = torch.zeros(1, 1, 8, 8)
-    mask[..., 3] = 1
-    losses = [float(segmentation_loss(k * (2 * mask - 1), mask)) for k in (-5.0, 0.0, 5.0, 20.0)]
-    assert losses == sorted(losses, reverse=True)
-    assert losses[-1] == pytest.approx(0.0, abs=1e-3)
-    assert float(segmentation_loss(torch.zeros_like(mask), mask, dice=0.0)) == pytest.approx(math.log(2), rel=1e-5)
+@pytest.mark.parametrize(
+    ("abilities", "expected"),
+    [({"avx512_bf16": True}, torch.bfloat16), ({"amx_bf16": True}, torch.bfloat16), ({"avx2": True}, torch.float32)],
+)
+def test_products_are_bfloat16_where_the_processor_has_it(
+    monkeypatch: pytest.MonkeyPatch, abilities: dict[str, bool], expected: torch.dtype
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: abilities)
+    layer = torch.nn.Conv2d(1, 4, 3)
+    with bfloat16_on_processor():
+        found = layer(torch.zeros(2, 1, 8, 8))
+    assert found.dtype == expected
+    found.float().sum().backward()
+    assert layer.weight.dtype == layer.weight.grad.dtype == torch.float32
+    assert layer(torch.zeros(2, 1, 8, 8)).dtype == torch.float32  # outside
+    with bfloat16_on_processor(False):
+        assert layer(torch.zeros(2, 1, 8, 8)).dtype == torch.float32
+
+
+@pytest.mark.parametrize("causal", [False, True])
+def test_attention_is_float32_under_bfloat16(monkeypatch: pytest.MonkeyPatch, causal: bool) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"avx512_bf16": True})
+    torch.manual_seed(0)
+    query, key, value = (torch.randn(2, 3, 5, 4) for _ in range(3))
+    mask = None if causal else torch.randn(1, 3, 5, 5)
+    expected = functional.scaled_dot_product_attention(query, key, value, mask, is_causal=causal)
+    assert torch.equal(attention(query, key, value, mask, causal=causal), expected)
+    with bfloat16_on_processor():
+        assert torch.equal(attention(query, key, value, mask, causal=causal), expected)
+        rounded = attention(*(x.bfloat16() for x in (query, key, value)), mask, causal=causal)
+    assert rounded.dtype == torch.float32
+    assert torch.allclose(rounded, expected, atol=0.05)
+
+
+def bar(top: int, bottom: int, side: int = 40) -> np.ndarray:
+    mask = np.zeros((side, side), np.uint8)
+    mask[top:bottom, 4:36] = 255
+    return mask
+
+
+def test_known_values() -> None:
+    true, predicted = bar(10, 14), bar(12, 16)  # half of each overlaps
+    assert dice(predicted, true) == pytest.approx(0.5)
+    assert foreground_iou(predicted, true) == pytest.approx(1 / 3)
+    assert segmentation_metrics(predicted, true)["jaccard"] == pytest.approx(1 / 3)
+    background = (1600 - 6 * 32) / (1600 - 2 * 32)
+    assert mean_iou(predicted, true) == pytest.approx((1 / 3 + background) / 2)
+
+
+def test_centreline_dice_forgives_width_but_not_gaps() -> None:
+    true = bar(10, 16)
+    thin = bar(12, 14)
+    assert dice(thin, true) == pytest.approx(0.5)
+    assert centreline_dice(thin, true) == 1.0
+    broken = true.copy()
+    broken[:, 15:25] = 0
+    assert centreline_dice(broken, true) < 0.9
+    assert centreline_dice(bar(30, 34), true) == 0.0
+
+
+def test_empty_masks_agree_and_one_empty_mask_does_not() -> None:
+    empty = np.zeros((8, 8), bool)
+    assert set(segmentation_metrics(empty, empty).values()) == {1.0}
+    assert segmentation_metrics(empty, ~empty)["dice"] == 0.0
+    assert centreline_dice(empty, bar(1, 3, 40)[:8, :8]) == 0.0

@@ -1,10 +1,9 @@
 """Networks trained on a drawn data set: predictors in mm and masks, what is kept, damaged images, two processes."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import logging
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -195,12 +194,6 @@ def test_a_shifted_picture_moves_the_curve_with_it(data: Dataset) -> None:
         assert torch.equal(after["pictures"][k, :, 10 + dy : 50 + dy, 10 + dx : 50 + dx], inner)
 
 
-def test_without_curves_in_space_it_says_so(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("guide3d.learning.shape_samples.curve_of", lambda frame: None)
-    with pytest.raises(ValueError, match="holds no curve in space: run the stage guide3d"):
-        walks_of(data, 1.7)
-
-
 def test_command_line_refuses_in_a_sentence(
     data: Dataset, tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -243,3 +236,33 @@ def test_two_processes_train_together(data: Dataset, tmp_path: Path) -> None:
     assert (told["processes"], len(told["rows"])) == (2, 2)
     assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["predictor.pt", "training.json"]
     ShapePredictor.load(tmp_path / "predictor.pt")
+
+
+@pytest.mark.parametrize("overtaken_at", [1, 2])
+def test_a_store_made_by_two_processes_at_once_never_gives_an_empty_picture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, overtaken_at: int
+) -> None:
+    data, preprocessing = draw(tmp_path / "drawn"), Preprocessing(32, 128)
+    others: list[PictureStore] = []
+    targets: list[Path] = []
+    replace = os.replace
+
+    def overtaken(source: Path, target: Path) -> None:
+        """Lets another process make its store just before one of this one's files appears."""
+        targets.append(target)
+        if len(targets) != overtaken_at:
+            replace(source, target)
+            return
+        aside = target.with_name("aside")
+        replace(source, aside)  # two processes name their temporary files differently
+        with monkeypatch.context() as undone:
+            undone.setattr(os, "replace", replace)
+            others.append(PictureStore(data.frames, "a", preprocessing, tmp_path / "pictures"))
+        replace(aside, target)
+
+    monkeypatch.setattr(os, "replace", overtaken)
+    store = PictureStore(data.frames, "a", preprocessing, tmp_path / "pictures")
+    indices = np.arange(len(data.frames))
+    expected = np.stack([preprocessing(frame.image("a")) for frame in data.frames])
+    for one in [*others, store]:
+        assert np.array_equal(one.pictures(indices), expected)

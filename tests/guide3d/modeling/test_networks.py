@@ -1,9 +1,11 @@
-"""Networks: as many parameters as the papers' architectures have, shapes, sizes, and what they refuse."""
-
-from __future__ import annotations
+"""Networks: published sizes, shapes, spherical steps, weights of other programs."""
 
 import dataclasses
+import itertools
+import re
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -12,19 +14,20 @@ from guide3d.learning.build import (
     SEGMENTER_SIZES,
     SEGMENTERS,
     SHAPE_SIZES,
-    SIZES,
     build_segmenter,
     build_shape_network,
     described,
     rebuilt,
 )
 from guide3d.learning.recipes import segmentation_recipe
-from guide3d.modeling.shape_network import FGRN, closed, expected_position
-from guide3d.modeling.spherical import SphericalForm
+from guide3d.modeling.pretrained import load_pretrained
+from guide3d.modeling.shape_network import FGRN
+from guide3d.modeling.spherical import SphericalForm, steps_of_radius
 from guide3d.modeling.swin_transformer import SwinBlock, SwinTransformer, SwinUnet
 from guide3d.modeling.transunet import TransUnet
 from guide3d.modeling.unet import UNet
 from guide3d.modeling.vision_transformer import VisionTransformer
+from tests.guide3d.learning.drawn_data import wire
 
 FORM = SphericalForm(1.7, ((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)), 0.0, 1.5708)
 # What `thesis` builds, but for channels and classes, has as many parameters as the published networks:
@@ -111,22 +114,114 @@ def test_shape_network_tells_a_curve_a_window(form: SphericalForm | None, anchor
         network(clips[:, :2])
 
 
-def test_a_curve_is_led_to_its_tip_by_shares_of_its_length() -> None:
-    line = torch.zeros(2, 5, 3)
-    line[..., 0] = torch.arange(5.0)
-    tips = torch.tensor([[4.0, 2.0, 0.0], [3.0, 0.0, 0.0]])
-    led = closed(line, tips, torch.tensor([4, 3]))
-    assert led[0, :, 1].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0]
-    assert torch.equal(led[1], line[1])
-    assert expected_position(torch.log(torch.tensor([[0.25, 0.25, 0.5]]))).item() == pytest.approx(1.25)
-
-
 def test_a_network_is_rebuilt_from_what_is_kept_of_it() -> None:
     for form in (FORM, None):
         network = build_shape_network(SHAPE_SIZES["smoke"], form, 12)
         again = rebuilt(described(SHAPE_SIZES["smoke"], form, 12))
         again.load_state_dict(network.state_dict())
         assert again.form == form
+
+
+def test_steps_have_the_radius_and_lie_on_the_curve() -> None:
+    curve = wire(0.3, 10.0)
+    walk = steps_of_radius(curve, 1.7)
+    assert np.linalg.norm(np.diff(walk, axis=0), axis=1) == pytest.approx(1.7, abs=1e-3)
+    dense = np.concatenate([np.linspace(a, b, 20) for a, b in itertools.pairwise(curve)])
+    assert np.linalg.norm(walk[:, None] - dense[None], axis=-1).min(axis=1).max() < 0.05
+    assert np.array_equal(walk[0], curve[0])
+    with pytest.raises(ValueError, match="a curve of at least 500 mm"):
+        steps_of_radius(curve, 500)
+
+
+@pytest.mark.parametrize("cumulative", [False, True])
+def test_angles_give_the_walk_again(cumulative: bool) -> None:
+    walks = [steps_of_radius(wire(turn, 10.0), 2.0) for turn in np.linspace(-3, 3, 9)]  # all round
+    form = SphericalForm.fit(walks, 2.0, cumulative=cumulative)
+    for walk in walks:
+        offsets = form.encode(walk)
+        again = form.decode(torch.from_numpy(walk[0]), torch.from_numpy(offsets)).numpy()
+        assert np.abs(again - walk).max() < 1e-3 * len(walk)
+        steps = offsets if not cumulative else np.cumsum(offsets, axis=0)
+        assert np.abs(np.diff(steps[:, 0])).max() < 0.5  # unwrapped along the curve
+
+
+TIMM = {
+    "class_token": "cls_token",
+    "positions": "pos_embed",
+    "patches.": "patch_embed.proj.",
+    "attention_norm": "norm1",
+    "attention.query_key_value": "attn.qkv",
+    "attention.projection": "attn.proj",
+    "feedforward_norm": "norm2",
+    "feedforward.expand": "mlp.fc1",
+    "feedforward.contract": "mlp.fc2",
+}
+TORCHVISION = {
+    "positions": "encoder.pos_embedding",
+    "patches.": "conv_proj.",
+    "blocks.0": "encoder.layers.encoder_layer_0",
+    "blocks.1": "encoder.layers.encoder_layer_1",
+    "attention_norm": "ln_1",
+    "attention.query_key_value.": "self_attention.in_proj_",
+    "attention.projection": "self_attention.out_proj",
+    "feedforward_norm": "ln_2",
+    "feedforward.expand": "mlp.linear_1",
+    "feedforward.contract": "mlp.linear_2",
+}
+
+
+def network(channels: int = 1, image_px: int = 32, width: int = 16) -> VisionTransformer:
+    return VisionTransformer(
+        image_px=image_px, patch_px=8, channels=channels, width=width, depth=2, heads=2, hidden=32
+    ).eval()
+
+
+def renamed(source: VisionTransformer, names: dict[str, str]) -> dict[str, torch.Tensor]:
+    weights = {}
+    for name, value in source.state_dict().items():
+        new = re.sub(r"^norm\.", "encoder.ln." if names is TORCHVISION else "norm.", name)
+        for mine, theirs in names.items():
+            new = new.replace(mine, theirs)
+        weights[new] = value
+    return weights | {("heads.head.weight" if names is TORCHVISION else "head.weight"): torch.zeros(3, 16)}
+
+
+@pytest.mark.parametrize("names", [TIMM, TORCHVISION], ids=["timm", "torchvision"])
+def test_weights_under_other_names_make_the_same_network(tmp_path: Path, names: dict[str, str]) -> None:
+    source, target = network(channels=3), network()
+    torch.save(renamed(source, names), tmp_path / "vit.pt")
+    load_pretrained(target, tmp_path / "vit.pt")
+    grey = torch.rand(1, 1, 32, 32)
+    assert torch.allclose(target(grey), source(grey.expand(-1, 3, -1, -1)), atol=1e-5)
+
+
+def test_positions_are_interpolated_to_another_grid(tmp_path: Path) -> None:
+    source, target = network(image_px=64), network(image_px=32)
+    with torch.no_grad():
+        source.positions[:, 1:] = torch.linspace(0, 1, 8).repeat_interleave(8)[None, :, None]  # rises downwards
+    torch.save({"state_dict": renamed(source, TIMM)}, tmp_path / "vit.pt")
+    load_pretrained(target, tmp_path / "vit.pt")
+    rows = target.positions[0, 1:, 0].reshape(4, 4)
+    assert (rows.diff(dim=0) > 0.1).all()
+    assert torch.allclose(target.positions[:, 0], source.positions[:, 0])
+
+
+def test_files_that_are_no_such_weights_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "vit.pt"
+    with pytest.raises(FileNotFoundError, match="there are no pretrained weights"):
+        load_pretrained(network(), file)
+    file.write_bytes(b"no weights at all")
+    with pytest.raises(ValueError, match=r"no file of weights that torch\.load reads safely"):
+        load_pretrained(network(), file)
+    torch.save({"layer.weight": torch.zeros(3)}, file)
+    with pytest.raises(ValueError, match="weights of no vision transformer that timm or torchvision makes"):
+        load_pretrained(network(), file)
+    torch.save(renamed(network(width=8), TIMM), file)
+    with pytest.raises(ValueError, match=r"of another size: class_token should be \(1, 1, 16\)"):
+        load_pretrained(network(), file)
+    torch.save([1, 2], file)
+    with pytest.raises(ValueError, match="holds a list, not a state dictionary"):
+        load_pretrained(network(), file)
 
 
 def test_shifted_windows_keep_distant_tokens_apart() -> None:
@@ -139,19 +234,3 @@ def test_shifted_windows_keep_distant_tokens_apart() -> None:
     assert moved[:2, :2].all()
     assert not moved[2:].any()
     assert not moved[:, 2:].any()
-
-
-def test_sizes_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(ValueError, match="does not divide into patches of 16 px"):
-        VisionTransformer(image_px=100, patch_px=16, channels=1, width=8, depth=1, heads=1, hidden=8)
-    with pytest.raises(ValueError, match="unknown segmentation network 'vnet'; there are unet, transunet, swinunet"):
-        build_segmenter("vnet", 64)
-    with pytest.raises(ValueError, match="unknown pooling 'mean'"):
-        build_shape_network(dataclasses.replace(SHAPE_SIZES["smoke"], pooling="mean"), FORM, 5)
-    with pytest.raises(ValueError, match="unknown anchor 'middle'; there are tip, entry"):
-        build_shape_network(dataclasses.replace(SHAPE_SIZES["smoke"], anchor="middle"), FORM, 5)
-    with pytest.raises(ValueError, match="offsets from step to step begin at the tip"):
-        build_shape_network(SHAPE_SIZES["smoke"], dataclasses.replace(FORM, cumulative=True), 5)
-    with pytest.raises(ValueError, match="expected images of 64 x 64 px"):
-        build_segmenter("swinunet", 64, **SEGMENTER_SIZES["swinunet"]["smoke"])(torch.zeros(1, 1, 32, 32))
-    assert set(SHAPE_SIZES) == set(FGRN_SIZES) == set(SIZES)

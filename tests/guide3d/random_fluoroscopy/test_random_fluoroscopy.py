@@ -1,18 +1,22 @@
-"""Random fluoroscopy: the same pixels from the same seed, masks that match the wire, and every kind of clutter."""
-
-from __future__ import annotations
+"""Random fluoroscopy: tiles, strokes, courses, backgrounds, its command."""
 
 import functools
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from guide3d.random_fluoroscopy.anatomy import ANATOMY
+from guide3d.dataset.dataset import Dataset
+from guide3d.random_fluoroscopy.__main__ import RECORD, main
+from guide3d.random_fluoroscopy.anatomy import ANATOMY, projected_ct
+from guide3d.random_fluoroscopy.canvas import Canvas
+from guide3d.random_fluoroscopy.courses import STEP_PX, walk, wire_course
 from guide3d.random_fluoroscopy.phantom_clutter import PHANTOM_CLUTTER
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy, RandomImage
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.random_fluoroscopy.small_marks import SMALL_MARKS
+from tests.guide3d.learning.drawn_data import SIDE, draw
 
 PLAIN = FluoroscopySettings(
     no_wire=0.0, two_devices=0.0, catheter=0.0, along_edge=0.0, in_vessel=0.0, tip_change=0.0, beads=0.0, markers=0.0,
@@ -35,15 +39,6 @@ def test_seed_and_index_give_the_same_pixels() -> None:
     assert not np.array_equal(first.image, RandomFluoroscopy(seed=7).tile(6, 96).image)
 
 
-def test_shapes_and_types() -> None:
-    for drawn in tiles()[:10]:
-        for values, kind in ((drawn.image, np.uint8), (drawn.wire, np.uint8), (drawn.catheter, np.uint8)):
-            assert values.shape == (128, 128)
-            assert values.dtype == kind
-        assert drawn.tip.dtype == np.float32
-        assert 0 <= drawn.tip.min() <= drawn.tip.max() <= 1
-
-
 @pytest.mark.parametrize("kind", [*PHANTOM_CLUTTER, *SMALL_MARKS, *ANATOMY])
 def test_clutter_occurs(kind: str) -> None:
     assert any(kind in drawn.kinds for drawn in tiles())
@@ -63,11 +58,6 @@ def test_situation_occurs(kind: str) -> None:
     assert 0 < share < 0.9
 
 
-def test_a_fair_share_of_tiles_is_empty_or_has_a_tip() -> None:
-    assert 0.1 < np.mean([not drawn.wire.any() for drawn in tiles()]) < 0.55
-    assert 0.2 < np.mean([len(drawn.tips) > 0 for drawn in tiles()]) < 0.7
-
-
 def test_the_mask_lies_on_the_dark_wire() -> None:
     fluoroscopy = RandomFluoroscopy(PLAIN, seed=1)
     for index in range(6):
@@ -82,32 +72,6 @@ def test_the_mask_lies_on_the_dark_wire() -> None:
         assert (drawn.wire[y, x] > 127).mean() > 0.98
 
 
-def test_a_tip_is_the_first_point_of_its_wire() -> None:
-    for drawn in tiles():
-        for tip in drawn.tips[((drawn.tips > 6) & (drawn.tips < 121)).all(axis=1)]:
-            assert any(np.allclose(pieces[0][0], tip) for pieces in drawn.wires if pieces)
-            x, y = np.clip(np.rint(tip).astype(int), 0, 127)
-            assert drawn.tip[y, x] > 0.7
-            assert drawn.wire[y, x] > 100
-
-
-def test_a_tile_shows_a_part_of_the_image() -> None:
-    fluoroscopy = RandomFluoroscopy(replace(PLAIN, image_px=512), seed=2)
-    whole, tile = fluoroscopy.image(4), fluoroscopy.tile(4, 128)
-    part = whole.wire[tile.top : tile.top + 128, tile.left : tile.left + 128]
-    assert tile.wire.any()
-    np.testing.assert_allclose(part[2:-2, 2:-2].astype(int), tile.wire[2:-2, 2:-2].astype(int), atol=2)
-
-
-def test_without_wires_there_is_none() -> None:
-    fluoroscopy = RandomFluoroscopy(replace(PLAIN, no_wire=1.0), seed=0)
-    for index in range(3):
-        drawn = fluoroscopy.tile(index, 64)
-        assert not drawn.wire.any()
-        assert not len(drawn.tips)
-        assert not drawn.wires
-
-
 @pytest.mark.parametrize("columns", [2, 3])
 def test_given_courses_are_followed(columns: int) -> None:
     along = np.linspace(0, 1, 80)[:, None]
@@ -115,15 +79,6 @@ def test_given_courses_are_followed(columns: int) -> None:
     fluoroscopy = RandomFluoroscopy(replace(PLAIN, given_course=1.0), seed=0, courses=[curve])
     kinds = set().union(*(fluoroscopy.tile(index, 64).kinds for index in range(4)))
     assert "given course" in kinds
-
-
-def test_given_backgrounds_are_seen() -> None:
-    dark = np.zeros((60, 80))
-    dark[::2] = 1.0
-    settings = replace(PLAIN, background=1.0)
-    with_it = RandomFluoroscopy(settings, seed=0, backgrounds=[dark]).tile(0, 128)
-    assert "given background" in with_it.kinds
-    assert with_it.image.std() > 2 * RandomFluoroscopy(settings, seed=0).tile(0, 128).image.std()
 
 
 def test_bad_arguments_are_refused() -> None:
@@ -155,6 +110,118 @@ def test_clutter_alone_has_no_device_and_means_what_passes() -> None:
     assert RandomFluoroscopy(PLAIN, seed=2).clutter(4).std() < 0.5 * whole.std()
 
 
-def test_clutter_of_an_impossible_size_is_refused() -> None:
-    with pytest.raises(ValueError, match="size_px: expected 32 to 1024 px"):
-        RandomFluoroscopy().clutter(0, 2000)
+LINE = np.array([[5.0, 20.0], [60.0, 20.0]])
+
+
+def test_a_stroke_has_its_width_and_attenuation() -> None:
+    for width in (1.5, 2.0, 2.5, 3.0, 4.0, 6.0, 12.0):
+        canvas = Canvas(0, 0, 64, 48)
+        canvas.stroke(LINE, width, 0.5)
+        across = canvas.attenuation[:, 30]
+        assert width < 2 or abs(across.max() - 0.5) < 0.01
+        assert abs(across.sum() / 0.5 - width) < (0.4 if width < 8 else 1.4)
+        assert abs((across * np.arange(48)).sum() / across.sum() - 20.0) < 0.1
+
+
+COURSE_SIDE = 1024
+
+
+def test_a_walk_has_equal_steps_and_its_bend() -> None:
+    points = walk(np.random.default_rng(0), np.array([10.0, 20.0]), 0.0, 600.0, 1 / 100, 60.0, 2.0)
+    steps = np.diff(points, axis=0)
+    np.testing.assert_allclose(np.hypot(*steps.T), 2.0, atol=1e-9)
+    turns = np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))
+    assert 0.2 / 100 < np.std(turns) / 2.0 < 3 / 100
+
+
+def test_wires_start_inside_and_leave_the_image() -> None:
+    rng = np.random.default_rng(1)
+    left = 0
+    for _ in range(40):
+        course, _ = wire_course(rng, COURSE_SIDE)
+        assert (course[0] > 0).all()
+        assert (course[0] < COURSE_SIDE).all()
+        np.testing.assert_allclose(np.hypot(*np.diff(course, axis=0).T), STEP_PX, atol=1e-9)
+        left += bool((course[-1] < 0).any() or (course[-1] > COURSE_SIDE).any())
+    assert left > 30
+
+
+def phantom() -> np.ndarray:
+    """A body of water with a bone and a bubble."""
+    z, y, x = np.mgrid[:20, :60, :60]
+    body = np.full((20, 60, 60), -1000.0)
+    body[(x - 30) ** 2 + (y - 30) ** 2 < 25**2] = 0.0
+    body[(x - 20) ** 2 + (y - 30) ** 2 < 16] = 1000.0
+    body[(x - 40) ** 2 + (y - 30) ** 2 + (2 * (z - 10)) ** 2 < 36] = -1000.0
+    return body
+
+
+def test_bone_is_darker_and_gas_brighter() -> None:
+    image = projected_ct(phantom(), (2.0, 1.0, 1.0), 0.0)
+    assert image.shape[0] == 40
+    middle = image[20]
+    left = image.shape[1] // 2
+    bone, gas = middle[left - 12 : left - 7].mean(), middle[left + 8 : left + 13].mean()
+    assert bone > image[4][left + 8 : left + 13].mean() > gas  # where there is no gas, there is water
+
+
+def test_bad_volumes_are_refused() -> None:
+    with pytest.raises(ValueError, match="expected a volume"):
+        projected_ct(np.zeros((3, 3)), (1, 1, 1), 0)
+    with pytest.raises(ValueError, match="spacing_mm"):
+        projected_ct(np.zeros((3, 3, 3)), (1, 0, 1), 0)
+
+
+CLEAN = '{"clutter": 1e-6, "catheter": 0, "along_edge": 0, "in_vessel": 0, "narrowest_px": 4.0, "noise": 0.31}'
+
+
+def test_images_lie_along_the_annotation(tmp_path: Path) -> None:
+    draw(tmp_path / "data", acquisitions=2, frames=2)
+    assert main([str(tmp_path / "data"), "--output", str(tmp_path / "new"), "--settings", CLEAN]) == 0
+    data = Dataset.open(tmp_path / "data", images=tmp_path / "new")
+    darker = []
+    for frame in data.frames:
+        for camera in "ab":
+            image = frame.image(camera)
+            assert image.shape == (SIDE, SIDE)
+            line = frame.polyline(camera)
+            line = line[((line > 1) & (line < SIDE - 2)).all(axis=1)]
+            x, y = np.rint(line).astype(int).T
+            around = [image[np.clip(y + d, 0, SIDE - 1), np.clip(x + e, 0, SIDE - 1)] for d, e in ((4, 0), (0, 4))]
+            darker.append(np.median(image[y, x].astype(float) / np.maximum(np.max(around, axis=0), 1)))
+    assert np.median(darker) < 0.97
+
+
+def test_a_second_run_keeps_what_is_there(tmp_path: Path) -> None:
+    draw(tmp_path / "data", acquisitions=1, frames=2)
+    words = [str(tmp_path / "data"), "--output", str(tmp_path / "new"), "--frames", "1", "--settings", CLEAN]
+    main(words)
+    (first, second) = sorted((tmp_path / "new").rglob("*.png"))
+    before = first.stat().st_mtime_ns, second.read_bytes()
+    second.unlink()
+    main(words)
+    assert (first.stat().st_mtime_ns, second.read_bytes()) == before
+
+
+def test_bad_settings_are_refused_in_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    draw(tmp_path / "data", acquisitions=1, frames=1)
+    words = [str(tmp_path / "data"), "--output", str(tmp_path / "new"), "--settings"]
+    assert main([*words, '{"noise": -3}']) == 2
+    assert "noise" in capsys.readouterr().err
+    for text in ("[1]", "{"):
+        with pytest.raises(SystemExit, match="2"):
+            main([*words, text])
+        assert "expected a JSON object of fields" in capsys.readouterr().err
+    assert main([*words, '{"noises": 3}']) == 2
+    assert "'noises' is unknown: expected fields among" in capsys.readouterr().err
+
+
+def test_images_of_another_kind_are_not_mixed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    draw(tmp_path / "data", acquisitions=1, frames=1)
+    words = [str(tmp_path / "data"), "--output", str(tmp_path / "new"), "--settings"]
+    assert main([*words, CLEAN]) == 0
+    assert main([*words, CLEAN, "--seed", "1"]) == 2
+    assert "holds images of another seed" in capsys.readouterr().err
+    (tmp_path / "new" / RECORD).unlink()
+    assert main([*words, CLEAN]) == 2
+    assert "not of random fluoroscopy" in capsys.readouterr().err

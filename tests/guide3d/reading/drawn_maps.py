@@ -1,7 +1,5 @@
 """Probability maps of a drawn wire, as a network would give them: soft lines with gaps, weak parts and false marks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,11 +1,8 @@
-"""The command line of reading: files of one image, two, sequences; bad input is one sentence, nothing is left."""
-
-from __future__ import annotations
+"""The command that reads images: tables, pictures, films, refusals."""
 
 import csv
 import json
-import subprocess
-import sys
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -16,6 +13,9 @@ from guide3d.geometry.camera import write_camera, write_opencv_yaml
 from guide3d.image_file import read_grey_levels, write_png
 from guide3d.opencv import cv2
 from guide3d.reading import command
+from guide3d.reading.image_reading import read
+from guide3d.reading.output.overlay import confidence_colour, draw_reading, space_page
+from guide3d.reading.pair_reading import PairReading, read_pair
 from guide3d.reconstruction.synthetic_scene import scenes
 from tests.guide3d.reading.drawn_maps import DarkLineReader, maps_of, picture
 
@@ -197,30 +197,11 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
     assert not (tmp_path / "out").exists()
 
 
-def test_an_image_of_another_moment_is_said(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_png(picture(maps_of(SCENES[0].points[1])), tmp_path / "other.png")
-    words = [str(data / "a.png"), str(tmp_path / "other.png"), "--cameras", str(data / "cameras")]
-    command.main([*words, "--output", str(tmp_path)])
-    error = capsys.readouterr().err
-    assert "fit each other poorly" in error or "do not show one wire" in error
-
-
-def test_swapped_cameras_are_said(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = [str(data / "a.png"), str(data / "b.png"), "--cameras", str(data / "swapped")]
-    command.main([*words, "--output", str(tmp_path)])
-    assert "the cameras look swapped" in capsys.readouterr().err
-
-
 def test_an_inverted_and_a_deep_image_are_read(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     image = read_grey_levels(data / "a.png").astype(np.uint8)
     write_png(255 - image, tmp_path / "negative.png")
     assert command.main([str(tmp_path / "negative.png"), "--output", str(tmp_path)]) == 0
     assert "was inverted" in capsys.readouterr().err
-
-
-def test_the_command_runs_as_a_module() -> None:
-    done = subprocess.run([sys.executable, "-m", "guide3d.read", "--help"], capture_output=True, text=True, check=True)
-    assert "--cameras FOLDER" in done.stdout
 
 
 def test_of_several_sets_that_fit_the_last_by_name_is_taken(
@@ -234,3 +215,44 @@ def test_of_several_sets_that_fit_the_last_by_name_is_taken(
     words = [str(data / "a.png"), str(data / "b.png"), "--cameras", str(folder), "--output", str(tmp_path / "out")]
     assert command.main(words) == 0
     assert "2024-03_*.txt was taken of several sets" in capsys.readouterr().err
+
+
+SPACE_PAGE_SCENE = next(iter(scenes(1, seed=77)))
+
+
+@pytest.fixture(scope="module")
+def reading() -> PairReading:
+    images = [picture(maps_of(points)) for points in SPACE_PAGE_SCENE.points]
+    return read_pair(*images, SPACE_PAGE_SCENE.cameras, reader=DarkLineReader())
+
+
+def test_data_and_pictures_stand_in_the_page(reading: PairReading) -> None:
+    page = space_page([None, reading], [np.zeros((20, 30, 3), np.uint8)], 'a "title"</script><b>')
+    assert page.count("</script>") == 1
+    found = re.search(r"^const data = (.*);$", page, re.MULTILINE)
+    data = json.loads(found[1])
+    assert data["title"] == 'a "title"</script><b>'
+    assert data["frames"][0] is None
+    points = np.array(data["frames"][1]["points"])
+    assert np.abs(points[[0, -1]] - reading.curve_mm[[0, -1]]).max() < 1e-3
+    assert len(points) == len(data["frames"][1]["sd"])
+    assert data["pictures"][0].startswith("data:image/jpeg;base64,")
+    assert not re.search(r"https?://|src=|href=", page)
+
+
+def test_an_overlay_shows_confidence_by_colour() -> None:
+    maps = maps_of(SPACE_PAGE_SCENE.points[0], gaps=((150, 260),))
+    image = picture(maps)
+    overlay = draw_reading(image, read(image, DarkLineReader()), truth_px=SPACE_PAGE_SCENE.points[0][::50])
+    assert overlay.shape == (1024, 1024, 3)
+    red, green = (overlay == confidence_colour(share) for share in (0.0, 1.0))
+    assert red.all(axis=2).any() or (overlay[..., 0].astype(int) - overlay[..., 1] > 60).any()
+    assert green.all(axis=2).any() or (overlay[..., 1].astype(int) - overlay[..., 0] > 60).any()
+
+
+def test_an_image_of_another_moment_is_said(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_png(picture(maps_of(SCENES[0].points[1])), tmp_path / "other.png")
+    words = [str(data / "a.png"), str(tmp_path / "other.png"), "--cameras", str(data / "cameras")]
+    command.main([*words, "--output", str(tmp_path)])
+    error = capsys.readouterr().err
+    assert "fit each other poorly" in error or "do not show one wire" in error

@@ -1,14 +1,23 @@
-"""Curves from drawn probability maps: order, gaps, crossings, loops, folded tips, false marks, no and several wires."""
+"""Curves from maps of a wire: pieces, links, paths, ends, confidence."""
 
-from __future__ import annotations
-
-import time
+import itertools
 
 import numpy as np
 import pytest
 
-from guide3d.reading.curve_reading import Prior, read_curves
-from tests.guide3d.reading.drawn_maps import DrawnMaps, bent, clutter, maps_of, order_error, within
+from guide3d.geometry.polyline import distances_to
+from guide3d.opencv import cv2
+from guide3d.reading.curve_reading import read_curves
+from guide3d.reading.links import Link, bending_energy
+from guide3d.reading.path_drawing import (
+    CentrelineSettings,
+    ProximalEndSettings,
+    centre_line,
+    to_border,
+)
+from guide3d.reading.path_search import SearchSettings, search
+from guide3d.reading.ridges import RidgeSettings, find_pieces
+from tests.guide3d.reading.drawn_maps import DrawnMaps, bent, clutter, maps_of, order_error, soft_line, within
 
 ARCH = bent([(60, 0.03), (200, 0.002), (250, 0.006), (500, 0.001)], (400, 700), -2.0)
 LOOP = bent([(100, 0.0), (220, 0.0285), (300, 0.0)], (200, 600), 0.3)
@@ -46,15 +55,6 @@ def test_a_wide_gap_is_bridged_and_said() -> None:
     assert (curve.confidence < 0.5).mean() == pytest.approx(160 / len(maps.points_px), abs=0.05)
 
 
-@pytest.mark.parametrize("size_px", [512, 1024])
-def test_how_wide_a_gap_is_bridged_goes_by_its_share_of_the_image(size_px: int) -> None:
-    scale = size_px / 1024
-    for gap_px, joined in ((150, True), (185, False)):
-        maps = maps_of(scale * ARCH, size_px, gaps=((scale * 300, scale * (300 + gap_px)),))
-        curve = read_curves(maps.wire, maps.tip).candidates[0]
-        assert (curve.length_px > 0.98 * len(maps.points_px)) == joined
-
-
 def test_two_devices_are_not_joined_where_more_than_a_third_would_be_guessed() -> None:
     line = np.stack([np.linspace(465, 0, 466), np.full(466, 500.0)], axis=1)
     for gap_px, others in ((130, 0), (165, 1)):
@@ -62,10 +62,6 @@ def test_two_devices_are_not_joined_where_more_than_a_third_would_be_guessed() -
         found = read_curves(maps.wire)
         assert len(found.others) == others
         assert (found.candidates[0].confidence < 0.5).mean() < 1 / 3
-
-
-def test_weak_parts_belong_to_the_wire() -> None:
-    _holds(maps_of(ARCH, weak=((250, 420, 0.35),)))
 
 
 def test_without_a_tip_map_the_end_inside_is_the_tip() -> None:
@@ -85,13 +81,6 @@ def test_a_tip_that_lies_back_over_the_wire_is_followed() -> None:
     assert curve.length_px == pytest.approx(649, abs=16)
 
 
-def test_no_wire_is_said() -> None:
-    empty = np.zeros((300, 300), np.float32)
-    assert not read_curves(empty, empty).candidates
-    marks = clutter(DrawnMaps(ARCH, empty, empty), seed=1, pieces=0)
-    assert not read_curves(marks.wire, marks.tip).candidates
-
-
 def test_a_second_wire_is_a_curve_of_its_own() -> None:
     first, second = maps_of(ARCH), maps_of(TWO)
     found = read_curves(np.maximum(first.wire, second.wire), np.maximum(first.tip, second.tip))
@@ -100,20 +89,6 @@ def test_a_second_wire_is_a_curve_of_its_own() -> None:
     assert within(read[0].points_px, second.points_px) > 0.97
     assert within(read[1].points_px, first.points_px) > 0.97
     assert not read_curves(first.wire, first.tip).others
-
-
-def test_both_ends_are_candidates_where_nothing_tells_the_tip() -> None:
-    maps = maps_of(np.stack([np.linspace(300, 700, 401), np.full(401, 500.0)], axis=1), tip=0.0)
-    tips = [curve.points_px[0, 0] for curve in read_curves(maps.wire, None).candidates]
-    assert min(tips) < 310
-    assert max(tips) > 690
-
-
-def test_a_prior_decides_between_two_tips() -> None:
-    maps = maps_of(np.stack([np.linspace(300, 700, 401), np.full(401, 500.0)], axis=1), tip=0.0)
-    for ordered in (maps.points_px, maps.points_px[::-1]):
-        curve = read_curves(maps.wire, None, prior=Prior(ordered + 6.0)).candidates[0]
-        assert np.hypot(*(curve.points_px[0] - ordered[0])) < 5.0
 
 
 def test_a_wire_may_end_in_a_catheter_or_at_the_rim_of_the_field() -> None:
@@ -127,16 +102,115 @@ def test_a_wire_may_end_in_a_catheter_or_at_the_rim_of_the_field() -> None:
         assert curve.score > loose + 20
 
 
-def test_maps_of_different_shapes_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"expected maps of one shape, got \(64, 64\) of the wire and \(32, 32\)"):
-        read_curves(np.zeros((64, 64), np.float32), np.zeros((32, 32), np.float32))
+NO_CUTS = np.empty((0, 2))
 
 
-def test_a_cluttered_map_is_read_in_a_tenth_of_a_second() -> None:
-    maps = clutter(maps_of(ARCH), seed=5, marks=60, pieces=12)
-    spent = []
-    for _ in range(3):
-        started = time.process_time()
-        read_curves(maps.wire, maps.tip)
-        spent.append(time.process_time() - started)
-    assert min(spent) < 0.25  # of a loaded core; 0.03 to 0.05 s of a quiet one
+def test_a_line_is_one_piece_with_its_directions() -> None:
+    line = np.stack([np.linspace(40, 200, 161), np.linspace(60, 60, 161)], axis=1)
+    pieces = find_pieces(soft_line((256, 256), line), NO_CUTS, RidgeSettings())
+    assert len(pieces) == 1
+    assert abs(pieces.lengths[0] - 161) < 8
+    order = np.argsort(pieces.ends[:, 0])
+    assert np.abs(pieces.ends[order] - [[40, 60], [200, 60]]).max() < 4
+    assert np.abs(pieces.outward[order] - [[-1, 0], [1, 0]]).max() < 0.15
+    assert not pieces.joined.any()
+
+
+def test_a_crossing_gives_four_pieces_with_joined_ends() -> None:
+    shape = (256, 256)
+    across = np.maximum(soft_line(shape, [[20, 128], [230, 128]]), soft_line(shape, [[128, 20], [128, 230]]))
+    pieces = find_pieces(across, NO_CUTS, RidgeSettings())
+    assert len(pieces) == 4
+    assert pieces.joined.reshape(-1, 2).sum(axis=1).tolist() == [1, 1, 1, 1]
+
+
+def test_a_tip_on_a_wire_cuts_it() -> None:
+    line = soft_line((256, 256), [[20, 128], [230, 128]])
+    pieces = find_pieces(line, np.array([[90.0, 129.0]]), RidgeSettings())
+    assert len(pieces) == 2
+    assert np.abs(pieces.ends - [90, 128]).sum(axis=1).min() < 3
+
+
+@pytest.mark.parametrize("turn", [0.1, 0.5, 1.0])
+def test_energy_of_an_arc_is_that_of_the_circle(turn: float) -> None:
+    radius = 200.0
+    gap = radius * np.array([[np.sin(turn), 1 - np.cos(turn)]])
+    energy = bending_energy(np.array([[1.0, 0.0]]), np.array([[np.cos(turn), np.sin(turn)]]), gap, 1e-3)
+    assert energy[0] == pytest.approx(turn / radius, rel=0.1)  # curvature^2 times length
+
+
+def _links(count: int, costs: dict[tuple[int, int], float], empty_px: float = 0.0) -> list[list[Link]]:
+    links: list[list[Link]] = [[] for _ in range(2 * count)]
+    for (leave, enter), cost in costs.items():
+        links[leave].append(Link(enter, cost, empty_px))
+        links[enter].append(Link(leave, cost, empty_px))
+    return links
+
+
+@pytest.mark.parametrize(("empty_px", "pieces"), [(38.0, 2), (42.0, 1)])
+def test_pieces_are_joined_unless_gaps_are_more_than_a_third_of_the_path(empty_px: float, pieces: int) -> None:
+    length = np.array([35.0, 45.0])
+    links = _links(2, {(1, 2): 5.0}, empty_px)
+    found = search(length, length, links, np.zeros(4), np.zeros(4), np.zeros(2, bool), SearchSettings())
+    assert len(found[0].pieces) == pieces
+
+
+def test_the_best_path_is_that_of_all_permutations() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        count = 4
+        worth = rng.uniform(10, 60, count)
+        start, stop = rng.uniform(0, 60, 2 * count), rng.uniform(0, 60, 2 * count)
+        pairs = [(i, j) for i, j in itertools.combinations(range(2 * count), 2) if i // 2 != j // 2]
+        costs = {pair: float(rng.uniform(0, 60)) for pair in pairs}
+        links = _links(count, costs)
+        best = -np.inf
+        for size in range(1, count + 1):
+            for order in itertools.permutations(range(count), size):
+                for sides in itertools.product((0, 1), repeat=size):
+                    ends = [2 * piece + side for piece, side in zip(order, sides, strict=True)]
+                    gaps = [costs[min(a ^ 1, b), max(a ^ 1, b)] for a, b in itertools.pairwise(ends)]
+                    best = max(best, worth[list(order)].sum() - sum(gaps) - start[ends[0]] - stop[ends[-1] ^ 1])
+        found = search(worth, worth, links, start, stop, np.zeros(count, bool), SearchSettings(beam=500))
+        assert abs(found[0].score - best) < 1e-9
+
+
+SHAPE = (400, 400)
+FAR = ProximalEndSettings(longest=0.4)
+PROXIMAL_END_LINE = np.stack([np.arange(99.0, 301.0), np.full(202, 200.0)], axis=1)
+
+
+def _away(outside_from: int = 400) -> np.ndarray:
+    exposed = np.ones((50, 50), np.uint8)
+    exposed[:, outside_from // 8 :] = 0
+    return np.asarray((cv2.distanceTransform(np.pad(exposed, 1), cv2.DIST_L2, 3)[1:-1, 1:-1] - 0.5) * 8, np.float32)
+
+
+def test_a_wire_goes_straight_on_where_nothing_is_seen() -> None:
+    line = to_border(PROXIMAL_END_LINE, np.zeros(SHAPE, np.float32), _away(), 8, FAR)
+    assert 390 < line[-1, 0] <= 400
+    assert abs(line[-1, 1] - 200) < 1.0
+    assert np.array_equal(line[: len(PROXIMAL_END_LINE)], PROXIMAL_END_LINE)
+
+
+COURSE = bent([(80, 0.02), (150, -0.004), (150, 0.0)], (150, 120), 0.0)
+
+
+def test_a_shifted_path_goes_back_to_the_ridge() -> None:
+    wire = maps_of(COURSE, 512).wire
+    shifted = COURSE + np.random.default_rng(0).normal(0, 0.6, COURSE.shape) + [0.8, -0.8]
+    line, confidence, deviation = centre_line(shifted, wire, CentrelineSettings())
+    off = distances_to(COURSE, line[3:-3])
+    assert off.mean() < 0.25
+    assert off.max() < 1.0
+    assert confidence.min() > 0.7
+    assert np.allclose(deviation, 0.7)
+
+
+def test_a_gap_has_no_confidence_and_a_growing_deviation() -> None:
+    maps = maps_of(COURSE, 512, gaps=((200, 300),))
+    line, confidence, deviation = centre_line(COURSE[::8], maps.wire, CentrelineSettings())
+    middle = int(np.hypot(*(line - COURSE[250]).T).argmin())
+    assert confidence[middle] < 0.05
+    assert deviation[middle] > 4.0
+    assert distances_to(COURSE, line).max() < 3.0

@@ -1,12 +1,14 @@
-"""Reading of one image: the curve in its pixels, negatives, depths, several wires, none."""
-
-from __future__ import annotations
+"""Images of any kind and size give a curve with its confidence."""
 
 import numpy as np
 import pytest
 
 from guide3d import read
+from guide3d.opencv import cv2
+from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy, RandomImage
+from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.reading.curve_reading import Prior
+from guide3d.reading.grey_image import grey_image
 from tests.guide3d.reading.drawn_maps import DarkLineReader, DrawnMaps, bent, maps_of, picture, within
 from tests.guide3d.reading.test_curve_reading import ARCH, TWO
 
@@ -17,7 +19,6 @@ MAPS = maps_of(ARCH)
 def test_a_curve_is_read_with_its_confidence() -> None:
     reading = read(picture(MAPS), DarkLineReader(MAPS.tip))
     assert reading.found
-    assert reading.tip_px is not None
     assert np.hypot(*(reading.tip_px - MAPS.points_px[0])) < 4.0
     assert within(reading.points_px, MAPS.points_px) > 0.99
     assert reading.confidence.shape == reading.sd_px.shape == (len(reading.points_px),)
@@ -53,19 +54,6 @@ def test_no_wire_is_said() -> None:
     assert reading.messages == ["no wire was found"]
 
 
-def test_several_wires_are_said_and_given() -> None:
-    both = DrawnMaps(ARCH, np.maximum(MAPS.wire, maps_of(TWO).wire), MAPS.tip)
-    reading = read(picture(both), READER)
-    assert any("there are 2 wires" in message for message in reading.messages)
-    assert len(reading.others) == 1
-
-
-def test_a_gap_and_a_tip_that_is_not_seen_are_said() -> None:
-    reading = read(picture(maps_of(ARCH, gaps=((150, 300),), tip=0.0)), READER)
-    assert any("guessed across gaps" in message for message in reading.messages)
-    assert any("the tip is uncertain" in message for message in reading.messages)
-
-
 def test_candidates_can_be_chosen_and_a_prior_chooses() -> None:
     line = bent([(400, 0.0)], (300, 500), 0.0)
     image = picture(maps_of(line, tip=0.0))
@@ -74,3 +62,117 @@ def test_candidates_can_be_chosen_and_a_prior_chooses() -> None:
     assert np.ptp([tip[0] for tip in tips]) > 350
     for ordered in (line, line[::-1]):
         assert np.hypot(*(read(image, READER, Prior(ordered)).points_px[0] - ordered[0])) < 6.0
+
+
+CURL = bent([(160, -0.033), (300, 0.0), (600, 0.001)], (500, 500), 1.0)
+
+
+def _drawn(course: np.ndarray, width_px: float = 3.0, seed: int = 3, clutter: float = 1e-6) -> RandomImage:
+    plain = FluoroscopySettings(
+        narrowest_px=width_px, widest_px=width_px, weakest=0.7, no_wire=0, two_devices=0, catheter=0, along_edge=0,
+        in_vessel=0, tip_change=0, beads=0, markers=0, clutter=clutter, contrast=0, noise=2, field=0, jpeg=0,
+    )  # fmt: skip
+    return RandomFluoroscopy(plain, seed).along(0, [course])
+
+
+@pytest.mark.parametrize("side_px", [256, 320, 512, 768, 1024, 1536, 3072])
+def test_one_image_of_any_size_is_read_alike(side_px: int) -> None:
+    drawn = _drawn(ARCH)
+    way = cv2.INTER_AREA if side_px < 1024 else cv2.INTER_CUBIC
+    reading = read(cv2.resize(drawn.image, (side_px, side_px), interpolation=way))
+    points = (reading.points_px + 0.5) * 1024 / side_px - 0.5
+    assert within(points, np.concatenate(drawn.wires[0])) > 0.95
+    said = f"the image of {side_px} x {side_px} px was read at 1024 x 1024 px"
+    assert (said in reading.notes) == (side_px != 1024)
+
+
+@pytest.mark.parametrize("width_px", [1.5, 6.0, 8.0, 10.0])
+def test_wires_of_any_width_are_read_and_nothing_else(width_px: float) -> None:
+    drawn = _drawn(ARCH, width_px)
+    reading = read(drawn.image)
+    assert within(reading.points_px, np.concatenate(drawn.wires[0])) > 0.95
+    assert within(np.concatenate(drawn.wires[0]), reading.points_px) > 0.95
+    assert not reading.others
+    smaller = {f"the image of 1024 x 1024 px was read at {side} x {side} px" for side in (512, 384)}
+    assert bool(smaller & set(reading.notes)) == (width_px > 5)
+
+
+@pytest.mark.parametrize("width_px", [2.5, 6.0])
+def test_a_curled_tip_is_followed_to_its_end(width_px: float) -> None:
+    drawn = _drawn(CURL, width_px)
+    reading = read(drawn.image)
+    assert within(reading.points_px, np.concatenate(drawn.wires[0])) > 0.97
+    assert np.hypot(*(reading.points_px[0] - CURL[0])) < 6.0
+
+
+RNG = np.random.default_rng(0)
+GREY = RNG.integers(20, 220, (256, 300), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("factor", [16, 257, 1.0 / 255.0, 1e-3])
+def test_other_depths_are_brought_to_bytes(factor: float) -> None:
+    deep = (GREY.astype(float) * factor).astype(np.uint16 if factor > 1 else np.float64)
+    grey = grey_image(deep)
+    assert grey.pixels.dtype == np.uint8
+    assert np.corrcoef(grey.pixels.ravel(), GREY.ravel())[0, 1] > 0.999
+    assert "taken to 8 bits" in grey.messages[0]
+
+
+def test_saturated_pixels_and_a_pedestal_leave_the_contrast() -> None:
+    deep = 16 * GREY.astype(np.uint16) + 20_000
+    deep[:, :8] = 65_535  # 2.7 %
+    pixels = grey_image(deep).pixels
+    assert np.ptp(pixels[:, 8:].astype(float)) > 140
+    assert pixels[:, :8].min() == 255
+    plain = grey_image(deep[:, 8:] - 20_000).pixels.astype(float)
+    assert np.abs(grey_image(deep - 20_000).pixels[:, 8:] - plain).max() <= 2
+
+
+def test_channels_that_agree_are_grey_and_a_photograph_is_refused() -> None:
+    assert np.array_equal(grey_image(np.repeat(GREY[..., None], 3, axis=2)).pixels, GREY)
+    photograph = RNG.integers(0, 255, (256, 256, 3), dtype=np.uint8)
+    with pytest.raises(ValueError, match=r"expected a grey X-ray image, got a picture of which \d+% is coloured"):
+        grey_image(photograph)
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.zeros((256, 256), np.uint8), "no contrast"),
+        (np.full((256, 256), 0.5), "no contrast"),
+        (RNG.integers(0, 255, (64, 64), dtype=np.uint8), "at least 128 x 128 px, got 64 x 64"),
+        (np.zeros(10), "expected a grey image"),
+        (np.zeros((200, 200), bool), "expected a grey image"),
+        (np.where(RNG.random((200, 200)) < 0.01, np.nan, 1.0), "finite"),
+        (GREY * 1e300, "finite grey values of at most 1e[+]30"),
+        (np.repeat(GREY[..., None], 3, axis=2) * 1e305, "finite grey values of at most 1e[+]30"),
+    ],
+)
+def test_what_cannot_be_read_is_one_sentence(image: np.ndarray, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        grey_image(image)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("side", "shape"), [(1024, (1024, 901)), (512, (512, 451)), (2049, (2049, 1803))])
+def test_images_are_resampled_and_points_go_both_ways(side: int, shape: tuple[int, int]) -> None:
+    grey = grey_image(RNG.integers(0, 255, (2049, 1803), dtype=np.uint8)).resampled(side)
+    assert grey.pixels.shape == grey.outside.shape == shape
+    points = RNG.uniform(0, 900, (5, 2))
+    assert np.allclose(grey.from_given(grey.to_given(points)), points)
+    corners = np.array([[-0.5, -0.5], [shape[1] - 0.5, shape[0] - 0.5]])  # the border of the image stays its border
+    assert np.allclose(grey.to_given(corners), [[-0.5, -0.5], [1802.5, 2048.5]])
+
+
+def test_several_wires_are_said_and_given() -> None:
+    both = DrawnMaps(ARCH, np.maximum(MAPS.wire, maps_of(TWO).wire), MAPS.tip)
+    reading = read(picture(both), READER)
+    assert any("there are 2 wires" in message for message in reading.messages)
+    assert len(reading.others) == 1
+
+
+@pytest.mark.parametrize("side_px", [256, 300])
+def test_a_straight_line_across_a_small_image_is_no_wire_without_a_word(side_px: int) -> None:
+    drawn = _drawn(np.array([(1023, 420), (0, 300)], float), 8.0)
+    reading = read(cv2.resize(drawn.image, (side_px, side_px), interpolation=cv2.INTER_AREA))
+    assert not reading.found or any("straight as a rod" in note for note in reading.notes)

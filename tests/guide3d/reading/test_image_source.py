@@ -1,7 +1,5 @@
 """Where images come from: folders, films, TIFFs of several pages, DICOM runs; what is missing in them is said."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Real X-ray images of a wire in a phantom, where they are: loose limits of what the shipped reader reaches on them."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

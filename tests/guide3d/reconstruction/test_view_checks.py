@@ -1,7 +1,5 @@
 """Swapped cameras and raw annotations, found by epipolar residuals on synthetic scenes and on real pairs."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -10,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from guide3d.reconstruction.synthetic_scene import rig, scenes, wire
-from guide3d.reconstruction.view_checks import epipolar_residuals, swapped_cameras, undistorted_or_raw
+from guide3d.reconstruction.synthetic_scene import rig, wire
+from guide3d.reconstruction.view_checks import swapped_cameras, undistorted_or_raw
 
 ROOT = Path(__file__).resolve().parents[3]
 REAL = ROOT.parent / "shared" / "real"
@@ -60,11 +58,6 @@ def test_raw_annotations_are_told_from_undistorted_ones() -> None:
     assert undistorted_or_raw(*cameras, pairs, unbarrel, barrel).answer == "undistorted"
 
 
-def test_exact_scenes_have_no_residual() -> None:
-    for scene in scenes(4, seed=8):
-        assert epipolar_residuals(*scene.cameras, [scene.points])[0] < 0.5  # samples are 2 px apart
-
-
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, str(BENCHMARK), *arguments], capture_output=True, text=True, check=False)
 
@@ -91,14 +84,6 @@ def test_the_benchmark_reports_a_file_of_pairs(tmp_path: Path) -> None:
     assert report["pairs_per_s"] > 5
     assert "the cameras are as given" in done.stdout
     assert len(list((tmp_path / "pictures").glob("*.png"))) == 3
-
-
-def test_the_benchmark_says_what_is_missing(tmp_path: Path) -> None:
-    pairs = write_rig(tmp_path, count=1)
-    done = run(str(pairs), "--cameras", str(tmp_path))
-    assert done.returncode == 1
-    assert "the other camera's file, *16709*.txt, is missing" in done.stderr
-    assert "Traceback" not in done.stderr
 
 
 real = pytest.mark.skipif(not (REAL / "stereo_pairs.json").is_file(), reason="the real stereo pairs are not there")

@@ -1,7 +1,5 @@
 """The documents of the repository, and what is read in them."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import re
@@ -11,7 +9,6 @@ import pytest
 
 PROJECT_ROOT = Path(__file__).resolve().parents[3]
 DOCS = PROJECT_ROOT / "docs"
-ARCHITECTURE = DOCS / "architecture.md"
 PACKAGES = ("cathsim", "enn", "guide3d", "splineformer")
 READMES = [PROJECT_ROOT / "models" / "README.md"]
 READMES += [PROJECT_ROOT / "packages" / package / "README.md" for package in PACKAGES]

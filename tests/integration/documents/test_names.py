@@ -1,20 +1,22 @@
-"""Names, paths, links, commands, options and settings in the documents are those of the repository."""
-
-from __future__ import annotations
+"""Names, links, addresses, commands and settings in the documents are there."""
 
 import ast
 import importlib
 import importlib.util
 import re
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
 from tests.integration.documents.pages import (
+    DOCS,
     DOCUMENTS,
     PACKAGES,
+    PAGES,
     PROJECT_ROOT,
     STAGES,
     code_blocks,
@@ -23,6 +25,7 @@ from tests.integration.documents.pages import (
     read,
     relative,
     resolves,
+    table_column,
     without_blocks,
 )
 
@@ -149,3 +152,53 @@ def require_imports(source: str) -> None:
 def test_python_blocks_import_what_exists(document: Path) -> None:
     for block in code_blocks(read(document), "python"):
         require_imports(block)
+
+
+PLACEHOLDER = re.compile(r"https?://example\.invalid[^\s>)\"'`]*")
+
+
+def urls(pyproject: Path) -> dict[str, str]:
+    declared: dict[str, str] = tomllib.loads(read(pyproject))["project"]["urls"]
+    return declared
+
+
+DECLARED = urls(PROJECT_ROOT / "pyproject.toml")
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_packages_name_the_same_addresses(package: str) -> None:
+    assert urls(PROJECT_ROOT / "packages" / package / "pyproject.toml") == DECLARED
+
+
+def test_readme_and_citation_name_the_addresses() -> None:
+    assert DECLARED.keys() == {"Repository", "Issues"}
+    assert all(f"<{address}>" in read(PROJECT_ROOT / "README.md") for address in DECLARED.values())
+    assert yaml.safe_load(read(PROJECT_ROOT / "CITATION.cff"))["repository-code"] == DECLARED["Repository"]
+
+
+@pytest.mark.parametrize("document", [*DOCUMENTS, PROJECT_ROOT / "CITATION.cff"], ids=relative)
+def test_no_document_has_an_address_of_before(document: Path) -> None:
+    assert set(PLACEHOLDER.findall(read(document))) <= set(DECLARED.values())
+
+
+def test_table_of_stages_is_complete() -> None:
+    listed = [cell.strip("`") for cell in table_column(read(DOCS / "pipeline" / "stages.md"), "stage")]
+    assert sorted(listed) == sorted(STAGES)
+
+
+def nav_pages(entry: object) -> Iterator[str]:
+    """The pages of a part of the site's navigation."""
+    if isinstance(entry, str):
+        yield entry
+    for part in entry if isinstance(entry, list) else entry.values() if isinstance(entry, dict) else ():
+        yield from nav_pages(part)
+
+
+def test_the_site_s_navigation_has_every_page_once() -> None:
+    listed = list(nav_pages(yaml.safe_load(read(PROJECT_ROOT / "mkdocs.yml"))["nav"]))
+    pages = {page.relative_to(DOCS).as_posix() for page in PAGES}
+    assert len(listed) == len(set(listed))
+    assert pages <= set(listed)
+    outside = {"about.md", "tutorial.md", "models.md", "contributing.md", "changelog.md"}
+    outside |= {f"{folder}/{package}.md" for folder in ("packages", "api") for package in PACKAGES}
+    assert set(listed) - pages == outside

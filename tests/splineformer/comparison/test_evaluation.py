@@ -1,24 +1,46 @@
-"""Readers compared on the same images: summaries, disturbances that repeat, images that cannot be read, the scale."""
+"""Comparison of networks: errors of moved curves, disturbances, traced masks."""
 
-from __future__ import annotations
-
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from guide3d.dataset.dataset import Dataset
+from guide3d.dataset.frame import strip_mask
+from guide3d.geometry.polyline import Array
+from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
+from guide3d.random_fluoroscopy.settings import FluoroscopySettings
+from splineformer.build import VARIANTS, build, size_of
 from splineformer.comparison.evaluation import (
+    BARS,
+    DETECTOR_SD,
+    GAIN,
+    NOISE_SD,
     ReadCurve,
+    curve_errors,
+    disturbed,
     disturbed_image,
     evaluate_readers,
     example_arrays,
     examples_of,
     frame_of,
     mask_reader,
-    mm_per_px,
 )
+from splineformer.comparison.fluoroscopy_figures import (
+    curve_figures,
+    figures_of,
+    kind_accuracy,
+    round_trips,
+    speed,
+    summary,
+)
+from splineformer.comparison.skeleton import trace_mask
+from splineformer.image_input import pixels_of_shares
+from splineformer.learning.fluoroscopy_pool import ONE, curve_of
+from splineformer.predictor import Predictor
 from tests.guide3d.learning.drawn_data import draw
+from tests.splineformer.curves import image_of, wavy_wire
 
 ITEMS = [0, 30, 5]  # 24 frames: two images of camera A, one of camera B
 
@@ -64,13 +86,6 @@ def test_images_that_cannot_be_read_are_left_out(data: Dataset, monkeypatch: pyt
     assert (outcome["n"], outcome["images"]) == (2, [0, 2])
 
 
-def test_disturbances_repeat_and_differ_from_image_to_image(data: Dataset) -> None:
-    one, again = (disturbed_image(data, 3, "noise", 0, 7) for _ in range(2))
-    assert np.array_equal(one, again)
-    assert not np.array_equal(one, disturbed_image(data, 3, "noise", 1, 7))
-    assert not np.array_equal(one, disturbed_image(data, 3, "noise", 0, 8))
-
-
 def test_masks_are_traced_from_the_tip(data: Dataset) -> None:
     class Segmenter:
         def predict(self, image: np.ndarray) -> np.ndarray:
@@ -78,7 +93,6 @@ def test_masks_are_traced_from_the_tip(data: Dataset) -> None:
 
     read = mask_reader(Segmenter(), data, list(data.acquisitions)[:2])  # type: ignore[arg-type]
     points, discontinuities, mask = read(data.frames[0].image("a"), "a")
-    assert points is not None
     assert np.linalg.norm(points[0] - data.frames[0].polyline("a")[0]) < 5.0
     assert discontinuities == 0
     assert mask is not None
@@ -95,13 +109,143 @@ def test_examples_are_of_the_median_the_hardest_and_a_hidden_wire(data: Dataset)
     assert arrays["points0_blind"].shape == (0, 2)
 
 
-def test_scale(data: Dataset) -> None:
-    frame, camera = data.frames[0], data.camera_a
-    assert camera is not None
-    assert frame.curve_mm is not None
-    pixels = np.linalg.norm(np.diff(camera.project(frame.curve_mm), axis=0), axis=1).sum()
-    lengths = np.linalg.norm(np.diff(frame.curve_mm[:, :2], axis=0), axis=1).sum()
-    assert mm_per_px(frame, camera) == pytest.approx(lengths / pixels, rel=0.05)
-    without = SimpleNamespace(curve_mm=None)
-    assert mm_per_px(without, camera) == pytest.approx(1000 / 650)  # type: ignore[arg-type]  # the origin is 1 m away
-    assert mm_per_px(frame, None) is None
+WIRE = wavy_wire(0, 1024)
+IMAGE = image_of(WIRE, 1024)
+
+
+def result(kind: str, seed: int = 0) -> np.ndarray:
+    return disturbed(kind, IMAGE, WIRE, np.random.default_rng(seed))
+
+
+def test_what_each_does() -> None:
+    change = result("noise").astype(float) - IMAGE
+    assert change.std() == pytest.approx(NOISE_SD, rel=0.05)
+    assert result("low_contrast").std() == pytest.approx(np.hypot(GAIN * IMAGE.std(), DETECTOR_SD), rel=0.02)
+    hidden = result("occlusion") != IMAGE
+    assert 0.001 < hidden.mean() < BARS * (72 / 1024) ** 2
+    column, row = WIRE.round().astype(int).T
+    on_wire = hidden[row.clip(0, 1023), column.clip(0, 1023)]
+    assert on_wire.any()
+    assert not on_wire[[0, -1]].any()  # tip and end stay in sight
+
+
+SIDE = 300
+
+
+def test_whole_wire_is_traced_tip_first() -> None:
+    true = wavy_wire(1, SIDE)
+    traced = trace_mask(strip_mask(true, SIDE, SIDE, 6.0), true[-1])
+    assert traced.pieces == 1
+    assert traced.discontinuities == 0
+    errors = curve_errors(traced.points_px, true)
+    assert errors["mean_px"] < 2.5
+    assert errors["tip_px"] < 6.0  # thinning eats half of the width at each end
+
+
+def test_gap_is_counted_and_joined() -> None:
+    true = wavy_wire(2, SIDE)
+    mask = strip_mask(true, SIDE, SIDE, 6.0)
+    mask[:, 60:85] = 0
+    traced = trace_mask(mask, true[-1])
+    assert traced.discontinuities == 1
+    assert curve_errors(traced.points_px, true)["mean_px"] < 5
+
+
+def test_errors_of_known_curves() -> None:
+    line = np.column_stack([np.linspace(0, 100, 20), np.zeros(20)])
+    assert curve_errors(line, line + np.array([0, 3])) == pytest.approx(
+        {"tip_px": 3, "mean_px": 3, "max_px": 3, "chamfer_px": 3}, abs=1e-9
+    )
+    backwards = curve_errors(line[::-1], line)
+    assert backwards["tip_px"] == pytest.approx(100)
+    assert backwards["chamfer_px"] == pytest.approx(0, abs=1e-9)
+    half = curve_errors(line[:10], line)
+    assert half["max_px"] == pytest.approx(100 - line[9, 0], abs=1e-6)
+    with pytest.raises(ValueError, match="predicted curve"):
+        curve_errors(line[:1], line)
+
+
+def predictor(variant: str = "ordered") -> Predictor:
+    torch.manual_seed(0)
+    return Predictor(build(size_of(variant, "smoke")), source_px=128)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_curves_survive_as_tokens(variant: str) -> None:
+    network = predictor(variant).network
+    curves = [wavy_wire(seed, 1024) for seed in range(4)]
+    trips = round_trips(network.fit_tokens, curves)
+    assert 0 < trips["round_trip_px"] <= trips["round_trip_max_px"] < 20
+    assert trips["tokens_max"] <= network.limit
+    one_off = round_trips(lambda points: network.fit_tokens(points) + np.array([0.0, 40.0, 0.0]), curves)
+    assert one_off["round_trip_px"] > 10 * trips["round_trip_px"]
+
+
+def test_what_a_network_that_always_says_the_same_recognises(data: Dataset) -> None:
+    reader = predictor()
+    head = reader.network.kind
+    for layer in (head.wires, head.inverted):
+        torch.nn.init.zeros_(layer.weight)
+    head.wires.bias.data = torch.tensor([9.0, 0.0, 0.0])  # no wire
+    torch.nn.init.constant_(head.inverted.bias, -9.0)
+    shares = kind_accuracy(reader, data, [0, 30])
+    assert shares == {"one": 0.0, "none": 100.0, "several": 0.0, "inverted": 0.0}
+    head.wires.bias.data = torch.tensor([0.0, 9.0, 0.0])
+    assert kind_accuracy(reader, data, [0, 30]) == {"one": 100.0, "none": 0.0, "several": 0.0, "inverted": 0.0}
+    torch.nn.init.constant_(head.inverted.bias, 9.0)
+    assert kind_accuracy(reader, data, [0, 30]) == {"one": 0.0, "none": 0.0, "several": 0.0, "inverted": 100.0}
+
+
+def test_speed_counts_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    reader = predictor()
+    batches: list[int] = []
+    read = reader.batch
+    monkeypatch.setattr(reader, "batch", lambda images: batches.append(len(images)) or read(images))
+    figures = speed(reader, image_of(wavy_wire(0, 128), 128), calls=2)
+    assert batches == [1, 1, 1, 8, 8, 8]
+    assert figures["latency_ms"] > 0
+    assert np.isfinite(figures["images_per_s"])
+
+
+def test_a_curve_in_the_wrong_order_is_far_off() -> None:
+    wire = wavy_wire(0)
+    exact = curve_figures(wire, wire)
+    assert max(exact.values()) < 0.1
+    turned = curve_figures(wire[::-1], wire)
+    assert turned["curve_px"] < 0.1
+    assert turned["order_px"] > 20
+    assert turned["tip_px"] == pytest.approx(np.hypot(*(wire[0] - wire[-1])))
+    beside = curve_figures(wire + np.array([0.0, 3.0]), wire)
+    assert 1.0 < beside["curve_px"] <= 3.0
+    assert beside["tip_px"] == pytest.approx(3.0)
+
+
+def test_what_is_missed_and_found_for_nothing_is_counted() -> None:
+    images = RandomFluoroscopy(FluoroscopySettings(image_px=128, clutter=1e-6, no_wire=0.5), seed=2)
+    rows: list[dict[str, Any]] = []
+    for index in range(24):
+        drawn = images.image(index)
+        wires, curve = curve_of(drawn)
+        truth: Array | None = None if curve is None else pixels_of_shares(curve, (128, 128))
+        if wires == ONE and index % 2:
+            truth = None
+        elif wires != ONE and index % 2:
+            truth = np.array([[1.0, 1.0], [20.0, 20.0]])
+        rows.append(figures_of(drawn, truth))
+    found = summary(rows)
+    assert found["missed"] == sum(row["measured"] and not row["found"] for row in rows) > 0
+    assert 0 < found["found_in_empty"] < found["empty"]
+    assert found["curve_median_px"] < 0.1
+    assert found["in_order"] == pytest.approx(1 - found["missed"] / found["images"])
+    assert summary([])["curve_median_px"] is None
+
+
+def test_empty_mask_and_no_mask() -> None:
+    assert trace_mask(np.zeros((50, 60)), [0, 0]).points_px is None
+    with pytest.raises(ValueError, match=r"expected \(h, w\)"):
+        trace_mask(np.zeros((2, 3, 4)), [0, 0])
+
+
+def test_other_disturbances_are_refused() -> None:
+    with pytest.raises(ValueError, match="unknown disturbance 'blur'; there are none, noise"):
+        result("blur")

@@ -1,15 +1,26 @@
-"""Samples of random fluoroscopy: pictures move with their curves, and a generator determines a batch."""
+"""Training on random fluoroscopy: pools, samples, recipes, what resumes."""
 
-from __future__ import annotations
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from guide3d.dataset.acquisition_split import Split
+from guide3d.dataset.dataset import Dataset, split
+from guide3d.learning.training import finished
+from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
+from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from splineformer.build import VARIANTS, build, size_of
 from splineformer.learning.augmentation import Augmentation
-from splineformer.learning.fluoroscopy_pool import NONE, ONE, FluoroscopyPool
+from splineformer.learning.fluoroscopy_pool import NONE, ONE, SEVERAL, FluoroscopyPool, curve_of, draw_pool
 from splineformer.learning.fluoroscopy_samples import FluoroscopyObjective
+from splineformer.learning.fluoroscopy_training import FluoroscopyRecipe, fluoroscopy_recipe, train_on_fluoroscopy
+from splineformer.learning.recipes import recipe_of
+from splineformer.learning.training import train
+from splineformer.predictor import Predictor
+from tests.guide3d.learning.drawn_data import draw
 
 SIDE = 64
 TURNED = Augmentation(
@@ -61,6 +72,121 @@ def test_pictures_move_with_their_curves() -> None:
             directions.append((points[-1] - points[0]).numpy())
     assert len(directions) > 10
     assert np.ptp(np.array(directions), axis=0).min() > 0.4  # every way
+
+
+SMALL = FluoroscopySettings(image_px=128, clutter=1e-6, no_wire=0.3, two_devices=0.6)
+
+
+def quarter(image: np.ndarray) -> np.ndarray:
+    """Every fourth pixel."""
+    return image[::4, ::4]
+
+
+def test_kept_pictures_are_read_again(tmp_path: Path) -> None:
+    calls: list[int] = []
+
+    def picture(image: np.ndarray) -> np.ndarray:
+        calls.append(len(image))
+        return quarter(image)
+
+    images = RandomFluoroscopy(SMALL, seed=4)
+    pool = draw_pool(images, range(3, 63), picture, "quarters", tmp_path)
+    drawn = len(calls)
+    assert drawn == len(pool) <= 60
+    assert pool.pictures.shape == (len(pool), 32, 32)
+    again = draw_pool(images, range(3, 63), picture, "quarters", tmp_path)
+    assert len(calls) == drawn
+    for name in ("pictures", "curves", "wires"):
+        assert np.array_equal(getattr(pool, name), getattr(again, name), equal_nan=name == "curves")
+    assert set(pool.wires) == {NONE, ONE, SEVERAL}
+    assert (np.isnan(pool.curves).all(axis=(1, 2)) == (pool.wires == NONE)).all()
+    with pytest.raises(ValueError, match="another seed, source or settings"):
+        draw_pool(RandomFluoroscopy(SMALL, seed=5), range(3, 63), picture, "quarters", tmp_path)
+    file = next(tmp_path.glob("pool_*.npz"))
+    file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(ValueError, match="is damaged"):
+        draw_pool(images, range(3, 63), picture, "quarters", tmp_path)
+
+
+def test_parts_of_which_nothing_is_kept_are_left_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    images = RandomFluoroscopy(SMALL, seed=4)
+    monkeypatch.setattr("splineformer.learning.fluoroscopy_pool._PART", 1)
+    few = draw_pool(images, range(3, 63), quarter, "quarters", tmp_path)
+    again = draw_pool(images, range(3, 63), quarter, "quarters", tmp_path)
+    assert 0 < len(few) == len(again) < 60
+    left_out = next(k for k in range(3, 63) if _left_out(images, k))
+    with pytest.raises(ValueError, match="none of 1 random images could be used: draw more"):
+        draw_pool(images, range(left_out, left_out + 1), quarter, "quarters")
+
+
+def _left_out(images: RandomFluoroscopy, index: int) -> bool:
+    wires, curve = curve_of(images.image(index))
+    return wires != NONE and curve is None
+
+
+def tiny(variant: str, input: str = "maps") -> FluoroscopyRecipe:
+    """The smoke recipe on as few images as there can be."""
+    return replace(fluoroscopy_recipe(variant, "smoke", input), images=2, validation_images=2, samples=8)
+
+
+def test_recipes_agree_with_their_input() -> None:
+    assert fluoroscopy_recipe("ordered", "desk").settings.floor > 1  # type: ignore[union-attr]
+    assert fluoroscopy_recipe("ordered", "desk", "levels").drawn == 0.0
+    with pytest.raises(ValueError, match="unknown input 'edges'; there are levels, maps"):
+        replace(fluoroscopy_recipe("ordered", "desk"), input="edges")
+    with pytest.raises(ValueError, match="expected drawn 0, got"):
+        replace(fluoroscopy_recipe("ordered", "desk", "levels"), drawn=0.5)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_training_resumes_exactly(variant: str, tmp_path: Path) -> None:
+    recipe = tiny(variant)
+
+    def trained(folder: Path, stop_after: int = 0) -> Predictor:
+        def progress(now: object) -> None:
+            if stop_after and now.epoch == stop_after:  # type: ignore[attr-defined]
+                raise KeyboardInterrupt
+
+        pictures = tmp_path / "pictures"
+        return train_on_fluoroscopy(recipe, folder=folder, pictures=pictures, seed=1, progress=progress)[0]
+
+    whole = trained(tmp_path / "whole")
+    assert whole.input == "maps"
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path / "parts", 1)
+    resumed = trained(tmp_path / "parts")
+    for a, b in zip(whole.network.state_dict().values(), resumed.network.state_dict().values(), strict=True):
+        assert torch.equal(a, b)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return draw(tmp_path_factory.mktemp("drawn"))
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_training_resumes_exactly_of_training(variant: str, data: Dataset, tmp_path: Path) -> None:
+    parts = split(data, (0.6, 0.2, 0.2))
+    assert isinstance(parts, Split)
+    recipe = recipe_of(variant, "smoke")
+    recipe = replace(recipe, fit=replace(recipe.fit, epochs=2), images=8)
+
+    def trained(folder: Path, stop_after: int = 0) -> Predictor:
+        def progress(now: object) -> None:
+            if stop_after and now.epoch == stop_after:  # type: ignore[attr-defined]
+                raise KeyboardInterrupt
+
+        return train(data, parts, recipe, folder=folder, seed=1, progress=progress)[0]
+
+    whole = trained(tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        trained(tmp_path / "parts", 1)
+    resumed = trained(tmp_path / "parts")
+    for a, b in zip(whole.network.state_dict().values(), resumed.network.state_dict().values(), strict=True):
+        assert torch.equal(a, b)
+    finished(tmp_path / "parts")
+    assert not list((tmp_path / "parts").glob("*"))
+    assert whole(data.frames[0].image("a")).wires in ("none", "one", "several")
 
 
 def test_nothing_to_learn_from() -> None:

@@ -1,19 +1,24 @@
-"""Samples: batches that a generator determines, curves met oftener, images that cannot be read."""
-
-from __future__ import annotations
+"""Samples: drawn by a generator, augmented alike, targets of each variant."""
 
 import numpy as np
 import pytest
 import torch
 
 from guide3d.dataset.dataset import Dataset, images_of
+from guide3d.geometry.polyline import arc_length, resample
 from splineformer.build import VARIANTS, build, size_of
+from splineformer.image_input import pixels_of_shares, shares_of_pixels
 from splineformer.learning.augmentation import (
     Augmentation,
+    moved,
+    warped,
 )
+from splineformer.learning.losses import attention_loss
 from splineformer.learning.recipes import recipe_of
 from splineformer.learning.samples import SplineObjective, curves_of, passes_of
+from splineformer.learning.targets import TARGETS, OrderedTargets, PublishedTargets
 from tests.guide3d.learning.drawn_data import draw
+from tests.splineformer.curves import image_of, wavy_wire
 
 
 @pytest.fixture(scope="module")
@@ -67,3 +72,56 @@ def test_batches_are_determined_by_the_generator(variant: str, data: Dataset) ->
     assert 1 in items  # the frame that cannot be read was replaced
     with pytest.raises(ValueError, match="training part is empty"):
         SplineObjective([Store("a"), Store("b")], curves, items[:0], items, network)
+
+
+def test_image_and_curve_move_alike() -> None:
+    points, side = wavy_wire(4, SIDE := 256), SIDE
+    image = torch.from_numpy(image_of(points, seed=1)).float()[None, None]
+    share = shares_of_pixels(points, (side, side))
+    new, where = moved(share, Augmentation(shift=0.1, turn_deg=20, stretch=0.2), np.random.default_rng(5))
+    assert not np.allclose(new[0], share[0], atol=0.01)
+    picture = warped(image, where[None])[0, 0].numpy()
+    column, row = pixels_of_shares(resample(new, count=60)[3:-6], (side, side)).round().astype(int).T
+    assert np.median(picture[row, column]) < np.median(picture[np.clip(row + 9, 0, side - 1), column]) - 40
+
+
+CURVES = [wavy_wire(seed, 1) for seed in range(3)]
+
+
+def targets_of(variant: str) -> PublishedTargets | OrderedTargets:
+    torch.manual_seed(0)
+    network = build(size_of(variant, "smoke")).eval()
+    made: PublishedTargets | OrderedTargets = TARGETS[variant](network, None, 1024)
+    return made
+
+
+def test_published_targets_are_tokens_in_network_units() -> None:
+    targets = targets_of("published")(CURVES, None)
+    assert targets["tokens"].shape == (3, 23, 3)
+    for tokens, length, curve in zip(targets["tokens"], targets["lengths"], CURVES, strict=True):
+        assert tokens[int(length) - 1, 0] == 1.0  # knots are shares of the length
+        assert np.allclose(tokens[0, 1:], curve[0], atol=2e-3)  # the first token's point is the tip
+        assert torch.equal(tokens[int(length) :], tokens[int(length) - 1].expand(23 - int(length), -1))
+
+
+def test_ordered_targets_are_points_of_the_curve() -> None:
+    made = targets_of("ordered")
+    targets = made(CURVES, None)
+    queries, steps = made.network.settings.queries, made.network.settings.steps
+    assert targets["points"].shape == (3, queries, 2)
+    assert targets["course"].shape == (3, steps, 2)
+    for number, curve in enumerate(CURVES):
+        assert np.allclose(targets["points"][number, [0, -1]], curve[[0, -1]], atol=1e-6)
+        assert np.allclose(targets["curve"][number, [0, -1]], curve[[0, -1]], atol=1e-6)
+        assert np.allclose(targets["course"][number, 0], curve[-1], atol=1e-6)  # it begins where the wire comes in
+        assert targets["length"][number] == pytest.approx(arc_length(curve)[-1] / made.network.step, rel=1e-5)
+
+
+def test_attention_loss_is_least_at_the_true_place() -> None:
+    points = torch.tensor([[[0.30, 0.70]]])
+    side = 8
+    cells = torch.cartesian_prod(torch.arange(side), torch.arange(side)).flip(1)
+    distance = (cells - (points[0] * side - 0.5)).norm(dim=1)
+    right, wrong = -(distance**2), -((distance - 3) ** 2)
+    assert attention_loss(right[None, None], points) < attention_loss(wrong[None, None], points)
+    assert attention_loss(torch.zeros(1, 1, side**2), points).item() == pytest.approx(np.log(side**2), rel=1e-5)

@@ -1,7 +1,5 @@
 """A bent lumen, readings of straight wires, and untrained perception networks, for tests of the navigation."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

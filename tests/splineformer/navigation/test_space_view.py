@@ -1,6 +1,4 @@
-"""Wire and vessels in space: the hull of two contrast runs, its ways, and what a navigator measures there."""
-
-from __future__ import annotations
+"""The navigator's views of space and of the vessel."""
 
 import numpy as np
 import pytest
@@ -12,6 +10,8 @@ from guide3d.geometry.polyline import arc_length, at_length, resample
 from splineformer.navigation.perception import CURVE_POINTS, WireReading
 from splineformer.navigation.space_map import SpaceMap, hull_of
 from splineformer.navigation.space_view import SIZE, WAY_MM, WIRE_MM, SpaceView
+from splineformer.navigation.vessel_map import VesselMap, lumen_of_run
+from tests.splineformer.navigation.drawn_moments import bend
 
 PX, MAP = 512, 128
 RADIUS_MM = 6.0
@@ -127,15 +127,42 @@ def test_look_is_measured_in_the_wires_own_frame() -> None:
     assert np.abs(behind[:, 0]).max() < 0.1  # a plane bend has no third dimension
 
 
-def test_motion_is_that_since_earlier_decisions() -> None:
-    view = SpaceView(space_of())
-    seen, line = list(view.space.hull.cameras), vessel()
-    place = 3 * (len(WAY_MM) + len(WIRE_MM)) + 9 + 3
-    first = view.look(readings(seen, line[:56][::-1]))
-    assert np.allclose(first[place : place + 6], 0.0)
-    second = view.look(readings(seen, line[:58][::-1]))
-    step = np.linalg.norm(line[57] - line[55]) / 4.0
-    assert np.allclose(second[place : place + 3], (0, 0, step), atol=0.12)
+def test_what_cannot_be_measured_is_refused() -> None:
+    seen = cameras()
+    maps = [lumen(camera, [vessel()]) for camera in seen]
+    with pytest.raises(ValueError, match="two cameras and their lumens"):
+        hull_of(maps[:1], seen[:1])
+    with pytest.raises(ValueError, match="no lumen in common"):
+        hull_of([maps[0], np.zeros_like(maps[1])], seen)
+
+
+def test_contrast_run_shows_the_lumen_whatever_the_brightness() -> None:
+    true = np.kron(bend(), np.ones((4, 4)))
+    plain = np.full((256, 256), 150.0)
+    plain[:20] = 2.0  # behind the collimator
+    contrast = 0.9 * plain * np.exp(-0.8 * true)
+    noise = np.random.default_rng(0).normal(0, 1.5, (2, 256, 256))
+    lumen = lumen_of_run((plain + noise[0]).clip(0, 255), (contrast + noise[1]).clip(0, 255), size=64)
+    seen = bend() > 0.5
+    seen[:5] = False
+    assert np.array_equal(lumen > 0.5, seen)
+    with pytest.raises(ValueError, match="shows no vessel"):
+        lumen_of_run(plain, plain)
+    with pytest.raises(ValueError, match="square images of one shape"):
+        lumen_of_run(plain, contrast[:100])
+
+
+def test_way_stays_in_the_lumen_and_ends_at_the_mark() -> None:
+    vessels = VesselMap(bend(), (0.9, 0.19))
+    way = vessels.way(np.array([0.19, 0.9]))
+    assert np.allclose(way[0], (0.19, 0.9))
+    assert np.allclose(way[-1], (0.9, 0.19))
+    assert (vessels.sample(way) > 0.5).all()
+    length = np.linalg.norm(np.diff(way, axis=0), axis=1).sum()
+    assert 1.2 < length < 1.45  # the diagonal would be 1.0
+    assert vessels.remaining(np.array([0.19, 0.9])) > vessels.remaining(np.array([0.19, 0.5])) > 0
+    with pytest.raises(ValueError, match="must lie in the image"):
+        VesselMap(bend(), (1.2, 0.5))
 
 
 def test_curves_that_do_not_belong_together_count_as_not_measured() -> None:
@@ -151,10 +178,12 @@ def test_curves_that_do_not_belong_together_count_as_not_measured() -> None:
     assert np.isfinite(view.look(short)).all()
 
 
-def test_what_cannot_be_measured_is_refused() -> None:
-    seen = cameras()
-    maps = [lumen(camera, [vessel()]) for camera in seen]
-    with pytest.raises(ValueError, match="two cameras and their lumens"):
-        hull_of(maps[:1], seen[:1])
-    with pytest.raises(ValueError, match="no lumen in common"):
-        hull_of([maps[0], np.zeros_like(maps[1])], seen)
+def test_motion_is_that_since_earlier_decisions() -> None:
+    view = SpaceView(space_of())
+    seen, line = list(view.space.hull.cameras), vessel()
+    place = 3 * (len(WAY_MM) + len(WIRE_MM)) + 9 + 3
+    first = view.look(readings(seen, line[:56][::-1]))
+    assert np.allclose(first[place : place + 6], 0.0)
+    second = view.look(readings(seen, line[:58][::-1]))
+    step = np.linalg.norm(line[57] - line[55]) / 4.0
+    assert np.allclose(second[place : place + 3], (0, 0, step), atol=0.12)

@@ -1,7 +1,5 @@
 """A surface of an aortic arch drawn from its centrelines, with branches of any length, closed or cut open."""
 
-from __future__ import annotations
-
 import numpy as np
 import trimesh
 

@@ -1,7 +1,5 @@
 """The aorta's ends are those of the largest tube, whatever the radii of the openings; and where there is no arch."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

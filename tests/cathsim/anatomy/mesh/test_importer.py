@@ -1,10 +1,7 @@
 """Meshes of the project's own phantoms come back as phantoms, however disguised; what cannot work is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
-import os
 from pathlib import Path
 
 import numpy as np
@@ -97,7 +94,6 @@ def plain(phantom: Phantom, cache: Path) -> tuple[Path, Phantom]:
 def test_a_disguised_phantom_comes_back(imported: tuple[Disguise, Phantom], phantom: Phantom):
     disguise, found = imported
     report = found.imported
-    assert report is not None
     assert report.unit == disguise.unit
     # as small in centimetres as a child's: an inch must be given
     assert report.unit_reason.startswith("given" if disguise.unit == "inch" else "detected: its widest vessel is then ")
@@ -123,7 +119,6 @@ def test_a_disguised_phantom_comes_back(imported: tuple[Disguise, Phantom], phan
 def test_its_distance_grid_is_the_lumens(imported: tuple[Disguise, Phantom], phantom: Phantom):
     disguise, found = imported
     report = found.imported
-    assert report is not None
     rng = np.random.default_rng(1)
     points = rng.uniform(*found.grid.bounds, size=(20_000, 3))
     same = disguise.from_world(points, report)
@@ -135,12 +130,11 @@ def test_its_distance_grid_is_the_lumens(imported: tuple[Disguise, Phantom], pha
     assert near.sum() > 100
     assert np.abs(here - original)[near].max() < (1.2e-3 if disguise.holes else 8e-4)
     assert np.median(np.abs(here - original)[near]) < 1.5e-4
-    assert check_lumen(found).problems == ()
+    assert check_lumen(found) == []
 
 
 def test_the_pose_is_near_the_patients(imported: tuple[Disguise, Phantom]):
     disguise, found = imported
-    assert found.imported is not None
     turn = np.array(found.imported.rotation) @ disguise.rotation
     angle = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))
     assert angle < (1e-3 if found.imported.axes_kept else 12.0)
@@ -177,33 +171,9 @@ def test_it_is_cached_with_its_report(plain: tuple[Path, Phantom], cache: Path, 
         load_phantom(str(path), seed=3)
 
 
-def test_the_same_file_gives_the_same_phantom(plain: tuple[Path, Phantom]):
-    path, found = plain
-    report = found.imported
-    assert report is not None
-    assert ImportReport.from_json(json.loads(json.dumps(report.to_json()))) == report
-    again = importer._build(path, found.hash, None, None, COARSE, path, extend=True)
-    assert np.array_equal(again.grid.values, found.grid.values)
-    assert all(np.array_equal(a.points, b.points) for a, b in zip(again.tree, found.tree, strict=True))
-
-
-def test_a_wire_goes_in(plain: tuple[Path, Phantom]):
-    from cathsim import NavigateEnv
-
-    environment = NavigateEnv(plain[1], target="bca", observation="tip")
-    environment.reset(seed=0)
-    before = plain[1].geodesic_distance(environment.simulation.tip, "bca")
-    for _ in range(15):
-        _, _, _, _, info = environment.step(np.array([1.0, 0.0]))
-    assert not info["invalid"]
-    assert info["insertion"] > 0.028
-    assert plain[1].geodesic_distance(info["tip"], "bca") < before - 0.02
-
-
 @pytest.mark.skipif(not REAL.is_file(), reason="../shared/real is not there")
 def test_a_real_thick_walled_mesh(tmp_path: Path):
     found = import_mesh(REAL, resolution=COARSE, cache_dir=tmp_path)
-    assert found.imported is not None
     assert found.imported.unit == "m"
     assert found.imported.kind == "tunnel"
     assert {"aorta", "bca", "lcca", "lsa"} == set(found.tree.names)
@@ -291,13 +261,3 @@ def test_too_many_faces_are_thinned_out(phantom: Phantom):
     assert volume == pytest.approx(mesh.volume, rel=0.005)
     away, _ = sample_surface(thin.corners, 5e-4).tree.query(mesh.vertices[::50])
     assert away.max() < 1e-3
-
-
-def test_a_name_that_is_a_formula_and_no_text_is_drawn(tmp_path: Path):
-    path = tmp_path / os.fsdecode(b"a$_$b caf\xe9.stl")
-    trimesh.creation.icosphere(2, 0.01).export(tmp_path / "ball.stl")
-    (tmp_path / "ball.stl").rename(path)
-    with pytest.raises(MeshRefusedError) as refused:
-        import_mesh(path, unit="m", cache_dir=tmp_path / "cache")
-    assert refused.value.picture is not None
-    assert refused.value.picture.exists()

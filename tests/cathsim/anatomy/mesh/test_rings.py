@@ -1,7 +1,5 @@
 """Vessels that form a ring: the lumen stays open around it, and each of its vessels ends where they meet."""
 
-from __future__ import annotations
-
 import itertools
 from pathlib import Path
 
@@ -45,12 +43,10 @@ def ring(phantom: Phantom, link: np.ndarray, cache: Path) -> Phantom:
 
 def _in_import(points: np.ndarray, ring: Phantom) -> np.ndarray:
     report = ring.imported
-    assert report is not None
     return points @ np.array(report.rotation).T + np.array(report.offset)
 
 
 def test_a_ring_is_told_and_nothing_closes_it(ring: Phantom, link: np.ndarray) -> None:
-    assert ring.imported is not None
     assert any("a ring" in note for note in ring.imported.notes), ring.imported.notes
     assert {"bca", "lcca", "lsa", "rcca", "rsa"} <= set(ring.tree.names)
     assert ring.grid.sample(_in_import(link, ring)).min() > RADIUS - 1e-3

@@ -1,15 +1,15 @@
-"""Pictures of imports: which notes are doubts, which vessels they name, and the picture that the last note names."""
-
-from __future__ import annotations
+"""Pictures of phantoms and of imports, whose notes say what is unsure."""
 
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.mesh.report import ImportReport
-from cathsim.anatomy.pictures.import_picture import doubts, draw_import, vessels_named, with_picture_of_doubts
+from cathsim.anatomy.pictures.import_picture import doubts, draw_import, with_picture_of_doubts
+from cathsim.anatomy.pictures.phantom_picture import VIEWS, draw_phantom
 
 FACTS = ("united from 3 parts", "distances every 0.5 mm: its vessels are a child's", "target lcca lies 9 mm up")
 DOUBTS = ("lcca is cut off by the volume's edge", "left and right cannot be told by its shape")
@@ -21,25 +21,6 @@ def imported(phantom: Phantom, notes: tuple[str, ...]) -> Phantom:
         "arch.stl", "mm", "given", 100, "closed lumen", 4, rows, (0.0, 0.0, 0.0), 1e-3, True, {}, {}, notes
     )
     return replace(phantom, imported=report)
-
-
-def test_doubts_are_all_notes_but_those_of_what_was_done() -> None:
-    assert doubts((*FACTS, *DOUBTS)) == DOUBTS
-    assert doubts(()) == ()
-
-
-@pytest.mark.parametrize(
-    ("note", "named"),
-    [
-        (DOUBTS[0], ("lcca",)),
-        ("the first branch of the arch looks like the common trunk of BCA and LCCA", ("bca", "lcca")),
-        ("the aorta's lower end is cut off by the volume's edge", ("aorta",)),
-        ("lcca leaves the aorta late", ("lcca",)),
-        (DOUBTS[1], ()),
-    ],
-)
-def test_a_doubt_belongs_to_the_vessels_that_it_names(note: str, named: tuple[str, ...]) -> None:
-    assert vessels_named(note, ("aorta", "bca", "lcca", "lsa")) == named
 
 
 def test_the_picture_names_vessels_and_numbers_doubts(phantom: Phantom, tmp_path: Path) -> None:
@@ -59,10 +40,28 @@ def test_the_last_note_of_a_doubtful_import_names_its_picture(
     assert with_picture_of_doubts(sure, tmp_path / "sure.png") is sure
     assert not (tmp_path / "sure.png").exists()
     unsure = with_picture_of_doubts(imported(phantom, (*FACTS, *DOUBTS)), tmp_path / "unsure.png")
-    assert unsure.imported is not None
     picture = f"what is unsure is marked in the picture {tmp_path / 'unsure.png'}"
     assert unsure.imported.notes == (*DOUBTS, *FACTS, picture)
     assert doubts(unsure.imported.notes) == DOUBTS
     (tmp_path / "file").write_text("")
     assert with_picture_of_doubts(imported(phantom, DOUBTS), tmp_path / "file" / "x.png").imported.notes == DOUBTS
     assert "cannot be written" in caplog.text
+
+
+def test_the_picture_shows_the_vessel_from_every_side(phantom, tmp_path):
+    path = tmp_path / "type_1.png"
+    figure = draw_phantom(phantom, path, pixel=2e-3)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert [axes.get_title() for axes in figure.axes] == list(VIEWS)
+    silhouettes = []
+    for axes in figure.axes:
+        image = axes.images[0].get_array()
+        vessel = np.any(np.asarray(image) < 0.99, axis=-1)
+        silhouettes.append(vessel.mean())
+        texts = {text.get_text() for text in axes.texts}
+        assert set(phantom.targets) <= texts
+    # From the front the shadow is that of the lumen: its area in the grid, seen along y.
+    shadow = np.count_nonzero((phantom.grid.values > 0).any(axis=1)) * phantom.grid.spacing**2
+    rows, columns = np.asarray(figure.axes[0].images[0].get_array()).shape[:2]
+    assert abs(silhouettes[0] * rows * columns * 4e-6 / shadow - 1) < 0.05
+    assert silhouettes[0] != silhouettes[2]

@@ -1,7 +1,5 @@
 """Label volumes of phantoms: what a segmentation of a known lumen looks like on coarse, oblique voxels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

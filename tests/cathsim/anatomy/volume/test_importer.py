@@ -1,7 +1,5 @@
 """Phantoms from label volumes of a generated arch, against that arch."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from pathlib import Path
@@ -41,7 +39,6 @@ def oblique() -> np.ndarray:
 
 def in_patient(phantom: Phantom, points: np.ndarray) -> np.ndarray:
     """Points (n, 3) m of an imported phantom in the axes of the volume's patient, whose origin the file keeps."""
-    assert phantom.imported is not None
     return points - np.array(phantom.imported.offset)
 
 
@@ -82,19 +79,12 @@ def imported(thick: Path, cache: Path) -> Phantom:
 def test_thick_slices_become_the_arch_they_were_made_of(imported: Phantom, phantom: Phantom) -> None:
     compare(imported, phantom)
     report = imported.imported
-    assert report is not None
     assert not any("repeat" in note or "heart" in note for note in report.notes)
     assert report.rotation == ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
     voxels, lumen = (sum(pair[n] for pair in report.volumes_ml.values()) for n in (0, 1))
     assert lumen == pytest.approx(voxels, rel=0.03)
     assert "TotalSegmentator 2" in report.kind
-    assert check_lumen(imported, required_radius=1e-3).valid
-
-
-def test_a_vessel_whose_volume_differs_is_noted_beside_the_total() -> None:
-    volumes = {"aorta": (150e-6, 151e-6), "rcca": (2e-6, 2.11e-6), "lsa": (2e-6, 2.05e-6), "rsa": (0.5e-6, 0.6e-6)}
-    assert _volume_notes(volumes) == ["rcca holds 2.11 ml, its voxels 2"]
-    assert _volume_notes({"aorta": (100e-6, 106e-6)})[0].startswith("the lumen holds")
+    assert check_lumen(imported, required_radius=1e-3) == []
 
 
 def test_steps_of_slices_are_not_felt(imported: Phantom, phantom: Phantom) -> None:
@@ -119,7 +109,6 @@ def test_finer_copies_of_voxels_and_axes_upside_down_give_the_same_vessels(
     twice = np.asarray(image.dataobj).repeat(2, 0).repeat(2, 1).repeat(2, 2)
     nibabel.save(nibabel.Nifti1Image(twice, turned, image.header), fine)
     found = import_anatomy(fine, resolution=COARSE, cache_dir=cache)
-    assert found.imported is not None
     notes = "; ".join(found.imported.notes)
     assert "voxels repeat each other" in notes
     assert "the heart at the other end of the aorta" in notes
@@ -130,12 +119,6 @@ def test_finer_copies_of_voxels_and_axes_upside_down_give_the_same_vessels(
             assert apart == pytest.approx(np.linalg.norm(target.position - other.position), abs=2e-3)
     ways = {name: found.way_length(name) for name in ("bca", "lsa")}
     assert ways == pytest.approx({name: imported.way_length(name) for name in ways}, abs=3e-3)
-
-
-def test_an_oblique_volume_in_slicers_format(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
-    labels, affine = rasterise(phantom, turn=oblique())
-    path = save_slicer(tmp_path / "Segmentation.seg.nrrd", labels, affine, LONG_NAMES)
-    compare(import_anatomy(path, resolution=COARSE, cache_dir=cache), phantom)
 
 
 def test_a_folder_with_bridges_and_gaps(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
@@ -158,14 +141,13 @@ def test_a_folder_with_bridges_and_gaps(tmp_path: Path, phantom: Phantom, cache:
     found = import_anatomy(folder, names={"lcca": "left"}, resolution=COARSE, cache_dir=cache)
     assert set(found.tree.names) == {*phantom.tree.names, "left"} - {"lcca"}
     assert "left" in found.targets
-    assert found.imported is not None
     notes = " ".join(found.imported.notes)
     assert "in rcca is closed" in notes
     assert "aorta's lower end is cut off by the volume's edge" in notes
     # the way from one to the other is that through the arch, not over the bridge
     way = found.geodesic_distance(found.targets["lsa"].position, "left")
     assert way > 0.06
-    assert check_lumen(found, required_radius=1e-3).valid
+    assert check_lumen(found, required_radius=1e-3) == []
 
 
 def test_a_carotid_of_a_trunk_and_a_trunks_fork(tmp_path: Path, cache: Path) -> None:
@@ -183,7 +165,6 @@ def test_a_carotid_of_a_trunk_and_a_trunks_fork(tmp_path: Path, cache: Path) -> 
     carotid = truth.tree["lcca"].points[5:60]
     aorta = nearest_on_branch(truth.tree["aorta"], carotid)[0]
     way = np.concatenate([carotid + share * (aorta - carotid) for share in np.linspace(0, 1, 61)])
-    assert found.imported is not None
     before, after = (
         grid.sample(way + at).reshape(61, -1).min(axis=0)
         for grid, at in ((truth.grid, 0.0), (found.grid, np.array(found.imported.offset)))
@@ -201,28 +182,30 @@ def test_an_aorta_that_widens_soon_after_its_lower_end_keeps_that_end(tmp_path: 
     labels[(np.hypot(x - 26e-3, y - 28e-3) < width) & (z > 5e-3) & (z < 125e-3)] = 52
     path = save_nifti(tmp_path / "scan.nii.gz", labels, np.diag([1.5, 1.5, 1.5, 1.0]))
     phantom = import_anatomy(path, resolution=COARSE, cache_dir=cache)
-    assert phantom.imported is not None
     voxels, lumen = phantom.imported.volumes_ml["aorta"]
     assert lumen == pytest.approx(voxels, rel=0.03)
     assert phantom.tree.root.length > 110e-3
 
 
 @pytest.mark.slow
-def test_first_stretches_of_vessels_in_the_aortas_label(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
-    labels, affine = rasterise(phantom)
+def test_first_stretches_of_vessels_in_the_aortas_label_of_an_oblique_volume_of_slicer(
+    tmp_path: Path, phantom: Phantom, cache: Path
+) -> None:
+    labels, affine = rasterise(phantom, turn=oblique())
     index = np.stack(np.meshgrid(*[np.arange(n) for n in labels.shape], indexing="ij"), axis=-1).reshape(-1, 3)
     points = 1e-3 * (index @ affine[:3, :3].T + affine[:3, 3]) * [-1.0, -1.0, 1.0]
     for name in ("bca", "lcca", "lsa"):
         mine = np.flatnonzero(labels.reshape(-1) == IDS[name])
         _, arc, _ = nearest_on_branch(phantom.tree[name], points[mine])
         labels.reshape(-1)[mine[arc < np.quantile(arc, 0.4)]] = IDS["aorta"]
-    found = import_anatomy(save_nifti(tmp_path / "scan.nii.gz", labels, affine), resolution=COARSE, cache_dir=cache)
+    path = save_slicer(tmp_path / "Segmentation.seg.nrrd", labels, affine, LONG_NAMES)
+    found = import_anatomy(path, resolution=COARSE, cache_dir=cache)
     compare(found, phantom, centreline=1.5e-3)
-    assert check_lumen(found, required_radius=1e-3).valid
+    assert check_lumen(found, required_radius=1e-3) == []
 
 
 def test_one_label_for_all_is_named_by_its_shape(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
-    labels, affine = rasterise(phantom, spacing=(1.2e-3,) * 3)
+    labels, affine = rasterise(phantom, spacing=(1.5e-3,) * 3)
     path = save_nifti(tmp_path / "mask.nii.gz", (labels > 0).astype(np.uint8), affine)
     found = import_anatomy(path, resolution=COARSE, cache_dir=cache)
     assert {"aorta", "bca", "lcca", "lsa"} <= set(found.tree.names)
@@ -264,11 +247,6 @@ def test_load_phantom_takes_a_volume(thick: Path, imported: Phantom, cache: Path
             load(thick, unit="mm", cache_dir=cache)
 
 
-def test_a_name_of_the_users_own_that_no_vessel_has_is_refused(thick: Path, cache: Path) -> None:
-    with pytest.raises(MeshRefusedError, match="was not found"):
-        import_anatomy(thick, names={"carotid": "left"}, resolution=2e-3, cache_dir=cache)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "expected"),
@@ -280,7 +258,12 @@ def test_real_labels(file: str, expected: set[str], cache: Path) -> None:
     found = import_anatomy(REAL / file, resolution=COARSE, cache_dir=cache)
     assert set(found.tree.names) == expected | {"aorta"}
     assert expected <= set(found.targets)
-    assert found.imported is not None
     voxels, lumen = (sum(pair[n] for pair in found.imported.volumes_ml.values()) for n in (0, 1))
     assert lumen == pytest.approx(voxels, rel=0.03)
-    assert check_lumen(found, required_radius=1e-3).valid
+    assert check_lumen(found, required_radius=1e-3) == []
+
+
+def test_a_vessel_whose_volume_differs_is_noted_beside_the_total() -> None:
+    volumes = {"aorta": (150e-6, 151e-6), "rcca": (2e-6, 2.11e-6), "lsa": (2e-6, 2.05e-6), "rsa": (0.5e-6, 0.6e-6)}
+    assert _volume_notes(volumes) == ["rcca holds 2.11 ml, its voxels 2"]
+    assert _volume_notes({"aorta": (100e-6, 106e-6)})[0].startswith("the lumen holds")

@@ -1,7 +1,5 @@
 """Tubes side by side, as grids of distances, and the wall between them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cathsim.anatomy.distance_grid import OUTSIDE, SignedDistanceGrid

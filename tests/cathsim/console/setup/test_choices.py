@@ -1,13 +1,11 @@
 """What the operator may choose: what is left out stays, what there is not is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
-from cathsim.console.setup.choices import OWN_WIRE, Choices
-from cathsim.console.setup.operator_setup import ForceLimit, Setup
+from cathsim.console.setup.choices import OWN, OWN_WIRE, Choices, find_offer, offered
+from cathsim.console.setup.operator_setup import ForceLimit, ForceWatch, Setup
 
 ASKED = {"type": "choose", "phantom": "type_2", "target": "lcca"}
 
@@ -56,3 +54,22 @@ def test_a_wire_of_ones_own_is_offered_without_its_path(tmp_path: Path) -> None:
 def test_what_there_is_not_is_refused(wrong: dict[str, str], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         Choices(Setup(), ("type_1", "type_2")).read({**ASKED, **wrong}, Setup(), None)
+
+
+def test_ones_own_file_comes_first_and_by_no_path() -> None:
+    offers = offered("/somewhere/mine.yaml")
+    assert (offers[0].name, offers[0].shape, offers[0].french) == (OWN, "mine", None)
+    assert find_offer(offers, OWN).source == find_offer(offers, "/somewhere/mine.yaml").source == "/somewhere/mine.yaml"
+    assert "somewhere" not in str(offers[0].to_page())
+
+
+def test_each_rise_to_the_limit_is_one_warning() -> None:
+    watch = ForceWatch(ForceLimit(2.0))
+    assert [watch.see(force) for force in (0.5, 2.0, 3.0, 1.9, 2.5)] == [False, True, False, False, True]
+    assert (watch.warnings, watch.ends) == (2, False)
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, 101.0, float("nan"), float("inf")])
+def test_impossible_limits_are_refused(wrong: float) -> None:
+    with pytest.raises(ValueError, match="force must"):
+        ForceLimit(wrong)

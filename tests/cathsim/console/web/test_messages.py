@@ -1,6 +1,4 @@
-"""What goes over the websocket, and the questionnaire in it."""
-
-from __future__ import annotations
+"""What goes over the websocket, who is let in, and the questionnaire."""
 
 import json
 import struct
@@ -10,7 +8,7 @@ import pytest
 
 from cathsim.console import CRITERIA, check_answers
 from cathsim.console.web.messages import frame_message, surface_message
-from cathsim.console.web.requests import LONGEST_REQUEST, read_request
+from cathsim.console.web.requests import LONGEST_REQUEST, Access, read_request
 
 CONTROLS = '{"type": "controls", "advance": 1, "rotate": 0, "sequence": 1'
 GOOD = {criterion.key: 3 for criterion in CRITERIA}
@@ -30,19 +28,6 @@ def test_a_picture_is_read_back_as_the_page_reads_it(state: str) -> None:
     assert message[8 + length + 12 * 29 :] == b"\xff\xd8jpeg"
 
 
-def test_the_catheters_points_follow_the_wires() -> None:
-    rng = np.random.default_rng(2)
-    wire, catheter = rng.normal(size=(7, 3)), rng.normal(size=(4, 3))
-    message = frame_message({"state": "ready"}, wire, b"\xff\xd8jpeg", catheter=catheter)
-    length = struct.unpack_from("<I", message, 4)[0]
-    assert json.loads(message[8 : 8 + length]) == {
-        "state": "ready", "points": 7, "jpeg_bytes": [6], "catheter_points": 4
-    }  # fmt: skip
-    read = np.frombuffer(message, "<f4", 3 * 11, 8 + length).reshape(-1, 3)
-    np.testing.assert_array_equal(read, np.concatenate((wire, catheter)).astype(np.float32))
-    assert message[8 + length + 12 * 11 :] == b"\xff\xd8jpeg"
-
-
 def test_a_surface_is_read_back() -> None:
     rng = np.random.default_rng(1)
     vertices, normals, faces = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), rng.integers(0, 5, (4, 3))
@@ -52,17 +37,6 @@ def test_a_surface_is_read_back() -> None:
     np.testing.assert_array_equal(np.frombuffer(message, "<f4", 15, 12).reshape(-1, 3), vertices.astype("<f4"))
     np.testing.assert_array_equal(np.frombuffer(message, "<f4", 15, 72).reshape(-1, 3), normals.astype("<f4"))
     np.testing.assert_array_equal(np.frombuffer(message, "<u4", 12, 132).reshape(-1, 3), faces)
-
-
-def test_a_request_has_its_fields() -> None:
-    request = {"type": "controls", "advance": 1, "rotate": 0, "sequence": 4}
-    assert read_request(json.dumps(request)) == request
-    both = {**request, "catheter": [-1, 0.5]}
-    assert read_request(json.dumps(both)) == both
-    for catheter in ("vertebral_5f", None):
-        choice = {"type": "choose", "phantom": "type_1", "target": "bca", "catheter": catheter}
-        assert read_request(json.dumps(choice)) == choice
-    assert read_request('{"type": "restart"}') == {"type": "restart"}
 
 
 @pytest.mark.parametrize(
@@ -123,3 +97,31 @@ def test_missing_and_unknown_criteria_are_refused() -> None:
         check_answers({**GOOD, "mood": 5})
     with pytest.raises(ValueError, match="participant must be a code"):
         check_answers({**GOOD, "participant": "x" * 41})
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1:8000", "localhost:8000", "[::1]:8000"])
+def test_own_pages_are_let_in_without_a_token(host: str) -> None:
+    assert Access().refusal({"host": host}, "") == ""
+    assert Access().refusal({"host": host, "origin": f"http://{host}"}, "") == ""
+
+
+def test_pages_of_other_sites_are_refused_even_with_the_token() -> None:
+    headers = {"host": "127.0.0.1:8000", "origin": "http://example.org"}
+    for access in (Access(), Access("secret")):
+        assert "other sites" in access.refusal(headers, "secret")
+    assert "other sites" in Access().refusal({"host": "127.0.0.1:8000", "origin": "http://127.0.0.1:9000"}, "")
+    assert "other sites" in Access().refusal({"host": "127.0.0.1:8000", "origin": "null"}, "")
+
+
+def test_a_foreign_name_of_this_machine_is_refused() -> None:
+    for host in ("rebound.example.org:8000", "", "["):
+        with_origin = {"host": host, "origin": f"http://{host}"}
+        assert Access().refusal({"host": host}, "") != ""
+        assert Access().refusal(with_origin, "") != ""
+
+
+def test_the_token_must_be_right() -> None:
+    access, headers = Access("sécret"), {"host": "10.0.0.2:8000"}
+    assert access.refusal(headers, "sécret") == ""
+    for wrong in ("", "secret", "sécret "):
+        assert "needs its token" in access.refusal(headers, wrong)

@@ -1,7 +1,5 @@
 """What a page may send: any nonsense is answered, a flood is refused, and the console works and stays small."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import json
@@ -40,7 +38,6 @@ def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
         [sys.executable, "-m", "cathsim.console", "--port", "0", "--no-record"],
         cwd=tmp_path_factory.mktemp("console"), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    assert process.stdout is not None
     found = re.search(r"http://\S+", process.stdout.readline())
     assert found, "it printed no address"
     yield process, found.group().replace("http", "ws").rstrip("/") + "/ws"
@@ -160,7 +157,6 @@ def test_a_flood_is_refused_with_a_sentence_and_memory_stays(console: Console) -
             next_message(page, "nothing of that name")
     assert sent > MOST_AT_ONCE
     assert grown < MEGABYTES
-    assert ended.value.rcvd is not None
     assert ended.value.rcvd.code == FLOODED
     assert ended.value.rcvd.reason == f"more than {MOST_A_SECOND} messages a second: close what sends them"
     assert resident_mb(process) - before < MEGABYTES

@@ -1,7 +1,5 @@
 """The egocentric view: tracing the wire, ways through the lumen, and a look that does not depend on where it is."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -14,10 +12,8 @@ from enn.imitation.images.egocentric import (
     WAY_ARCS,
     WIRE_ARCS,
     EgocentricView,
-    lumen_distance,
-    sample,
 )
-from enn.imitation.images.wire_tracing import trace_wire, without_wire
+from enn.imitation.images.wire_tracing import trace_wire
 
 SIZE = 128
 REST = (0.0, 0.0)
@@ -72,44 +68,6 @@ def test_traces_the_wire_from_the_tip_through_a_loop() -> None:
     assert len(traced) > 0.8 * (18 * 1.8 * np.pi + 78) / 1.42
 
 
-def test_traces_nothing_in_an_empty_mask_and_begins_where_it_is_told() -> None:
-    assert trace_wire(np.zeros((8, 8), bool)).shape == (0, 2)
-    line = np.zeros((8, 8), bool)
-    line[3, 1:7] = True
-    assert trace_wire(line, (3, 1)).tolist() == [[3, column] for column in range(6, 0, -1)]
-    assert trace_wire(line, (3, 7)).tolist() == [[3, column] for column in range(1, 7)]
-
-
-def test_ways_stay_in_the_lumen() -> None:
-    scene = Scene()
-    length, following = lumen_distance(scene.lumen, scene.target)
-    here, nodes = 110 * SIZE + 40, []
-    while following[here] != here:
-        nodes.append(divmod(here, SIZE))
-        here = int(following[here])
-    assert divmod(here, SIZE) == (44, 92)
-    rows, columns = np.array(nodes).T
-    assert (scene.lumen[rows, columns] == 1).all()
-    # around the corner, between the straight line and the corner's two legs
-    assert 84 < length[110, 40] < 66 + 52
-    assert length[110, 60] > length[110, 40]  # outside it costs more
-
-
-def test_whole_wire_is_hidden() -> None:
-    scene = Scene()
-    filled = without_wire(scene.image(scene.mask)[0], scene.mask[0] > 0)
-    np.testing.assert_allclose(filled, scene.image(np.zeros_like(scene.mask))[0], atol=31)
-    assert filled.min() >= 130
-
-
-def test_axis_is_found_below_a_pixel() -> None:
-    scene = Scene()
-    axis = scene.view().wire(scene.image(scene.mask), scene.mask) * SIZE - 0.5
-    assert np.hypot(*(axis[0] - scene.wire[0])) < 1.5
-    straight = axis[(axis[:, 0] > 70) & (axis[:, 0] < 110)]
-    np.testing.assert_allclose(straight[:, 1], 40.0, atol=0.15)
-
-
 def test_a_look_is_of_the_order_of_one_and_says_where_to_go() -> None:
     seen = Scene().look()
     assert seen.shape == (VIEW_SIZE,)
@@ -121,30 +79,6 @@ def test_a_look_is_of_the_order_of_one_and_says_where_to_go() -> None:
     behind = seen[2 * len(WAY_ARCS) + 5 :][: 2 * len(WIRE_ARCS)].reshape(-1, 2)
     assert (behind[:, 0] < 0).all()
     assert np.abs(np.hypot(*behind[0])) == pytest.approx(1.0, abs=0.1)
-
-
-def test_a_look_does_not_depend_on_the_place_in_the_image() -> None:
-    one, other = Scene().look(), Scene((4, 16)).look()  # whole cells of the map
-    length = 2 * len(WAY_ARCS) + 2
-    np.testing.assert_allclose(one[length:], other[length:], atol=0.15)
-    np.testing.assert_allclose(one[:length], other[:length], atol=0.35)
-
-
-def test_motion_is_that_since_the_last_look() -> None:
-    scene = Scene()
-    view = scene.view()
-    view.look(scene.image(scene.mask), scene.mask, REST)
-    still = view.look(scene.image(scene.mask), scene.mask, (0.5, -1.0))
-    np.testing.assert_allclose(still[-7:], (0, 0, 0, 1, 0, 0.5, -1.0), atol=1e-6)
-    shorter = drawn(np.array([(56.0, 42.4), *scene.wire[1:]]))[None]
-    back = view.look(scene.image(shorter), shorter, REST)
-    assert back[-7] < -1.0  # the wire has become shorter
-    assert back[-6] < -1.0  # its tip has gone backwards
-
-
-def test_border_counts_outside_the_image() -> None:
-    values = np.arange(6.0).reshape(2, 3)
-    np.testing.assert_allclose(sample(values, np.array([(0.5, 0.5), (-3.0, 0.0), (9.0, 9.0)])), (2.0, 0.0, 5.0))
 
 
 def test_refuses_images_that_do_not_fit() -> None:

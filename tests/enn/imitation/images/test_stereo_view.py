@@ -1,10 +1,9 @@
-"""The stereo view: a wire in a vessel, seen from its tip in two calibrated views."""
-
-from __future__ import annotations
+"""Two calibrated views: epipolar lines, the wire and the way in space, visual hulls."""
 
 import numpy as np
 import pytest
 
+from enn.imitation.images.stereo_geometry import StereoGeometry
 from enn.imitation.images.stereo_view import (
     CATHETER_SIZE,
     PARTS,
@@ -13,14 +12,18 @@ from enn.imitation.images.stereo_view import (
     WIRE_ARCS,
     StereoView,
 )
+from enn.imitation.images.visual_hull import VisualHull
+from enn.imitation.images.wire_tracing import smoothed
 from tests.enn.imitation.images.two_views import (
+    BRANCH,
     FIELD,
-    SIZE,
+    GEOMETRY,
     TARGET,
+    TRUNK,
     VOXELS,
     WIRE,
-    line,
     lumens,
+    projections,
     seen,
 )
 
@@ -63,23 +66,6 @@ def test_the_way_ahead_leads_to_the_target(view: StereoView) -> None:
     assert directions @ (TARGET - WIRE[0]) / np.linalg.norm(TARGET - WIRE[0]) > 0.9
 
 
-def test_walls_are_near_across_a_vessel_and_far_along_it(view: StereoView) -> None:
-    straight = line((-30, 20, -20), (-30, 20, -70))
-    walls = looked(view, straight)["walls"] * 0.015
-    assert walls[0] == pytest.approx(0.03)  # as far as it looks
-    assert walls[5:].max() < 0.02
-    assert walls[5:].min() > 3e-3
-
-
-def test_motion_and_turn_of_the_tip_since_the_last_look(view: StereoView) -> None:
-    looked(view, WIRE)
-    still = looked(view, WIRE)
-    np.testing.assert_allclose(still["motion"], 0, atol=1e-6)
-    np.testing.assert_allclose(still["turn"], [1, 1, 0], atol=1e-6)
-    moved = looked(view, WIRE + np.array([0.0, 0.0, 2e-3]))
-    assert np.linalg.norm(moved["motion"]) * 0.01 == pytest.approx(2e-3, rel=0.2)
-
-
 def test_a_catheter_ends_as_far_along_the_wire_as_in_the_views(view: StereoView) -> None:
     axes = [seen(WIRE, k) for k in (0, 1)]
     end = 150  # of the wire's points
@@ -92,11 +78,54 @@ def test_a_catheter_ends_as_far_along_the_wire_as_in_the_views(view: StereoView)
     assert view.look(axes, (9.0, 9.0))[-1] == 0.0
 
 
-def test_looks_are_finite_where_hardly_anything_is_seen() -> None:
-    nothing = np.zeros((SIZE, SIZE))
-    empty = StereoView(VOXELS, [nothing, nothing], [seen(TARGET[None], k)[0] for k in (0, 1)])
-    unseen = np.array([[0.99, 0.5], [1.0, 0.5]])
-    assert np.isfinite(empty.look([unseen, unseen])).all()
-    assert np.isfinite(empty.look([seen(WIRE, 0), unseen])).all()
-    one_place = np.array([[0.5, 0.5], [0.5, 0.5]])
-    assert np.isfinite(empty.look([one_place, one_place], (0.0, 0.0))).all()
+def test_epipolar_lines_pass_through_the_same_point_in_the_other_view_and_points_are_found_again() -> None:
+    points = np.random.default_rng(0).uniform(-0.06, 0.06, (20, 3))
+    first, second = (seen(points, k)[:, ::-1] for k in (0, 1))
+    np.testing.assert_allclose(np.diagonal(GEOMETRY.apart(first, second)), 0, atol=1e-9)
+    assert GEOMETRY.apart(first, second[::-1]).mean() > 0.05
+    np.testing.assert_allclose(GEOMETRY.triangulated(first, second), points, atol=1e-9)
+
+
+def test_refuses_what_is_no_geometry_of_two_cameras() -> None:
+    with pytest.raises(ValueError, match=r"projections: expected two finite matrices, shape \(2, 3, 4\)"):
+        StereoGeometry(projections()[:1], FIELD)
+    with pytest.raises(ValueError, match="projections: both cameras have one source"):
+        StereoGeometry(projections()[[0, 0]] * np.array([1.0, 2.0])[:, None, None], FIELD)
+    for field in (0.0, float("nan"), 1e3):
+        with pytest.raises(ValueError, match="field: expected a length of up to 1 m"):
+            StereoGeometry(projections(), field)
+
+
+@pytest.fixture(scope="module")
+def hull() -> VisualHull:
+    return VisualHull(VOXELS, lumens(), TARGET)
+
+
+def test_the_way_leads_into_the_targets_branch_and_not_into_what_only_overlaps(hull: VisualHull) -> None:
+    np.testing.assert_allclose(hull.target, TARGET, atol=1e-6)
+    low = np.array([-0.03, 0.02, -0.05])
+    points, length = hull.way(low)
+    np.testing.assert_allclose(points[[0, -1]], [low, TARGET], atol=1e-9)
+    branch, trunk = BRANCH[::20], TRUNK[::20]
+    away = np.linalg.norm(points[:, None] - np.concatenate((branch, trunk))[None], axis=2).min(axis=1)
+    assert away.max() < 6.5e-3  # within the vessel
+    assert length == pytest.approx(0.062 + np.linalg.norm(TARGET - [-0.03, 0.02, 0.01]), rel=0.1)
+
+
+def test_walls_are_near_across_a_vessel_and_far_along_it(hull: VisualHull) -> None:
+    middle = np.array([-0.03, 0.02, -0.02])
+    up, across, ahead = hull.walls(middle, np.array([(0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]))
+    assert up == pytest.approx(0.03)  # as far as it looks
+    assert 3e-3 < across < 0.02
+    assert 3e-3 < ahead < 0.02
+    assert hull.walls(np.array([0.05, 0.05, 0.05]), np.eye(3)).max() == 0  # outside
+
+
+def test_smoothing_keeps_ends_and_straight_lines_and_takes_noise_away() -> None:
+    line = np.linspace((0.0, 1.0), (10.0, 6.0), 41)
+    np.testing.assert_allclose(smoothed(line, 7), line, atol=1e-12)
+    noisy = line + np.random.default_rng(0).normal(0, 0.1, line.shape)
+    found = smoothed(noisy, 7)
+    np.testing.assert_allclose(found[[0, -1]], noisy[[0, -1]], atol=1e-12)
+    assert np.abs(found - line)[3:-3].std() < 0.6 * np.abs(noisy - line)[3:-3].std()
+    np.testing.assert_array_equal(smoothed(line[:1], 7), line[:1])

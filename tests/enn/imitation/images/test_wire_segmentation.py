@@ -1,25 +1,19 @@
-"""The network that finds the wire in noisy images: wires that it has not seen, gaps, and what it refuses."""
-
-from __future__ import annotations
+"""Segmenters of wires and lumens find what they have not seen."""
 
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-import torch
-from torch.nn import functional
 
+from enn.imitation.images.lumen_segmentation import fit_segmenter, overlap
 from enn.imitation.images.wire_segmentation import (
-    NOISE,
     WireSegmenter,
-    darkening,
     dice,
     fit_wire_segmenter,
-    most_enhanced,
     wire_frames,
 )
-from tests.enn.imitation.straight_wire import Expert
+from tests.enn.imitation.straight_wire import Expert, vessels
 
 SIZE = 64
 
@@ -60,19 +54,6 @@ def test_a_gap_is_closed(network: WireSegmenter) -> None:
     assert (network.mask(images[0], plains[0])[row : row + 2].max(axis=1) == 255).all()
 
 
-def test_the_same_seed_gives_the_same_network() -> None:
-    twins = [fit_wire_segmenter(*wires(4, 0), epochs=1, seed=5)[0].state_dict() for _ in range(2)]
-    assert all(torch.equal(twins[0][name], twins[1][name]) for name in twins[0])
-
-
-def test_it_says_what_is_wrong(network: WireSegmenter) -> None:
-    images, plains, masks = wires(2, 0)
-    with pytest.raises(ValueError, match="expected two images of one shape"):
-        network.mask(images[0], plains[0, :32])
-    with pytest.raises(ValueError, match="expected images and masks of one shape"):
-        fit_wire_segmenter(images, plains, masks[:1])
-
-
 class DrawnWires(gymnasium.Env):
     """A wire that is there from the start, in the image and the mask of a case; an episode takes 24 steps."""
 
@@ -100,41 +81,16 @@ def test_frames_come_from_every_case_and_repeat_themselves() -> None:
         np.testing.assert_array_equal(frames[2][place], wires(1, case)[2][0])
 
 
-def test_gaps_are_closed_as_by_pooling(network: WireSegmenter) -> None:
-    generator = np.random.default_rng(5)
-    image, plain = generator.integers(60, 200, (2, 90, 70), dtype=np.uint8)
-    with torch.inference_mode():
-        wire = torch.sigmoid(network(torch.as_tensor(plain.astype(np.float32) - image)[None, None]))
-        pooled = functional.max_pool2d(-functional.max_pool2d(wire, 5, 1, 2), 5, 1, 2)
-    closed = torch.maximum(wire, -pooled)[0, 0].numpy() > 0.2
-    assert 0.05 < closed.mean() < 0.95
-    np.testing.assert_array_equal(network.mask(image, plain) > 0, closed)
-
-
-@pytest.mark.parametrize("deviation", [0.7, 1.4])
-def test_noise_is_taken_from_what_no_wire_does(deviation: float) -> None:
-    noise = np.random.default_rng(0).normal(0.0, deviation, (SIZE, SIZE))
-    plain = np.full((SIZE, SIZE), 120.0)
-    plain[:, :8] = 3.0  # outside the field, where there is none
-    noise[:, :8] = 0.0
-    image = plain + noise
-    image[:, 30:32] -= 40.0  # a wire
-    most = most_enhanced(np.rint(image).astype(np.uint8), plain.astype(np.uint8))
-    assert most * np.hypot(deviation, 12**-0.5) == pytest.approx(NOISE, rel=0.06)
-    assert most_enhanced(plain.astype(np.uint8), plain.astype(np.uint8)) == 4.0
-    assert most_enhanced(np.rint(plain + 5 * noise).clip(0, 255).astype(np.uint8), plain.astype(np.uint8)) == 1.0
-
-
-def test_dark_parts_are_enhanced_as_far_as_noise_allows() -> None:
-    plain = np.array([[200, 130, 65, 26, 0]], np.uint8)
-    image = np.array([[190, 120, 60, 24, 0]], np.uint8)
-    np.testing.assert_allclose(darkening(image, plain, 9.0), [[10.0, 10.0, 10.0, 10.0, 0.0]])
-    np.testing.assert_allclose(darkening(image, plain, 1.5), [[10.0, 10.0, 7.5, 3.0, 0.0]])
-    np.testing.assert_allclose(darkening(image, plain, 1.0), [[10.0, 10.0, 5.0, 2.0, 0.0]])
-
-
 def test_a_faint_wire_is_found_in_the_dark_where_there_is_little_noise(network: WireSegmenter) -> None:
     images, plains, masks = wires(20, 3)
     faint, dark = (np.rint(0.4 * one.astype(float)).astype(np.uint8) for one in (images, plains))
     assert dice(network, faint, dark, masks) > 0.85
     assert network.mask(dark[0], dark[1]).sum() < 3 * 255  # no wire, no mask
+
+
+def test_segmenter_finds_lumens_it_has_not_seen() -> None:
+    images, lumens = vessels(24, 0)
+    segmenter, _ = fit_segmenter(images, lumens, epochs=12, working_size=images.shape[-1])
+    images, lumens = vessels(8, 1)
+    assert overlap(segmenter, images, lumens) > 0.8
+    assert overlap(segmenter, 0.5 * images + 60, lumens) > 0.8  # brightness and contrast do not matter

@@ -1,7 +1,5 @@
 """A vessel with a branch, what overlaps it in one view, and a wire in it, drawn in two calibrated views, for tests."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

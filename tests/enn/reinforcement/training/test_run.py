@@ -1,7 +1,5 @@
 """What a training may see: demonstrations, images, a frozen encoder, a critic of its own, the simulator; never NaN."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ import torch
 from enn.encoder import Encoder, EncoderSettings
 from enn.policy import Policy
 from enn.reinforcement.replay import demonstration_replay
-from enn.reinforcement.sampling import NotFiniteError, SampledEnvs
+from enn.reinforcement.sampling import SampledEnvs
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import (
     Progress,
@@ -32,10 +30,8 @@ def test_demonstrations_enter_bank_and_replay(point_env: Any) -> None:
 
     run = TrainingRun(Training(settings, point_env, None, 0, trajectories), None)
     assert isinstance(run.learner, SacLearner)
-    assert run.learner.replay.demonstrations is not None
     assert run.learner.replay.demonstrations.added == sum(map(len, trajectories))
     assert isinstance(run.sampled, SampledEnvs)
-    assert run.sampled.reset_bank is not None
     assert len(run.sampled.reset_bank) >= 3
     drawn = run.learner.replay.demonstrations.gather(
         np.arange(len(trajectories[0])), np.zeros(len(trajectories[0]), int)
@@ -59,34 +55,6 @@ def test_demonstrations_enter_bank_and_replay(point_env: Any) -> None:
     np.testing.assert_allclose(whole.next_observations["place"][0], trajectories[0].observations["place"][-1])
     with pytest.raises(ValueError, match="no demonstrations to put"):
         demonstration_replay([], run.envs.observation_space, point_env.action_space)
-
-
-def test_images_train_too(point_env: Any) -> None:
-    settings = dataclasses.replace(
-        SMALL,
-        extractor="multimodal",
-        variant="desk",
-        shared="critic",
-        normalise=False,
-        decisions=64,
-        learning_starts=32,
-        batch_size=8,
-        evaluate_every=64,
-    )
-    settings = dataclasses.replace(settings, n_envs=2, gradient_steps=0.25, evaluation_episodes=1)
-    result = Training(settings, lambda: point_env(("image", "mask"), max_steps=5), None).run()
-    assert (
-        result.policy.features(
-            {"image": np.zeros((3, 1, 36, 36), np.uint8), "mask": np.zeros((3, 1, 36, 36), np.uint8)}
-        ).shape[0]
-        == 3
-    )
-    assert result.timings["updates"] > 0
-
-
-def test_what_is_not_finite_stops_the_training(point_env: Any, tmp_path: Path) -> None:
-    with pytest.raises(NotFiniteError, match="observation 'place' of environment 0 is not finite"):
-        Training(SMALL, lambda: point_env(broken_at=20), tmp_path).run()
 
 
 def test_the_real_simulator_trains_a_little(tmp_path: Path) -> None:
@@ -114,7 +82,6 @@ def test_the_real_simulator_trains_a_little(tmp_path: Path) -> None:
         gradient_steps=0.2,
     )
     result = Training(settings, make, None, seed=0).run()
-    assert result.evaluation is not None
     assert result.evaluation["steps"] == 20
 
     def stop(moment: Progress) -> None:

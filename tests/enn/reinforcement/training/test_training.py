@@ -1,23 +1,19 @@
-"""Reinforcement learning: it learns, reports its curve, and keeps to its settings."""
-
-from __future__ import annotations
+"""Trainings learn, repeat, say so in files, and follow the thesis's presets."""
 
 import dataclasses
 import json
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 import torch
 
 from enn.policy import Policy
 from enn.reinforcement.evaluation import run_episodes
-from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import (
     DESK_PPO,
-    DESK_SAC,
+    THESIS_PPO,
     THESIS_SAC,
     PpoSettings,
     Progress,
@@ -25,7 +21,7 @@ from enn.reinforcement.training import (
     Training,
     TrainingSettings,
 )
-from enn.reinforcement.training.result import COLUMNS, TrainingLog
+from enn.reinforcement.training.result import COLUMNS
 from enn.reinforcement.training.training import TrainingRun
 from tests.enn.reinforcement.small_training import SMALL
 
@@ -34,7 +30,6 @@ def test_sac_learns_and_its_curve_and_files_say_so(point_env: Any, tmp_path: Pat
     seen: list[Progress] = []
     settings = dataclasses.replace(SMALL, gradient_steps=1.0)
     result = Training(settings, point_env, tmp_path, seed=3, metadata={"target": "centre"}).run(seen.append)
-    assert result.evaluation is not None
     assert result.evaluation["success"] == 1.0
     assert result.evaluation["steps"] < 12
     lines = (tmp_path / "training.csv").read_text().splitlines()
@@ -71,7 +66,6 @@ def test_ppo_learns(point_env: Any) -> None:
         stop_after=0,
     )
     result = Training(settings, point_env, None, seed=0).run()
-    assert result.evaluation is not None
     assert result.evaluation["success"] == 1.0
     assert result.evaluation["steps"] < 12
 
@@ -90,22 +84,16 @@ def test_updates_beside_the_simulation_learn_and_do_not_depend_on_threads_and_pr
     point_env: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     settings = dataclasses.replace(SMALL, gradient_steps=1.0, overlap=True)
+    learnt = Training(dataclasses.replace(settings, threads=3), point_env, None, seed=3).run()
+    assert learnt.evaluation["success"] == 1.0
+    assert learnt.timings["updates"] == pytest.approx(696, abs=8)
     weights = []
+    short = dataclasses.replace(settings, decisions=320, evaluate_every=0)
     for threads, worth in ((1, 0), (3, 0), (3, 10_000)):
         monkeypatch.setattr("enn.reinforcement.training.inputs.WORTH_A_PROCESS", worth)
-        result = Training(dataclasses.replace(settings, threads=threads), point_env, None, seed=3).run()
-        assert result.evaluation is not None
-        assert result.evaluation["success"] == 1.0
-        assert result.timings["updates"] == pytest.approx(696, abs=8)
+        result = Training(dataclasses.replace(short, threads=threads), point_env, None, seed=3).run()
         weights.append(torch.cat([value.flatten() for value in result.policy.module.actor.parameters()]))
     assert all(torch.equal(weights[0], others) for others in weights[1:])
-
-
-def test_action_repeat_counts_steps_and_is_played_in_evaluation(point_env: Any) -> None:
-    settings = dataclasses.replace(SMALL, action_repeat=2, decisions=400, evaluate_every=400)
-    result = Training(settings, point_env, None, seed=0).run()
-    assert result.policy.action_repeat == 2
-    assert 1.5 * 400 < result.timings["env_steps"] <= 800
 
 
 def test_event_files_on_request(point_env: Any, tmp_path: Path) -> None:
@@ -119,59 +107,6 @@ def test_event_files_on_request(point_env: Any, tmp_path: Path) -> None:
     assert [event.step for event in events.Scalars("curve/reward")] == [104, 200, 240]
     assert events.Scalars("curve/episode_return")[-1].step == 240
     assert "train/critic_loss" in events.Tags()["scalars"]
-
-
-def test_returns_are_those_of_all_episodes_and_success_of_those_from_the_start() -> None:
-    log = TrainingLog(None, lambda: 0.0)
-    assert log.episode_return() is None
-    ended = [{"r": 3.0, "l": 2, "success": True, "fresh": False}, {"r": -1.0, "l": 4, "success": False, "fresh": True}]
-    log.observe([1.0, 2.0], [{"steps": 1, "episode": episode} for episode in ended])
-    assert (log.episode_return(), log.success()) == (1.0, 0.0)
-    twin = TrainingLog(None, lambda: 0.0)
-    twin.restore(log.state())
-    assert twin.episode_return() == 1.0
-
-
-def test_the_thesis_preset_learns_its_entropy(point_env: Any) -> None:
-    settings = dataclasses.replace(
-        THESIS_SAC,
-        extractor="vectors",
-        variant="desk",
-        hidden=(32, 32),
-        decisions=1500,
-        learning_rate=3e-3,
-        batch_size=64,
-        buffer_size=1500,
-        evaluate_every=0,
-    )
-    run = TrainingRun(Training(settings, point_env, seed=0), None)
-    weights, entropies = [], []
-    try:
-        while not run._pause():
-            run._decide()
-            scalars = run.learner.scalars()
-            weights.append(scalars.get("train/ent_coef", 1.0))
-            entropies.append(scalars.get("train/entropy", 0.0))
-        target = float(run.learner.model.target_entropy)
-    finally:
-        run.close()
-    assert target == -2.0
-    assert weights[101] > 0.98
-    assert weights[-1] < 0.3
-    early, late = (abs(float(np.mean(part)) - target) for part in (entropies[150:350], entropies[-200:]))
-    assert late < 0.5 < 2.0 < early, "the entropy must have come close to its target"
-
-
-@pytest.mark.parametrize("preset", [THESIS_SAC, DESK_SAC])
-def test_entropy_of_each_number_of_actions(preset: TrainingSettings, point_env: Any) -> None:
-    class Motors(point_env):  # type: ignore[misc]
-        action_space = gymnasium.spaces.Box(-1, 1, (21,), np.float32)
-
-    small = {"extractor": "vectors", "variant": "desk", "hidden": (8,), "buffer_size": 64, "reset_bank_share": 0.0}
-    run = TrainingRun(Training(dataclasses.replace(preset, **small), Motors, seed=0), None)
-    assert run.learner.model.target_entropy == -21.0
-    assert run.learner.model.ent_coef_optimizer is not None
-    run.close()
 
 
 def test_refusals_say_why() -> None:
@@ -189,30 +124,6 @@ def test_refusals_say_why() -> None:
         SacSettings(gamma=1.5)
 
 
-@pytest.mark.parametrize("preset", [SMALL, dataclasses.replace(DESK_PPO, n_steps=16, batch_size=32, action_repeat=1)])
-def test_learning_rate_falls_evenly_to_its_share(point_env: Any, preset: TrainingSettings) -> None:
-    settings = dataclasses.replace(
-        preset, decisions=400, learning_starts=0, final_learning_rate=0.1, evaluate_every=0, curve_every=100
-    )
-    training = Training(settings, point_env, seed=0)
-    run = TrainingRun(training, None)
-    rates = []
-    try:
-        while not run._pause():
-            run._decide()
-            rates.append(optimizer_of(run).param_groups[0]["lr"])
-    finally:
-        run.close()
-    assert rates[0] > 0.9 * settings.learning_rate
-    assert rates[-1] == pytest.approx(0.1 * settings.learning_rate, rel=0.5)
-    assert np.all(np.diff(rates) <= 0)
-
-
-def optimizer_of(run: TrainingRun) -> Any:
-    model = run.learner.model
-    return model.critic.optimizer if isinstance(run.learner, SacLearner) else model.policy.optimizer
-
-
 def test_starts_enter_the_bank_and_validation_has_its_own_environments(point_env: Any) -> None:
     made: list[str] = []
 
@@ -227,9 +138,47 @@ def test_starts_enter_the_bank_and_validation_has_its_own_environments(point_env
     settings = dataclasses.replace(SMALL, decisions=400, evaluate_every=400, n_envs=2, reset_bank_share=0.5)
     training = Training(settings, named("training"), seed=0, starts=starts, make_validation_env=named("validation"))
     run = TrainingRun(training, None)
-    assert run.sampled.reset_bank is not None
     assert len(run.sampled.reset_bank) == 6
     run.close()
     made.clear()
     training.run()
     assert made == ["training", "training", "validation", "validation"]
+
+
+def test_the_thesis_presets_are_its_tables() -> None:
+    table = {
+        "learning_rate": 3e-4,
+        "buffer_size": 1_000_000,
+        "batch_size": 256,
+        "tau": 0.005,
+        "gamma": 0.99,
+        "gradient_steps": 1,
+        "ent_coef": "auto_1.0",  # its 1, where the learning starts
+        "target_entropy": None,  # its -2, for two actions
+    }
+    assert {name: getattr(THESIS_SAC, name) for name in table} == table
+    assert THESIS_SAC.decisions == THESIS_PPO.decisions == 600_000
+    assert THESIS_PPO.learning_rate == 3e-4
+    assert THESIS_PPO.variant == THESIS_SAC.variant == "thesis"
+
+
+def test_settings_that_contradict_each_other_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"a fixed ent_coef of 1\.0 aims at no entropy"):
+        dataclasses.replace(THESIS_SAC, ent_coef=1.0, target_entropy=-2.0)
+    for odd in ("auto_0", "auto_-1", "auto_x", "fixed", "auto_nan"):
+        with pytest.raises(ValueError, match="ent_coef must be a number, auto, or auto_ and the positive number"):
+            dataclasses.replace(THESIS_SAC, ent_coef=odd)
+    with pytest.raises(ValueError, match="SacSettings has no n_steps"):
+        dataclasses.replace(THESIS_SAC, n_steps=128)
+    for name, value in {"target_entropy": -2.0, "buffer_size": 9, "tau": 0.5, "gradient_steps": 2.0}.items():
+        with pytest.raises(ValueError, match=f"PpoSettings has no {name}"):
+            dataclasses.replace(THESIS_PPO, **{name: value})
+
+
+def test_a_smaller_budget_makes_smaller_what_has_no_room_in_it() -> None:
+    small = THESIS_SAC.sized(48, 2, tensorboard=True)
+    assert (small.decisions, small.buffer_size, small.learning_starts, small.tensorboard) == (48, 48, 12, True)
+    assert (small.evaluate_every, small.evaluation_episodes, small.curve_every) == (48, 2, 48)
+    assert THESIS_PPO.sized(1024, 30).n_steps == 512
+    assert THESIS_PPO.sized(1, 30).n_steps == 16
+    assert THESIS_SAC.sized(THESIS_SAC.decisions, 30) == dataclasses.replace(THESIS_SAC, buffer_size=600_000)

@@ -1,6 +1,4 @@
-"""Training of the reader: it learns, resumes where it stopped, and does not depend on the number of processes."""
-
-from __future__ import annotations
+"""The reader is trained, calibrated and measured."""
 
 import json
 from dataclasses import replace
@@ -10,16 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from guide3d.learning.reader.evaluation import evaluate_reader
+from guide3d.learning.reader.evaluation import evaluate_reader, fitted
 from guide3d.learning.reader.training import (
     ReaderRecipe,
     ReaderTiles,
-    reader_loss,
     smoke_recipe,
     tile_batches,
     train_reader,
 )
-from guide3d.modeling.reader_network import ReaderNetwork
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.reading.maps import Reader
@@ -65,38 +61,6 @@ def test_a_checkpoint_of_other_courses_is_refused(tmp_path: Path) -> None:
     train_reader(small_recipe(2), tmp_path, processes=0, courses=courses)
     with pytest.raises(ValueError, match="other settings"):
         train_reader(small_recipe(2), tmp_path, processes=0, courses=[1.1 * courses[0]])
-
-
-def test_a_training_begins_with_given_weights(tmp_path: Path) -> None:
-    recipe = replace(small_recipe(1), learning_rate=1e-9, weight_decay=0.0)
-    torch.manual_seed(99)
-    other = ReaderNetwork(block_px=recipe.block_px, widths=tuple(recipe.widths))
-    trained, _ = train_reader(recipe, tmp_path, processes=0, start=other.state_dict())
-    torch.testing.assert_close(trained.head.weight, other.head.weight)
-
-
-def test_processes_draw_the_same_tiles() -> None:
-    tiles = ReaderTiles(SMALL, 1, 64)
-    own = list(tile_batches(tiles, 0, 3, 2, 0))
-    others = list(tile_batches(tiles, 0, 3, 2, 1))
-    for (images, targets), (same, like) in zip(own, others, strict=True):
-        torch.testing.assert_close(images, same)
-        torch.testing.assert_close(targets, like)
-
-
-def test_the_right_answer_has_the_smallest_loss() -> None:
-    target = torch.zeros(1, 3, 32, 32)
-    target[:, :, 10:14] = 1.0
-    recipe = smoke_recipe()
-    right = reader_loss(20 * target - 10, target, recipe)
-    assert right < 0.01
-    assert reader_loss(torch.zeros_like(target), target, recipe) > 10 * right
-    assert reader_loss(10 - 20 * target, target, recipe) > reader_loss(torch.zeros_like(target), target, recipe)
-
-
-def test_tiles_must_fit_the_network() -> None:
-    with pytest.raises(ValueError, match="tile_px must be a multiple of 32"):
-        ReaderRecipe(tile_px=100)
 
 
 def test_command_line_writes_a_reader(tmp_path: Path) -> None:
@@ -145,3 +109,12 @@ def test_evaluation_counts_what_is_marked() -> None:
     assert scores.tip_false == 0.0
     assert scores.empty_px == 0.0
     assert scores.calibration < 1e-6
+
+
+def test_scale_and_shift_are_found() -> None:
+    rng = np.random.default_rng(0)
+    logits = rng.normal(-1, 3, 40_000)
+    truth = (rng.random(40_000) < 1 / (1 + np.exp(-(0.5 * logits - 1.2)))).astype(float)
+    scale, shift = fitted(logits, truth)
+    assert abs(scale - 0.5) < 0.02
+    assert abs(shift + 1.2) < 0.05

@@ -1,19 +1,17 @@
 """Vessels of arches of every branching type get their names, from any side, mirrored, and cut short."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cathsim.anatomy import Branch, VesselTree
+from cathsim.anatomy import Branch, MeshRefusedError, VesselTree
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.scan_arch import sample_parameters
 from cathsim.anatomy.generator.variety_arch import ARCH_TYPES, VarietyArch, build_variety_arch
 from cathsim.anatomy.mesh.arches.arch_naming import labelled_names, labelled_sides, name_vessels
 from cathsim.anatomy.mesh.branches import RoughVessel, turned
-from cathsim.anatomy.mesh.naming import world_rotation
+from cathsim.anatomy.mesh.naming import ordered_names, propose_targets, renamed, world_rotation
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 Array = np.ndarray
@@ -220,10 +218,68 @@ def test_labels_name_vessels_and_show_the_sides():
         return [places[int(k)][0] for k in np.argmin(away, axis=0)]
 
     leftward = labelled_sides(made["aorta"], label_of)
-    assert leftward is not None
     assert leftward[0] < -0.02
     rotation, _ = world_rotation(made["aorta"], leftward)
     aorta = turned(made["aorta"], rotation, np.zeros(3))
     names, notes = labelled_names(aorta, lambda points: label_of(points @ rotation))
     assert set(names.values()) == set(made)
     assert any("the file is mirrored" in note for note in notes)
+
+
+def _vessel(start: list[float], end: list[float], radius: float, number: int | None) -> RoughVessel:
+    points = np.linspace(start, end, 40)
+    return RoughVessel(points, np.full(40, radius), number)
+
+
+def _arch() -> RoughVessel:
+    angle = np.linspace(0, np.pi, 60)
+    bow = np.stack([0.035 * np.cos(angle), 0 * angle, 0.035 * np.sin(angle)], axis=1)
+    down = np.linspace([0.035, 0, -0.1], [0.035, 0, 0], 60)
+    aorta = RoughVessel(np.concatenate([down, bow]), np.full(120, 0.012), 0)
+    for x, radius, number in ((0.02, 0.004, 1), (0.0, 0.0035, 2), (-0.02, 0.006, 3)):
+        child = _vessel([x, 0, 0.03], [1.5 * x, 0, 0.09], radius, number)
+        child.start = 0.1 + 0.035 * (np.arccos(x / 0.035))
+        aorta.children.append(child)
+    return aorta
+
+
+def test_names_follow_the_arch_and_the_users():
+    aorta = _arch()
+    rotation, kept = world_rotation(aorta)
+    assert kept is False or np.allclose(np.abs(rotation).max(axis=1), 1)
+    assert rotation[2] @ [0, 0, 1] > 0.95
+    names, notes = name_vessels(aorta)
+    assert [names[id(child)] for child in aorta.children] == ["lsa", "lcca", "bca"]
+    assert notes == ()
+    assert ordered_names(aorta, names, ["a", "b", "c"]) == {"bca": "a", "lcca": "b", "lsa": "c"}
+    swapped = renamed(names, {"lcca": "lsa", "lsa": "lcca"})
+    assert [swapped[id(child)] for child in aorta.children] == ["lcca", "lsa", "bca"]
+    with pytest.raises(MeshRefusedError, match="names refer to rca, which was not found; found are aorta, "):
+        renamed(names, {"rca": "bca"})
+    with pytest.raises(MeshRefusedError, match="names must differ"):
+        renamed(names, {"lcca": "lsa"})
+    with pytest.raises(
+        MeshRefusedError, match=r"2 names were given for the 3 branches of the aorta \(bca, lcca, lsa\)"
+    ):
+        ordered_names(aorta, names, ["a", "b"])
+
+
+def test_a_common_trunk_is_recognised():
+    aorta = _arch()
+    del aorta.children[1]
+    left = _vessel([-0.02, 0, 0.05], [0.025, 0, 0.09], 0.0035, 4)
+    aorta.children[-1].children.append(left)
+    names, notes = name_vessels(aorta)
+    assert names[id(left)] == "lcca"
+    assert [names[id(child)] for child in aorta.children] == ["lsa", "bca"]
+    assert "common trunk" in notes[0]
+
+
+def test_targets_move_into_short_branches(tee: VesselTree):
+    targets, notes = propose_targets(tee)
+    assert targets["bca"].arc == pytest.approx(tee["bca"].length - 5e-3)
+    assert notes == ("target bca lies 27 mm up its branch instead of 30: the branch is short",)
+    stub = Branch("bca", tee["bca"].points[:16], tee["bca"].radius[:16], "aorta", 0.04)
+    targets, notes = propose_targets(VesselTree((tee.root, stub)))
+    assert targets == {}
+    assert notes == ("no target in bca: it is only 7 mm long",)

@@ -1,7 +1,5 @@
 """STL of wrong counts, references of scenes and materials, scenes too large, and what is no regular file."""
 
-from __future__ import annotations
-
 import json
 import os
 import struct
@@ -15,7 +13,6 @@ from cathsim.anatomy import import_anatomy, import_mesh
 from cathsim.anatomy.mesh.importer import mesh_digest
 from cathsim.anatomy.mesh.parts import vessel_parts
 from cathsim.anatomy.mesh.parts.vessel_parts import read_parts, surface_files
-from cathsim.anatomy.mesh.reading import SUFFIXES
 from cathsim.anatomy.mesh.report import MeshRefusedError
 
 SPHERE = trimesh.creation.icosphere(2, 10.0)
@@ -68,7 +65,6 @@ def test_the_note_of_a_file_reaches_the_import(tmp_path: Path):
     arch_mesh(0.03).export(path)
     path.write_bytes(b"3D Slicer output. SPACE=RAS".ljust(80) + path.read_bytes()[80:] + b"\n\n\n")
     report = import_mesh(path, unit="m", resolution=2.5e-3, cache_dir=tmp_path).imported
-    assert report is not None
     assert any("3 bytes behind" in note for note in report.notes)
     np.testing.assert_array_equal(report.rotation, np.diag([-1.0, -1.0, 1.0]))
 
@@ -83,15 +79,6 @@ def test_a_pipe_is_refused_at_once(suffix: str, tmp_path: Path):
     (tmp_path / "aorta.stl").write_bytes(_stl(COUNT))
     with pytest.raises(MeshRefusedError, match=f"pipe{suffix} is no regular file"):
         import_anatomy(tmp_path)
-
-
-def test_every_kind_is_refused_in_words_where_it_is_damaged(tmp_path: Path):
-    for suffix in SUFFIXES:
-        path = tmp_path / f"a{suffix}"
-        for content in (b"\0" * 300, b"a b c\n" * 30, b"solid\n", b"OFF\n9 9 9\n", b"glTF" + bytes(30), b"[" * 100_000):
-            path.write_bytes(content)
-            with pytest.raises(MeshRefusedError, match=f"a{suffix}"):
-                read_parts(path)
 
 
 @pytest.mark.parametrize("reference", ["pipe.mtl", "../secret.mtl", "missing.mtl", "C:\\me\\a.mtl"])

@@ -1,7 +1,5 @@
 """A small patient in DICOM files: the slices of a CT, and the vessels that segmentations of it hold."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """DICOM series, segmentations and structure sets, as highdicom, rt-utils, SimpleITK and pydicom write them."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any
@@ -48,29 +46,6 @@ def test_a_series_in_any_order_has_its_places_and_hounsfield_units(tmp_path: Pat
     values = np.concatenate([slab[0] for _, slab in source.slabs()], axis=2)
     np.testing.assert_array_equal(values, hounsfield())
     assert (source.world, source.unit, source.notes) == ("LPS", "mm", ())
-
-
-def test_a_series_that_simpleitk_wrote(tmp_path: Path) -> None:
-    itk = pytest.importorskip("SimpleITK", reason="the reference writer")
-    image = itk.GetImageFromArray(hounsfield().astype(np.int16).T)
-    image.SetSpacing((0.8, 0.9, 2.0))
-    image.SetOrigin((40.0, -30.0, 12.0))
-    writer = itk.ImageFileWriter()
-    writer.KeepOriginalImageUIDOn()
-    (tmp_path / "ct").mkdir()
-    for k in range(SHAPE[2]):
-        one = image[:, :, k]
-        tags = {
-            "0008|0060": "CT", "0020|000e": "1.2.3.4", "0008|0018": f"1.2.3.4.{k}", "0020|0037": "1\\0\\0\\0\\1\\0",
-            "0020|0032": f"40\\-30\\{12 + 2 * k}", "0020|0013": str(k), "0008|0008": "DERIVED\\SECONDARY",
-        }  # fmt: skip
-        for key, value in tags.items():
-            one.SetMetaData(key, value)
-        writer.SetFileName(str(tmp_path / "ct" / f"{20 - k}.dcm"))
-        writer.Execute(one)
-    source = open_volume(tmp_path / "ct", image=True)
-    np.testing.assert_allclose(source.affine, affine(np.eye(3)), atol=1e-6)
-    np.testing.assert_array_equal(np.concatenate([slab[0] for _, slab in source.slabs()], axis=2), hounsfield())
 
 
 def test_series_that_are_none(tmp_path: Path) -> None:

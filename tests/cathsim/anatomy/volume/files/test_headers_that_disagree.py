@@ -1,7 +1,5 @@
 """Headers that say two things: a note with both, and a choice; axes that rounding has bent are straightened."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +8,6 @@ import pytest
 from cathsim.anatomy.importing import import_anatomy, import_digest
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.files.reading import open_volume, read_labels
-from cathsim.anatomy.volume.files.source import straightened
 
 nibabel = pytest.importorskip("nibabel", reason="label volumes need nibabel")
 nrrd = pytest.importorskip("nrrd", reason="label volumes need pynrrd")
@@ -62,10 +59,6 @@ def test_a_mirrored_qform_is_noted_and_may_be_chosen(tmp_path: Path) -> None:
     assert len(digests) == 3
 
 
-def test_transforms_that_agree_are_not_mentioned(tmp_path: Path) -> None:
-    assert open_volume(save(tmp_path / "a.nii.gz", turned(), turned())).notes == ()
-
-
 def test_a_transform_that_is_not_there(tmp_path: Path) -> None:
     path = save(tmp_path / "a.nii.gz", turned(), None)
     with pytest.raises(MeshRefusedError, match="has no qform; leave transform='qform' out"):
@@ -103,11 +96,6 @@ def test_axes_with_noise_are_straightened(tmp_path: Path, noise: float) -> None:
     np.testing.assert_allclose(source.affine @ middle, affine @ middle, atol=1e-4)  # of float32 in the header
     assert [("straightened" in note) for note in source.notes] == [True] * (noise == 1e-2)
     assert set(read_labels(path).names) == {"aorta", "lcca"}
-
-
-def test_axes_at_right_angles_are_left_to_the_last_bit() -> None:
-    for affine in (turned(), np.diag([-0.7, 0.7, 2.5, 1.0])):
-        np.testing.assert_array_equal(straightened(affine, (64, 64, 30)), affine)
 
 
 def test_axes_of_a_tilted_gantry_are_refused(tmp_path: Path) -> None:

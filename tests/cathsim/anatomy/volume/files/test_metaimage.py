@@ -1,7 +1,5 @@
 """Label volumes in MetaImage files: places, data beside the header, and those that cannot be read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -48,13 +46,6 @@ def test_voxels_lie_where_itk_says(tmp_path: Path, name: str, packed: bool, kind
     np.testing.assert_array_equal(volume.vessels[:10, :10], 1)
     np.testing.assert_array_equal(volume.vessels[10:20, 3:7, 14:18], 2)
     assert np.count_nonzero(volume.vessels) == np.count_nonzero(tubes())
-
-
-def test_slices_are_read_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("cathsim.anatomy.volume.files.metaimage.SLAB_BYTES", 4 * 40 * 36)
-    slabs = list(open_volume(written(tmp_path / "a.mha", tubes())).slabs())
-    assert [first for first, _ in slabs] == list(range(0, 30, 4))
-    np.testing.assert_array_equal(np.concatenate([slab[0] for _, slab in slabs], axis=2), tubes())
 
 
 def test_a_header_without_axes_is_noted(tmp_path: Path) -> None:
@@ -115,3 +106,10 @@ def test_data_beside_a_header_are_part_of_what_is_hashed(tmp_path: Path, name: s
     assert import_digest(source, 1e-3) != before
     header.write_bytes(header.read_bytes().replace(data.name.encode(), b"x" * 5000))
     assert import_digest(source, 1e-3) != before
+
+
+def test_slices_are_read_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cathsim.anatomy.volume.files.metaimage.SLAB_BYTES", 4 * 40 * 36)
+    slabs = list(open_volume(written(tmp_path / "a.mha", tubes())).slabs())
+    assert [first for first, _ in slabs] == list(range(0, 30, 4))
+    np.testing.assert_array_equal(np.concatenate([slab[0] for _, slab in slabs], axis=2), tubes())

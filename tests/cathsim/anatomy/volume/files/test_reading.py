@@ -1,7 +1,5 @@
 """Label volumes as they come, and those that cannot be read: one sentence each."""
 
-from __future__ import annotations
-
 import builtins
 from pathlib import Path
 from typing import Any
@@ -12,8 +10,8 @@ import pytest
 from cathsim import load_phantom
 from cathsim.anatomy.importing import import_anatomy, is_anatomy_path
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.volume.files.reading import open_volume, read_labels
-from cathsim.anatomy.volume.labels.choice import AORTASEG24, choose_labels
+from cathsim.anatomy.volume.files.reading import LabelVolume, open_volume, read_labels
+from cathsim.anatomy.volume.importer import join_repeated
 from tests.cathsim.anatomy.volume.rasterising import save_nifti, save_slicer
 
 nibabel = pytest.importorskip("nibabel", reason="label volumes need nibabel")
@@ -102,30 +100,6 @@ def test_names_in_the_header_of_totalsegmentator(tmp_path: Path) -> None:
     assert read_labels(tmp_path / "a.nii.gz").names == ("aorta", "lsa")
     assert read_labels(tmp_path / "a.nii.gz", {9: "lcca"}).names == ("aorta", "lcca")
     assert read_labels(tmp_path / "a.nii.gz", {"subclavian_artery_left": None}).names == ("aorta",)
-
-
-def test_zones_of_aortaseg24_are_one_aorta() -> None:
-    present = {(0, value): 100 for value in range(1, 24)}
-    choice = choose_labels(present, {}, None, "a.nii.gz")
-    assert choice.scheme == "AortaSeg24"
-    assert {choice.vessels[0, value] for value in (1, 3, 5, 7, 8, 9, 10)} == {"aorta"}
-    assert (choice.vessels[0, 2], choice.vessels[0, 4], choice.vessels[0, 6]) == ("bca", "lcca", "lsa")
-    assert AORTASEG24[19] == "iliac_left"
-
-
-def test_the_first_version_of_totalsegmentator() -> None:
-    present = {(0, value): 100 for value in (1, 5, 7, 8, 51, 52, 60, 104)}
-    choice = choose_labels(present, {}, None, "a.nii.gz")
-    assert choice.vessels == {(0, 7): "aorta", (0, 51): "iliac_left", (0, 52): "iliac_right"}
-
-
-def test_labels_without_an_aorta(tmp_path: Path) -> None:
-    path = save_nifti(tmp_path / "a.nii.gz", tubes(), AFFINE, {52: "liver", 58: "common_carotid_artery_left"})
-    assert "common_carotid_artery_left" in refused(path, "no label of the aorta")
-
-
-def test_an_empty_volume(tmp_path: Path) -> None:
-    refused(save_nifti(tmp_path / "a.nii.gz", np.zeros((20, 20, 20), np.uint8), AFFINE), "is empty")
 
 
 def test_volumes_of_four_axes(tmp_path: Path) -> None:
@@ -246,3 +220,19 @@ def test_a_reader_that_is_not_installed(tmp_path: Path, monkeypatch: pytest.Monk
     (tmp_path / "a.mha").write_text("x")
     with pytest.raises(MeshRefusedError, match=r"install 'endonav-cathsim\[metaimage\]'"):
         read_labels(tmp_path / "a.mha")
+
+
+def whole(vessels: np.ndarray, first: tuple[int, int, int], shape: tuple[int, int, int]) -> LabelVolume:
+    affine = np.diag([1e-3, 1e-3, 1e-3, 1.0])
+    return LabelVolume(vessels, ("aorta",), affine, first, shape, np.eye(3), "a.nii", "mm", 1e-3, "names", True, ())
+
+
+def test_repeated_voxels_are_one_again() -> None:
+    before = np.random.default_rng(0).integers(1, 3, (12, 9, 11)).astype(np.uint8)
+    fine = before.repeat(3, axis=0).repeat(2, axis=2)
+    joined = join_repeated(whole(fine, (6, 1, 4), (60, 12, 30)))
+    np.testing.assert_array_equal(joined.vessels, before)
+    assert (joined.first, joined.shape) == ((2, 1, 2), (20, 12, 15))
+    assert joined.affine @ [0, 0, 0, 1] == pytest.approx([1e-3, 0, 0.5e-3, 1])
+    assert joined.spacing == pytest.approx([3e-3, 1e-3, 2e-3])
+    assert "3 x 1 x 2 mm" in joined.notes[0]
