@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass as checked
 
 from pipeline.seeds import ARCHES
 from pipeline.store.errors import ConfigurationError
-from pipeline.store.provenance import PROJECT_ROOT
+from pipeline.store.provenance import project_file
 
 _STRICT = ConfigDict(extra="forbid")
 First = Annotated[int, AfterValidator(lambda first: _block(first))]
@@ -89,7 +89,7 @@ def read_protocol(path: Path | None = None) -> Protocol:
     Raises:
         ConfigurationError: it is missing, or an entry is not understood.
     """
-    path = path or _own()
+    path = path or project_file("evaluation/protocol.yaml")
     try:
         content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
         claims = TypeAdapter(dict[str, Claim]).validate_python(content["claims"])
@@ -109,8 +109,3 @@ def declared(claim: Navigation | Reconstruction, *, words: bool = True) -> dict[
     entry = asdict(claim)
     return entry if words else {key: value for key, value in entry.items() if key not in ("title", "limits")}
 
-
-def _own() -> Path:
-    """The protocol of the tree, or of the installed package."""
-    tree = PROJECT_ROOT / "evaluation" / "protocol.yaml"
-    return tree if tree.is_file() else Path(__file__).resolve().parents[1] / "evaluation" / "protocol.yaml"

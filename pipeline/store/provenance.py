@@ -17,6 +17,12 @@ _REPORTED_DISTRIBUTIONS = ("numpy", "scipy", "mujoco", "gymnasium", "dm_control"
                            "stable-baselines3", "mcap", "hydra-core")  # fmt: skip
 
 
+def project_file(path: str) -> Path:
+    """A file of the project that its installed package has, too."""
+    tree = PROJECT_ROOT / path
+    return tree if tree.is_file() else Path(__file__).resolve().parents[1] / path
+
+
 def hash_value(value: Any) -> str:
     """Hashes any JSON-like value, independent of the order of its keys."""
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
