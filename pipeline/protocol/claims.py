@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -18,29 +18,61 @@ from pipeline.store.provenance import project_file
 _STRICT = ConfigDict(extra="forbid")
 First = Annotated[int, AfterValidator(lambda first: _block(first))]
 Positive = Annotated[int, Field(gt=0)]
+Share = Annotated[float, Field(ge=0)]
+
+
+@checked(frozen=True, kw_only=True, config=_STRICT)
+class Variation:
+    """What differs from what a policy was trained with.
+
+    Attributes:
+        shift_mm, turn_deg: of the scan that the roadmap shows, along and about directions that each case draws.
+        stiffness, friction: of the wire, times the usual ones.
+    """
+
+    shift_mm: Share = 0.0
+    turn_deg: Share = 0.0
+    stiffness: Annotated[float, Field(gt=0)] = 1.0
+    friction: Annotated[float, Field(gt=0)] = 1.0
 
 
 @checked(frozen=True, kw_only=True, config=_STRICT)
 class Navigation:
-    """Shipped policies steer to targets in drawn arches.
+    """Shipped policies steer to targets, in drawn arches, phantoms of the library, or real vessels.
 
     Attributes:
-        arches: kind of the arches, as `pipeline.stages.unseen.task.TEST_KINDS`.
-        first, count: seed of the first one (of `pipeline.seeds`), and how many.
+        arches: kind of drawn arches, as `pipeline.stages.unseen.task.TEST_KINDS`; instead of `phantoms` and `sources`.
+        phantoms: of the library, by name.
+        sources: the use of real vessels, of `evaluation/sources.yaml`.
+        vessels: of those, what they show: arches, or all others.
+        first, count: seed of the first arch (of `pipeline.seeds`), and how many; in others, episodes towards a target.
+        targets: names; without any, all branches that an import finds.
         policies: names; the second plays where an ostium is set back far.
         attempts, steps: of an episode, and the steps of each.
+        variations: by name, each with the same anatomies and starts.
     """
 
     kind: Literal["navigation"]
     title: str
     limits: str
-    arches: Literal["random", "random_steep", "random_trunk"]
+    arches: Literal["random", "random_steep", "random_trunk"] | None = None
+    phantoms: tuple[str, ...] = ()
+    sources: Literal["seen", "open", "reserved"] | None = None
+    vessels: Literal["arch", "other"] = "arch"
     first: First
     count: Positive
-    targets: tuple[str, ...]
-    policies: tuple[str, ...]
+    targets: tuple[str, ...] = ()
+    policies: Annotated[tuple[str, ...], Field(min_length=1, max_length=2)]
     attempts: Positive = 1
     steps: Positive = 300
+    variations: Mapping[str, Variation] = field(default_factory=lambda: {"": Variation()})
+
+    def __post_init__(self) -> None:
+        """Refuses more or less than one kind of anatomies."""
+        if sum(map(bool, (self.arches, self.phantoms, self.sources))) != 1:
+            raise ValueError("needs one of arches, phantoms and sources")
+        if not (self.targets or self.sources):
+            raise ValueError("needs targets")
 
 
 @checked(frozen=True, kw_only=True, config=_STRICT)
@@ -52,7 +84,7 @@ class Reconstruction:
     limits: str
     first: First  # seed of the scenes
     count: Positive
-    noise_px: Annotated[float, Field(ge=0)]
+    noise_px: Share
 
 
 Claim = Annotated[Navigation | Reconstruction, Field(discriminator="kind")]
@@ -70,7 +102,7 @@ class Protocol:
     """All claims, by name, and the version that they are of."""
 
     version: int
-    claims: Mapping[str, Navigation | Reconstruction]
+    claims: Mapping[str, Claim]
 
     def require(self, names: list[str]) -> None:
         """Refuses names of no claim.
@@ -104,8 +136,7 @@ def read_protocol(path: Path | None = None) -> Protocol:
         raise ConfigurationError(f"{path} is no protocol: expected `version` and `claims` ({error})") from None
 
 
-def declared(claim: Navigation | Reconstruction, *, words: bool = True) -> dict[str, Any]:
+def declared(claim: Claim, *, words: bool = True) -> dict[str, Any]:
     """A claim's entry as plain numbers and text; without `words` only what its figures depend on."""
     entry = asdict(claim)
     return entry if words else {key: value for key, value in entry.items() if key not in ("title", "limits")}
-

@@ -24,6 +24,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--workers", type=int, default=2, help="processes (2)")
     parser.add_argument("--to", type=Path, default=Path("results"), metavar="FOLDER", help="of the results (results)")
     parser.add_argument("--protocol", type=Path, metavar="FILE", help="instead of the project's")
+    parser.add_argument("--pages", action="store_true", help="make the documents' tables from the results and leave")
     parser.add_argument("--list", action="store_true", help="print the claims and leave")
     given = parser.parse_args(arguments)
     try:
@@ -33,6 +34,11 @@ def main(arguments: list[str]) -> int:
             raise ConfigurationError("--seeds and --workers are 1 at least")
         if given.list:
             say("\n".join(f"{name}: {claim.title}. {claim.limits}" for name, claim in protocol.claims.items()))
+            return _FINE
+        if given.pages:
+            from pipeline.protocol.pages import render
+
+            say("\n".join(map(str, render(given.to))) or "no table changed")
             return _FINE
         os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers are as many as there are to be
         from pipeline.protocol.run import measure

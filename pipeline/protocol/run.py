@@ -13,7 +13,7 @@ import numpy as np
 
 from cathsim.metrics.episodes import wilson_interval
 from pipeline.protocol import navigation, reconstruction
-from pipeline.protocol.claims import Navigation, Protocol, Reconstruction, declared
+from pipeline.protocol.claims import Claim, Navigation, Protocol, declared
 from pipeline.store.atomic_files import atomic_path
 from pipeline.store.provenance import hash_file, hash_value, present_commit, software_versions, uncommitted_changes
 
@@ -47,7 +47,7 @@ def measure(
     made_by = {
         "commit": present_commit(),
         "changes": uncommitted_changes(),
-        "weights": _weights(claim),
+        "inputs": inputs(claim),
         "claim": hash_value(declared(claim, words=False)),
     }
     journal = folder / f"{name}.jsonl"
@@ -83,7 +83,7 @@ def measure(
     return result
 
 
-def play(claim: Navigation | Reconstruction, case: Mapping[str, Any]) -> dict[str, Any]:
+def play(claim: Claim, case: Mapping[str, Any]) -> dict[str, Any]:
     """A case's outcome."""
     outcome: dict[str, Any] = KINDS[claim.kind].play(claim, case)
     return outcome
@@ -96,17 +96,18 @@ def summary(outcomes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """
     found: dict[str, Any] = {"cases": len(outcomes), "anatomies": len({one["anatomy"] for one in outcomes})}
     for key in ("success", "straight"):
-        if key in outcomes[0]:
-            found[f"{key}_pct"] = _share([(one["anatomy"], one[key]) for one in outcomes])
-    for target in sorted({one["target"] for one in outcomes if "target" in one}):
-        chosen = [(one["anatomy"], one["success"]) for one in outcomes if one["target"] == target]
-        found[f"success_{target}_pct"] = _share(chosen)
+        if any(key in one for one in outcomes):
+            found[f"{key}_pct"] = _share([(one["anatomy"], one.get(key, False)) for one in outcomes])
+    for part in ("target", "variation"):
+        for name in dict.fromkeys(one[part] for one in outcomes if part in one):
+            chosen = [(one["anatomy"], one["success"]) for one in outcomes if one.get(part) == name]
+            found[f"success_{name}_pct"] = _share(chosen)
     for key in ("depth_mm", "force_p95_n", "mean_mm", "max_mm", "tip_mm", "steps"):
         values = [(one["anatomy"], float(one[key])) for one in outcomes if key in one]
         if values:
             found[f"{key}_mean"] = _interval(values, 3)
-    if "force_max_n" in outcomes[0]:
-        found["force_max_n"] = max(one["force_max_n"] for one in outcomes)
+    if forces := [one["force_max_n"] for one in outcomes if "force_max_n" in one]:
+        found["force_max_n"] = max(forces)
     return found
 
 
@@ -131,13 +132,15 @@ def _pool(workers: int) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
 
 
-def _weights(claim: Navigation | Reconstruction) -> dict[str, str]:
-    """The hash of each policy's file."""
+def inputs(claim: Claim) -> dict[str, str]:
+    """SHA-256 of each policy's file and of each file of data."""
     if not isinstance(claim, Navigation):
         return {}
     from enn.shipped import weight_files
 
-    return {path.stem: hash_file(path) for path in weight_files() if path.stem in claim.policies}
+    return {path.stem: hash_file(path) for path in weight_files() if path.stem in claim.policies} | navigation.files(
+        claim
+    )
 
 
 def _played(journal: Path, made_by: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

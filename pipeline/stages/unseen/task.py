@@ -17,6 +17,7 @@ from pipeline.task import DESCENDING, Task
 if TYPE_CHECKING:
     from cathsim import Guidewire, NavigateEnv
     from cathsim.many_anatomies import NavigateManyEnv
+    from cathsim.observations.scan import Scan
 
 
 ROADMAP, IMAGE, XRAY = "roadmap", "image_true_mask", "xray"  # rows: what a policy sees
@@ -108,6 +109,7 @@ class UnseenTask:
         observation: tuple[str, ...],
         registration_noise: float = 0.0,
         entry: str = DESCENDING,
+        scan: Scan | None = None,
     ) -> NavigateEnv:
         """An environment of a test."""
         from cathsim import NavigateEnv
@@ -128,6 +130,7 @@ class UnseenTask:
             **tried._catheter(),
             reward=REWARD_OF_EVALUATION,
             registration_noise=registration_noise,
+            scan=scan,
             **tried.task.rules(),
         )
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 from pathlib import Path
 
 import pytest
 
+from pipeline.data.sources import Source, SourceFile, Sources
+from pipeline.protocol import navigation
 from pipeline.protocol.claims import read_protocol
 from pipeline.protocol.command import main
 from pipeline.protocol.run import summary
 from pipeline.store.errors import ConfigurationError
 
+NO_VESSEL = hashlib.sha256(b"solid no vessel").hexdigest()
 SCENES = """
 version: 3
 claims:
@@ -51,6 +55,7 @@ def test_the_projects_protocol_names_shipped_policies_and_seeds_of_their_own() -
     ("old", "new", "message"),
     [
         ("count: 6", "count: 0", "count: .*greater than 0"),
+        ("reconstruction\n", "navigation\n    policies: [generalist]\n", "one of arches, phantoms and sources|noise"),
         ("noise_px: 1.0", "noise: 1.0", "noise"),
         ("first: 690000", "first: 7", "first: .*600000 and a multiple of 1000"),
         ("reconstruction", "reading", "reading"),
@@ -76,7 +81,7 @@ def test_every_case_is_written_and_none_is_played_twice_unless_the_claim_changes
     results, journal = (protocol.parent / "results" / name for name in ("wires.json", "wires.jsonl"))
     first = json.loads(results.read_text())
     assert (first["protocol"], first["claim"], len(first["cases"])) == (3, "wires", 6)
-    assert {"commit", "changes", "weights", "claim"} == set(first["made_by"])
+    assert {"commit", "changes", "inputs", "claim"} == set(first["made_by"])
     assert all(case["success"] and case["mean_mm"] < 5 for case in first["cases"])
     lines = journal.read_text().splitlines()
     journal.write_text("\n".join(lines[:4]) + '\n{"case": {"anat')  # killed within a line
@@ -122,11 +127,42 @@ def test_cases_of_one_anatomy_belong_together() -> None:
     assert 90 < whole["low"] < 93
 
 
+def test_data_that_are_not_here_and_files_that_are_refused_are_said(
+    protocol: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sources = Sources("", {"box": _source("box.stl"), "tube": _source("tube.stl")}, tmp_path)
+    monkeypatch.setattr("pipeline.protocol.navigation.read_sources", lambda: sources)
+    protocol.write_text(
+        "version: 1\nclaims: {steer: {kind: navigation, title: T, limits: L, sources: open, first: 690000, count: 2, "
+        "targets: [bca], policies: [generalist]}}"
+    )
+    claim = read_protocol(protocol).claims["steer"]
+    assert _evaluate(protocol) == 2
+    assert "data are missing: `endonav data fetch box tube`" in capsys.readouterr().err
+    for name in sources.entries:
+        sources.anatomy(name).parent.mkdir()
+        sources.anatomy(name).write_bytes(b"solid no vessel")
+    cases = list(navigation.cases(claim, 0))
+    assert [case["anatomy"] for case in cases] == ["box", "box", "tube", "tube"]
+    assert len({case["seed"] for case in cases}) == 4
+    outcome = navigation.play(claim, cases[0])
+    assert not outcome["success"]
+    assert "box.stl" in outcome["reason"] or "triangle" in outcome["reason"]
+    assert summary([case | outcome for case in cases])["success_pct"]["mean"] == 0
+    assert navigation.files(claim) == dict.fromkeys(("box/box.stl", "tube/tube.stl"), NO_VESSEL)
+
+
+def _source(name: str) -> Source:
+    file = SourceFile(name, 15, NO_VESSEL)
+    return Source(use="open", vessels="arch", repository="a/b", commit="ab", licence="MIT", files=(file,))
+
+
 @pytest.mark.slow
 def test_shipped_policies_steer_in_a_drawn_arch(protocol: Path) -> None:
     protocol.write_text(
         "version: 1\nclaims: {steer: {kind: navigation, title: T, limits: L, arches: random, first: 690000, count: 1, "
-        "targets: [bca], policies: [generalist, generalist_jb2]}}"
+        "targets: [bca], policies: [generalist, generalist_jb2], "
+        "variations: {bad registration and wire: {shift_mm: 2, turn_deg: 3, stiffness: 1.5, friction: 0.5}}}}"
     )
     assert _evaluate(protocol) == 0
     (case,) = json.loads((protocol.parent / "results" / "steer.json").read_text())["cases"]

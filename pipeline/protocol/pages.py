@@ -1,0 +1,120 @@
+"""Tables of results in documents: made between two marks from the files of results, and compared with them.
+
+A mark names claims: `<!-- results: random_roadmap -->`, and `<!-- end of results -->` ends its table. One claim gets
+all its figures, several get a row each.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.protocol.claims import Protocol, declared
+from pipeline.protocol.run import inputs
+from pipeline.store.atomic_files import read_json, write_text
+from pipeline.store.errors import ConfigurationError
+from pipeline.store.provenance import PROJECT_ROOT, hash_value
+
+_MARKED = re.compile(r"(<!-- results: ([\w ]+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
+_WORDS = {
+    "success_pct": "success, %",
+    "straight_pct": "tip within 8 mm in a straight line, %",
+    "depth_mm_mean": "tip behind the ostium, mm",
+    "force_p95_n_mean": "force, 95th percentile of an episode, N",
+    "steps_mean": "steps",
+    "mean_mm_mean": "distance along the wire, mm",
+    "max_mm_mean": "largest distance, mm",
+    "tip_mm_mean": "distance of the tips, mm",
+}
+
+
+def documents(root: Path = PROJECT_ROOT) -> Iterator[Path]:
+    """Documents with tables of results."""
+    for path in [root / "README.md", *sorted((root / "docs").rglob("*.md"))]:
+        if _MARKED.search(path.read_text(encoding="utf-8")):
+            yield path
+
+
+def rendered(text: str, results: Path) -> str:
+    """A document's text with its tables made from the files of a folder.
+
+    Raises:
+        ConfigurationError: a claim that it names has no results.
+    """
+
+    def table(found: re.Match[str]) -> str:
+        read = [_read(results / f"{name}.json") for name in found[2].split()]
+        return f"{found[1]}\n{_figures(read[0]) if len(read) == 1 else _rows(read)}\n\n{found[3]}"
+
+    return _MARKED.sub(table, text)
+
+
+def render(results: Path, root: Path = PROJECT_ROOT) -> list[Path]:
+    """Renders all documents anew; the paths of those that changed."""
+    changed = []
+    for path in documents(root):
+        old = path.read_text(encoding="utf-8")
+        if (new := rendered(old, results)) != old:
+            write_text(path, new)
+            changed.append(path)
+    return changed
+
+
+def outdated(result: dict[str, Any], protocol: Protocol) -> str:
+    """Why a result is older than what it depends on; "" if it is not."""
+    name = result["claim"]
+    if name not in protocol.claims:
+        return "the protocol has no such claim any more"
+    claim = protocol.claims[name]
+    if result["made_by"]["claim"] != hash_value(declared(claim, words=False)):
+        return "the protocol's entry is another one"
+    return "" if result["made_by"]["inputs"] == inputs(claim) else "policies or data are others"
+
+
+def _read(path: Path) -> Any:
+    if not path.is_file():
+        raise ConfigurationError(f"{path} is missing: `endonav evaluate {path.stem}` makes it")
+    return read_json(path)
+
+
+def _figures(result: dict[str, Any]) -> str:
+    """All figures of a claim, then how they were made and what limits them."""
+    summary, claim = result["summary"], result["declared"]
+    rows = [
+        (_WORDS.get(key, f"success, {key[8:-4]}, %"), f"{value['mean']:g}", f"{value['low']:g} to {value['high']:g}")
+        for key, value in summary.items()
+        if isinstance(value, dict)
+    ]
+    if "force_max_n" in summary:
+        rows.append(("largest force, N", f"{summary['force_max_n']:g}", ""))
+    made = f"`endonav evaluate {result['claim']}{_seeds(result)}`, commit `{result['made_by']['commit'][:12]}`"
+    return (
+        f"{claim['title']}: {_number(summary)}.\n\n{_table(('', 'mean', '95 % interval'), rows)}\n\n"
+        f"{made}, version {result['protocol']} of the protocol. {claim['limits']}"
+    )
+
+
+def _rows(read: Sequence[dict[str, Any]]) -> str:
+    """A row for each claim."""
+    rows = []
+    for result in read:
+        unit, key = ("%", "success_pct") if result["declared"]["kind"] == "navigation" else ("mm", "mean_mm_mean")
+        figure = result["summary"][key]
+        value = f"{figure['mean']:g} {unit} ({figure['low']:g} to {figure['high']:g}) of {_number(result['summary'])}"
+        rows.append((result["declared"]["title"], value, result["declared"]["limits"]))
+    return _table(("what", "95 % interval", "limit"), rows)
+
+
+def _number(summary: dict[str, Any]) -> str:
+    return f"{summary['cases']} cases in {summary['anatomies']} anatomies"
+
+
+def _seeds(result: dict[str, Any]) -> str:
+    return "" if result["seeds"] == 1 else f" --seeds {result['seeds']}"
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)

@@ -1,0 +1,61 @@
+"""Tables of results in documents are what the files of results say, which are of the present policies and data."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from pipeline.protocol.claims import read_protocol
+from pipeline.protocol.command import main
+from pipeline.protocol.pages import documents, outdated, render, rendered
+from pipeline.store.errors import ConfigurationError
+from pipeline.store.provenance import PROJECT_ROOT
+from tests.pipeline.protocol.test_evaluate import SCENES
+
+RESULTS = PROJECT_ROOT / "results"
+KEPT = sorted(RESULTS.glob("*.json"))
+
+
+def test_tables_of_the_documents_are_those_of_the_results() -> None:
+    for path in documents():
+        text = path.read_text(encoding="utf-8")
+        assert rendered(text, RESULTS) == text, f"{path}: run endonav evaluate --pages"
+
+
+@pytest.mark.parametrize("path", KEPT, ids=[path.stem for path in KEPT])
+def test_results_are_of_the_present_policies_data_and_protocol(path: Path) -> None:
+    assert not outdated(json.loads(path.read_text(encoding="utf-8")), read_protocol())
+
+
+def test_a_table_is_made_from_results_and_a_change_of_them_is_seen(tmp_path: Path) -> None:
+    protocol, results = tmp_path / "protocol.yaml", tmp_path / "results"
+    protocol.write_text(SCENES)
+    assert main(["wires", "--protocol", str(protocol), "--to", str(results), "--workers", "1"]) == 0
+    (tmp_path / "docs").mkdir()
+    page = tmp_path / "docs" / "wires.md"
+    page.write_text("# Wires\n\n<!-- results: wires -->\nold\n<!-- end of results -->\n\nmore\n")
+    (tmp_path / "README.md").write_text("<!-- results: wires wires -->\n<!-- end of results -->\n")
+    assert len(render(results, tmp_path)) == 2
+    assert not render(results, tmp_path)
+    result = json.loads((results / "wires.json").read_text())
+    text = page.read_text()
+    mean = result["summary"]["mean_mm_mean"]
+    assert f"| distance along the wire, mm | {mean['mean']:g} | {mean['low']:g} to {mean['high']:g} |" in text
+    assert "Wires: 6 cases in 6 anatomies." in text
+    assert "`endonav evaluate wires`, commit `" in text
+    assert text.endswith("\n\nmore\n")
+    assert f"| Wires | {mean['mean']:g} mm (" in (tmp_path / "README.md").read_text()
+    mean["mean"] += 1
+    (results / "wires.json").write_text(json.dumps(result))
+    assert rendered(text, results) != text
+    assert not outdated(result, read_protocol(protocol))
+    protocol.write_text(SCENES.replace("count: 6", "count: 7"))
+    assert "entry" in outdated(result, read_protocol(protocol))
+    result["made_by"]["inputs"] = {"a policy": "of other weights"}
+    protocol.write_text(SCENES)
+    assert "policies" in outdated(result, read_protocol(protocol))
+    (results / "wires.json").unlink()
+    with pytest.raises(ConfigurationError, match="endonav evaluate wires"):
+        rendered(text, results)
