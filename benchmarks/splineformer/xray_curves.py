@@ -4,7 +4,7 @@
 
 Random images are those of seed 1000003 from index 30000 on, on which nothing was chosen: "cluttered" with everything,
 "clean" without clutter and contrast medium. Real ones are a folder of images with a JSON file of annotated curves, of
-either kind that benchmarks/guide3d/real_xray.py reads. Prints a line of JSON for each set and reader:
+either kind, {"pairs": [...]} or {"images": [...]}. Prints a line of JSON for each set and reader:
 
     curve_median_px   median over images of the mean distance of the true curve's points from the curve found
     order_median_px   the same at equal shares of both lengths: large where the order is wrong

@@ -104,6 +104,18 @@ def data_folder() -> Path:
     return Path(base).expanduser() / "endonav"
 
 
+def private_data(name: str) -> Path:
+    """A file or folder of data that are not public, which somebody put into the data folder.
+
+    Raises:
+        ConfigurationError: it is not there.
+    """
+    path = data_folder() / name
+    if not path.exists():
+        raise ConfigurationError(f"{path} is missing: it is not public, so put it there")
+    return path
+
+
 def read_sources(path: Path | None = None) -> Sources:
     """Reads the sources, by default the project's.
 

@@ -87,7 +87,58 @@ class Reconstruction:
     noise_px: Share
 
 
-Claim = Annotated[Navigation | Reconstruction, Field(discriminator="kind")]
+@checked(frozen=True, kw_only=True, config=_STRICT)
+class Forces:
+    """Contact forces are found from a wire's shape, and compared with those of the simulator.
+
+    Attributes:
+        first, count: seed of the first arch (of `pipeline.seeds`), and how many.
+        accuracy: preset of the simulator that gives the truth; the estimate's own model is no simulation.
+        noise_mm: of the curve.
+        members: estimates of which the interval is made.
+    """
+
+    kind: Literal["forces"]
+    title: str
+    limits: str
+    first: First
+    count: Positive
+    accuracy: Literal["accurate", "reference"]
+    noise_mm: Share
+    members: Positive = 40
+
+
+@checked(frozen=True, kw_only=True, config=_STRICT)
+class RealXray:
+    """Real X-ray pairs, not public, are read at several sizes (1: as recorded)."""
+
+    kind: Literal["real_xray"]
+    title: str
+    limits: str
+    sizes: tuple[Annotated[float, Field(gt=0)], ...]
+
+
+@checked(frozen=True, kw_only=True, config=_STRICT)
+class Calibration:
+    """Cameras are calibrated from real X-rays, not public, of a perforated sheet and a bead cube."""
+
+    kind: Literal["calibration"]
+    title: str
+    limits: str
+
+
+@checked(frozen=True, kw_only=True, config=_STRICT)
+class Speed:
+    """Environments are stepped on one core."""
+
+    kind: Literal["speed"]
+    title: str
+    limits: str
+    phantoms: tuple[str, ...]
+    steps: Positive
+
+
+Claim = Annotated[Navigation | Reconstruction | Forces | RealXray | Calibration | Speed, Field(discriminator="kind")]
 
 
 def _block(first: int) -> int:

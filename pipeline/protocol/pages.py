@@ -27,6 +27,24 @@ _WORDS = {
     "mean_mm_mean": "distance along the wire, mm",
     "max_mm_mean": "largest distance, mm",
     "tip_mm_mean": "distance of the tips, mm",
+    "place_mm_mean": "place of the largest contact, mm off",
+    "dice_mean": "Dice of the curve, drawn 6 px wide",
+    "within_4px_pct_mean": "annotation within 4 px of the curve, %",
+    "curve_mean_px_mean": "annotation from the curve, px",
+    "tip_px_mean": "distance of the tips, px",
+    "leave_out_px_mean": "distortion at holes left out, px",
+    "mean_px_mean": "reprojection of beads, px",
+    "steps_per_s_mean": "steps a second of processor time",
+    "resultant_error_pct_median": "error of the resultant, median, %",
+    "sum_error_pct_median": "error of the sum of normal forces, median, %",
+}
+# the figure of a claim that a table of several shows: the first that it has, with its unit
+_HEADLINES = {
+    "resultant_error_pct_median": "% median error",
+    "mean_mm_mean": "mm",
+    "steps_per_s_mean": "steps a second",
+    "mean_px_mean": "px",
+    "success_pct": "%",
 }
 
 
@@ -100,9 +118,10 @@ def _rows(read: Sequence[dict[str, Any]]) -> str:
     """A row for each claim."""
     rows = []
     for result in read:
-        unit, key = ("%", "success_pct") if result["declared"]["kind"] == "navigation" else ("mm", "mean_mm_mean")
+        key = next(key for key in _HEADLINES if key in result["summary"])
         figure = result["summary"][key]
-        value = f"{figure['mean']:g} {unit} ({figure['low']:g} to {figure['high']:g}) of {_number(result['summary'])}"
+        interval = f"({figure['low']:g} to {figure['high']:g})"
+        value = f"{figure['mean']:g} {_HEADLINES[key]} {interval} of {_number(result['summary'])}"
         rows.append((result["declared"]["title"], value, result["declared"]["limits"]))
     return _table(("what", "95 % interval", "limit"), rows)
 

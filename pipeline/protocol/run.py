@@ -12,12 +12,22 @@ from typing import Any
 import numpy as np
 
 from cathsim.metrics.episodes import wilson_interval
-from pipeline.protocol import navigation, reconstruction
-from pipeline.protocol.claims import Claim, Navigation, Protocol, declared
+from pipeline.protocol import calibration, forces, navigation, reconstruction, speed, xray
+from pipeline.protocol.claims import Claim, Navigation, Protocol, RealXray, declared
 from pipeline.store.atomic_files import atomic_path
 from pipeline.store.provenance import hash_file, hash_value, present_commit, software_versions, uncommitted_changes
 
-KINDS = {"navigation": navigation, "reconstruction": reconstruction}
+KINDS: dict[str, Any] = {
+    "navigation": navigation,
+    "reconstruction": reconstruction,
+    "forces": forces,
+    "real_xray": xray,
+    "calibration": calibration,
+    "speed": speed,
+}
+_MEANS = ("depth_mm", "force_p95_n", "steps", "mean_mm", "max_mm", "tip_mm", "place_mm", "dice", "within_4px_pct",
+          "curve_mean_px", "tip_px", "leave_out_px", "mean_px", "steps_per_s")  # fmt: skip
+_MEDIANS = ("resultant_error_pct", "sum_error_pct")
 _DRAWS = 4000  # of the bootstrap
 
 
@@ -102,12 +112,12 @@ def summary(outcomes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         for name in dict.fromkeys(one[part] for one in outcomes if part in one):
             chosen = [(one["anatomy"], one["success"]) for one in outcomes if one.get(part) == name]
             found[f"success_{name}_pct"] = _share(chosen)
-    for key in ("depth_mm", "force_p95_n", "mean_mm", "max_mm", "tip_mm", "steps"):
-        values = [(one["anatomy"], float(one[key])) for one in outcomes if key in one]
-        if values:
-            found[f"{key}_mean"] = _interval(values, 3)
-    if forces := [one["force_max_n"] for one in outcomes if "force_max_n" in one]:
-        found["force_max_n"] = max(forces)
+    for key in (*_MEANS, *_MEDIANS):
+        if values := [(one["anatomy"], float(one[key])) for one in outcomes if key in one]:
+            statistic = "median" if key in _MEDIANS else "mean"
+            found[f"{key}_{statistic}"] = _interval(values, 3, statistic)
+    if largest := [one["force_max_n"] for one in outcomes if "force_max_n" in one]:
+        found["force_max_n"] = max(largest)
     return found
 
 
@@ -117,15 +127,21 @@ def _share(values: Sequence[tuple[str, bool]]) -> dict[str, float]:
     return found | {"low": round(min(found["low"], low), 1), "high": round(max(found["high"], high), 1)}
 
 
-def _interval(values: Sequence[tuple[str, float]], digits: int) -> dict[str, float]:
-    """Mean, and 95 % interval of a bootstrap that draws anatomies with all their cases."""
-    names = sorted({name for name, _ in values})
-    sums = np.array([[sum(v for n, v in values if n == name), sum(n == name for n, _ in values)] for name in names])
-    drawn = np.random.default_rng(0).integers(len(names), size=(_DRAWS, len(names)))
-    means = sums[drawn, 0].sum(axis=1) / sums[drawn, 1].sum(axis=1)
-    low, high = np.percentile(means, (2.5, 97.5))
-    mean = sums[:, 0].sum() / sums[:, 1].sum()
-    return {"mean": round(float(mean), digits), "low": round(float(low), digits), "high": round(float(high), digits)}
+def _interval(values: Sequence[tuple[str, float]], digits: int, statistic: str = "mean") -> dict[str, float]:
+    """Mean or median as `mean`, and its 95 % interval of a bootstrap that draws anatomies with all their cases."""
+    of_names: dict[str, list[float]] = {}
+    for name, value in values:
+        of_names.setdefault(name, []).append(value)
+    drawn = np.random.default_rng(0).integers(len(of_names), size=(_DRAWS, len(of_names)))
+    if statistic == "mean":
+        sums = np.array([[sum(own), len(own)] for own in (of_names[name] for name in sorted(of_names))])
+        found = sums[drawn, 0].sum(axis=1) / sums[drawn, 1].sum(axis=1)
+    else:
+        groups = [np.array(of_names[name]) for name in sorted(of_names)]
+        found = np.array([np.median(np.concatenate([groups[k] for k in draw])) for draw in drawn])
+    whole = getattr(np, statistic)([value for _, value in values])
+    numbers = {"mean": whole, **dict(zip(("low", "high"), np.percentile(found, (2.5, 97.5)), strict=True))}
+    return {name: round(float(number), digits) for name, number in numbers.items()}
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:
@@ -133,7 +149,12 @@ def _pool(workers: int) -> ProcessPoolExecutor:
 
 
 def inputs(claim: Claim) -> dict[str, str]:
-    """SHA-256 of each policy's file and of each file of data."""
+    """SHA-256 of the file of each network that takes part, and of each file of public data."""
+    if isinstance(claim, RealXray):
+        from guide3d.shipped import shipped_file
+
+        with shipped_file("reader") as path:
+            return {"reader": hash_file(path)}
     if not isinstance(claim, Navigation):
         return {}
     from enn.shipped import weight_files

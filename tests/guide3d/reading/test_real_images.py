@@ -1,11 +1,11 @@
 """Real X-ray images of a wire in a phantom, where they are: loose limits of what the shipped reader reaches on them."""
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from pipeline.protocol.claims import read_protocol
+from pipeline.protocol.run import KINDS, summary
 
 ROOT = Path(__file__).parents[3]
 REAL = next(
@@ -13,19 +13,28 @@ REAL = next(
 )
 
 
-def test_the_benchmark_of_real_images_stays_near_its_figures() -> None:
+@pytest.fixture(autouse=True)
+def data(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The folder of data is that of the real images."""
     if REAL is None or not (REAL / "xray_wires").is_dir():
         pytest.skip("the real X-ray images (shared/real/xray_wires beside the project) are not here")
-    words = ["benchmarks/guide3d/real_xray.py", str(REAL / "xray_wires"), str(REAL / "stereo_pairs.json")]
-    done = subprocess.run(
-        [sys.executable, *words, "--cameras", str(REAL / "xray_calibration")],
-        cwd=ROOT, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    found = json.loads(done.stdout)
-    assert found["images"] == 12
-    assert found["missed"] == 0
-    assert found["dice"] > 0.85
-    assert found["within_4px_pct"] > 97
-    assert found["tip_median_px"] < 6
-    assert found["pair_mean_mm"] < 1.0
-    assert found["pair_tip_median_mm"] < 2.0
+    monkeypatch.setenv("ENDONAV_DATA", str(REAL))
+
+
+def test_pairs_are_read_near_their_figures() -> None:
+    claim = read_protocol().claims["real_xray"]
+    cases = [case for case in KINDS[claim.kind].cases(claim, 0) if case["variation"] == "size 1"]
+    found = summary([case | KINDS[claim.kind].play(claim, case) for case in cases])
+    assert found["cases"] == 6
+    assert found["success_pct"]["mean"] == 100
+    assert found["dice_mean"]["mean"] > 0.85
+    assert found["within_4px_pct_mean"]["mean"] > 97
+    assert found["tip_px_mean"]["mean"] < 8
+    assert found["mean_mm_mean"]["mean"] < 1.0
+    assert found["tip_mm_mean"]["mean"] < 3.0
+
+
+def test_cameras_are_calibrated_near_their_figures() -> None:
+    claim = read_protocol().claims["calibration"]
+    found = [KINDS[claim.kind].play(claim, case) for case in KINDS[claim.kind].cases(claim, 0)]
+    assert [one["beads"] > 25 and one["mean_px"] < 0.6 and one["leave_out_px"] < 0.2 for one in found] == [True, True]

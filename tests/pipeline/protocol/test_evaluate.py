@@ -46,7 +46,7 @@ def test_the_projects_protocol_names_shipped_policies_and_seeds_of_their_own() -
 
     claims = read_protocol().claims
     assert all(name in enn.models() for claim in claims.values() for name in getattr(claim, "policies", ()))
-    ranges = sorted((claim.first, claim.count) for claim in claims.values())
+    ranges = sorted((claim.first, claim.count) for claim in claims.values() if hasattr(claim, "first"))
     assert all(a + count <= b for (a, count), (b, _) in itertools.pairwise(ranges))
     assert all(count <= 1000 for _, count in ranges), "the next seed's anatomies begin 1000 later"
 
@@ -155,6 +155,25 @@ def test_data_that_are_not_here_and_files_that_are_refused_are_said(
 def _source(name: str) -> Source:
     file = SourceFile(name, 15, NO_VESSEL)
     return Source(use="open", vessels="arch", repository="a/b", commit="ab", licence="MIT", files=(file,))
+
+
+@pytest.mark.parametrize(
+    ("entry", "figure", "low", "high"),
+    [
+        (
+            "forces, first: 690000, count: 1, accuracy: accurate, noise_mm: 0.5, members: 4",
+            "resultant_error_pct_median",
+            0,
+            60,
+        ),
+        ("speed, phantoms: [type_1], steps: 60", "steps_per_s_mean", 1, 5000),
+    ],
+)
+def test_other_kinds_are_measured(protocol: Path, entry: str, figure: str, low: float, high: float) -> None:
+    protocol.write_text(f"version: 1\nclaims: {{one: {{title: T, limits: L, kind: {entry}}}}}")
+    assert _evaluate(protocol) == 0
+    result = json.loads((protocol.parent / "results" / "one.json").read_text())
+    assert low < result["summary"][figure]["mean"] < high
 
 
 @pytest.mark.slow
