@@ -56,8 +56,10 @@ def play(claim: Navigation, case: dict[str, Any]) -> dict[str, Any]:
     from enn.retrying import RetryingController
 
     place = _place(claim, case["anatomy"])
+    phantom = _phantom(place)
     try:
-        phantom = load_anatomy(place)
+        if isinstance(phantom, str):
+            raise ValueError(phantom)
         phantom.target(case["target"])
     except ValueError as error:
         return {"success": False, "reason": str(error)}
@@ -116,10 +118,19 @@ def _named(sources: Sources, claim: Navigation) -> list[str]:
 
 
 def _branches(place: str | AnatomyFile) -> Sequence[str]:
-    try:
-        return [target.name for target in load_anatomy(place).targets.values() if not target.at_end]
-    except ValueError:
+    phantom = _phantom(place)
+    if isinstance(phantom, str):
         return [_REFUSED]
+    return [target.name for target in phantom.targets.values() if not target.at_end]
+
+
+@lru_cache(maxsize=16)
+def _phantom(place: str | AnatomyFile) -> Phantom | str:
+    """The anatomy, or why it cannot be imported, which takes as long to find."""
+    try:
+        return load_anatomy(place)
+    except ValueError as error:
+        return str(error)
 
 
 def _place(claim: Navigation, anatomy: str) -> str | AnatomyFile:

@@ -100,8 +100,9 @@ def _read(path: Path) -> Any:
 def _figures(result: dict[str, Any]) -> str:
     """All figures of a claim, then how they were made and what limits them."""
     summary, claim = result["summary"], result["declared"]
+    words = _WORDS | ({"success_pct": "90 % interval holds the resultant, %"} if claim["kind"] == "forces" else {})
     rows = [
-        (_WORDS.get(key, f"success, {key[8:-4]}, %"), f"{value['mean']:g}", f"{value['low']:g} to {value['high']:g}")
+        (words.get(key, f"success, {key[8:-4]}, %"), f"{value['mean']:g}", f"{value['low']:g} to {value['high']:g}")
         for key, value in summary.items()
         if isinstance(value, dict)
     ]
@@ -121,13 +122,18 @@ def _rows(read: Sequence[dict[str, Any]]) -> str:
         key = next(key for key in _HEADLINES if key in result["summary"])
         figure = result["summary"][key]
         interval = f"({figure['low']:g} to {figure['high']:g})"
-        value = f"{figure['mean']:g} {_HEADLINES[key]} {interval} of {_number(result['summary'])}"
+        value = f"{figure['mean']:g} {_HEADLINES[key]} {interval}, {_count(result, key)} cases"
         rows.append((result["declared"]["title"], value, result["declared"]["limits"]))
     return _table(("what", "95 % interval", "limit"), rows)
 
 
+def _count(result: dict[str, Any], key: str) -> int:
+    """How many cases have what a figure is of."""
+    return sum(key.rsplit("_", 1)[0] in case for case in result["cases"])
+
+
 def _number(summary: dict[str, Any]) -> str:
-    return f"{summary['cases']} cases in {summary['anatomies']} anatomies"
+    return f"{summary['cases']} cases in {summary['anatomies']} anatomies or scenes"
 
 
 def _seeds(result: dict[str, Any]) -> str:
@@ -135,5 +141,5 @@ def _seeds(result: dict[str, Any]) -> str:
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    lines = [f"| {' | '.join(line)} |" for line in (head, *rows)]
+    return "\n".join([lines[0], "|---" * len(head) + "|", *lines[1:]])

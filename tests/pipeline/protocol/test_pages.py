@@ -43,7 +43,7 @@ def test_a_table_is_made_from_results_and_a_change_of_them_is_seen(tmp_path: Pat
     text = page.read_text()
     mean = result["summary"]["mean_mm_mean"]
     assert f"| distance along the wire, mm | {mean['mean']:g} | {mean['low']:g} to {mean['high']:g} |" in text
-    assert "Wires: 6 cases in 6 anatomies." in text
+    assert "Wires: 6 cases in 6 anatomies or scenes." in text
     assert "`endonav evaluate wires`, commit `" in text
     assert text.endswith("\n\nmore\n")
     assert f"| Wires | {mean['mean']:g} mm (" in (tmp_path / "README.md").read_text()
