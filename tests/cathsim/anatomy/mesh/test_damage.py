@@ -69,7 +69,6 @@ def moved(changes: dict[int, float], surface: Surface) -> Surface:
 
 MENDED = {
     "every second face missing": lambda s: (s[0], s[1][::2]),
-    "every face thrice": lambda s: (s[0], np.concatenate([s[1], s[1], s[1][:, ::-1]])),
     "fins outside": with_fins,
     "vertices that are no numbers": lambda s: moved({50: np.nan, 70: np.inf}, s),
 }
