@@ -54,6 +54,7 @@ $(INSTALLED): $(INSTALL_INPUTS)
 	@# Ours, too, where an environment forbids Python to: every start of a stage would compile them again.
 	@$(PY) -m compileall -qq -j 0 $(VENV)/lib packages/*/src pipeline >/dev/null || true  # some files of libraries are for other versions
 	@$(PY) pipeline/installation.py after
+	@echo "source $(VENV)/bin/activate: then python, endonav and examples/ run as the documents write them"
 	@touch $@
 
 ray: setup  ## Ray, for a cluster: engine=ray, and sweeps by hydra/launcher=ray; 240 MB more

@@ -8,6 +8,8 @@ from pipeline.early_stop import stop_at_once_by_ctrl_c
 
 if __name__ == "__main__":
     stop_at_once_by_ctrl_c()
-    from pipeline.launch import main
-
+    try:
+        from pipeline.launch import main
+    except ModuleNotFoundError as error:
+        sys.exit(f"the module {error.name} is missing: run `make setup`, then `source .venv/bin/activate`")
     sys.exit(main(sys.argv[1:]))

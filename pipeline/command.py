@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib
 import importlib.metadata
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from pipeline.installation import gl_backend
@@ -14,6 +16,8 @@ from pipeline.printing import CALLED, installing, say
 
 _FINE, _USAGE, _INTERRUPTED = 0, 2, 130
 _PACKAGES = ("enn", "guide3d", "splineformer")  # that ship models
+_TRAININGS = ("baselines", "enn", "imitation", "force", "unseen", "rehearsal", "shape", "segmentation", "splineformer",
+              "navigation")  # fmt: skip
 _HELP = """\
 endonav COMMAND [ARGUMENTS]
 
@@ -99,7 +103,8 @@ def _list(arguments: list[str]) -> int:
         return _FINE if arguments[0] in ("-h", "--help") else _USAGE
     names = {
         "environments": sorted(name for name in gymnasium.registry if name.startswith("cathsim/")),
-        "phantoms": list(cathsim.PHANTOMS), "wires": list(cathsim.GUIDEWIRES), "catheters": list(cathsim.CATHETERS),
+        "phantoms": [*cathsim.PHANTOMS, "random_0, random_1, … (also random_steep_7, random_wide_7, arch_variety_7)"],
+        "wires": list(cathsim.GUIDEWIRES), "catheters": list(cathsim.CATHETERS),
         "targets of type_1": list(cathsim.load_phantom("type_1").targets),
     }  # fmt: skip
     say("\n".join(f"{kind}: {', '.join(found)}" for kind, found in names.items()))
@@ -114,11 +119,13 @@ def _import(arguments: list[str]) -> int:
 
     if not arguments or arguments[0].startswith("-"):
         say("endonav import FILE [phantom.unit=mm phantom.labels=... name=RUN]: imports a surface, a label volume or a "
-            "folder of them, and draws it in runs/NAME/phantoms (name: import)", error=not arguments)  # fmt: skip
+            "folder of them, and draws it in runs/NAME/phantoms (NAME: import-FILE)", error=not arguments)  # fmt: skip
         return _FINE if arguments else _USAGE
     file, further = f"phantom.file={quoted(arguments[0])}", arguments[1:]
-    named = any(word.startswith("name=") for word in further)
-    return launch(["stage=phantoms", file, *([] if named else ["name=import"]), *further])
+    if not any(word.startswith("name=") for word in further):
+        stem = re.sub(r"[^A-Za-z0-9_-]+", "_", Path(arguments[0]).name.partition(".")[0])
+        further = [f"name=import-{stem}", *further]
+    return launch(["stage=phantoms", file, *further])
 
 
 def _read(arguments: list[str]) -> int:
@@ -136,6 +143,9 @@ def _train(arguments: list[str]) -> int:
         say("endonav train [STAGE ...] [KEY=VALUE ...]: runs stages after those that they read, such as\n"
             "endonav train enn budget=smoke; TensorBoard's curves are in runs/NAME/STAGE")  # fmt: skip
         return _FINE
+    if wrong := [stage for stage in stages if stage not in _TRAININGS]:
+        say(f"{wrong[0]} trains nothing: choose from {', '.join(_TRAININGS)}", error=True)
+        return _USAGE
     return chain(["--inputs", *stages, "--", *(word for word in arguments if word not in stages)])
 
 

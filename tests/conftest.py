@@ -42,7 +42,8 @@ FAST = re.compile(
 
 def fast(path: Path) -> bool:
     """Whether a module's tests are fast, but for those that are marked as slow."""
-    return FAST.match(path.relative_to(PROJECT_ROOT / "tests").as_posix()) is not None
+    tests = PROJECT_ROOT / "tests"
+    return path.is_relative_to(tests) and FAST.match(path.relative_to(tests).as_posix()) is not None
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses

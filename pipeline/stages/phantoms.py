@@ -113,7 +113,15 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> Results:
 def _tell(label: str, folder: Path) -> None:
     """Says what an import left out, assumed or changed, and where the picture is."""
     if (folder / IMPORT).is_file():
-        for note in json.loads((folder / IMPORT).read_text(encoding="utf-8"))["notes"]:
+        report = json.loads((folder / IMPORT).read_text(encoding="utf-8"))
+        _LOGGER.info(
+            "%s: unit %s (%s); targets %s",
+            label,
+            report["unit"],
+            report["unit_reason"],
+            ", ".join(report["way_length"]),
+        )
+        for note in report["notes"]:
             _LOGGER.info("%s: note: %s", label, in_settings(note))
     if (folder / PICTURE).is_file():
         _LOGGER.info("%s: picture: %s", label, folder / PICTURE)

@@ -77,6 +77,7 @@ def test_a_training_is_a_stage_after_those_that_it_reads(monkeypatch: pytest.Mon
     monkeypatch.setattr("pipeline.chain.main", lambda words: called.append(words) or 0)
     assert command.main(["train", "budget=smoke"]) == command.main(["train", "shape", "name=mine"]) == 0
     assert called == [["--inputs", "enn", "--", "budget=smoke"], ["--inputs", "shape", "--", "name=mine"]]
+    assert command.main(["train", "user_study"]) == 2
 
 
 @pytest.mark.parametrize("kind", ["policy", "phantom"])

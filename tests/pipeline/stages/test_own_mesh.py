@@ -41,6 +41,8 @@ def test_a_mesh_is_built_once(arch: Path, tmp_path: Path, capfd: pytest.CaptureF
     assert account["unit"] == "mm"
     assert account["notes"] == ["3 degenerate or repeated faces dropped"]
     told = capfd.readouterr()
+    assert "my_arch: unit mm (" in told.out
+    assert "right_arm" in next(line for line in told.out.splitlines() if "; targets " in line)
     assert (told.out + told.err).count("3 degenerate or repeated faces dropped") == 1
     ending = told.out.splitlines()[-len(account["notes"]) - 2 :]
     assert ending[:-2] == [f"my_arch: note: {note}" for note in account["notes"]]

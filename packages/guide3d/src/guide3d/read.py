@@ -1,4 +1,4 @@
-"""Command line of reading: python -m guide3d.read A B --cameras FOLDER (`guide3d.reading.command`).
+"""Command line of reading (`guide3d.reading.command`), and the function `read` (`guide3d.reading.image_reading`).
 
 `guide3d.read` is also the function that reads an image; importing this module gives that function.
 """

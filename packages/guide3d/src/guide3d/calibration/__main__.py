@@ -153,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--swirl", choices=("auto", "never", "always"), default="auto", help="correct a turned field")
     parser.add_argument("--verbose", action="store_true")
     chosen = parser.parse_args(arguments)
-    logging.basicConfig(level=logging.DEBUG if chosen.verbose else logging.WARNING, format="%(message)s")
+    logging.basicConfig(level=logging.DEBUG if chosen.verbose else logging.INFO, format="%(message)s")
     try:
         calibration = calibrate_folder(chosen.folder, chosen.swirl, chosen.method)
         page = write_report(calibration, chosen.folder, chosen.output)

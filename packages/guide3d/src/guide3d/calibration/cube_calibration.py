@@ -109,6 +109,7 @@ def calibrate_folder(folder: str | Path, swirl: str = "auto", method: str = "loc
             )
     holes = {}
     for detector, sheet in sheets.items():
+        logger.info("%s: the sheet's holes", files.sheets[detector])
         try:
             holes[detector] = find_holes(sheet)
         except ValueError as error:
@@ -145,6 +146,7 @@ def calibrate_cube(
     found: dict[tuple[str, str], tuple[Attenuation, Beads, list[WireMark]]] = {}
     for (pose, detector), image in images.items():
         distortion = distortions[detector]
+        logger.info("%s: beads and marks", names[pose, detector])
         try:
             light = attenuation(image)
             beads = find_beads(light)
@@ -169,6 +171,7 @@ def calibrate_cube(
                 pose, detector, images[pose, detector], light, beads, numbers, pixels, marks, np.empty(0, int)
             )
     sizes = {detector: (d.width, d.height) for detector, d in distortions.items()}
+    logger.info("cameras of %d poses", len(poses))
     rig = calibrate_rig(lattice.points_mm, _sightings(views.values()), sizes, swirl)
     swirled = _swirled(distortions, rig)
     views = {

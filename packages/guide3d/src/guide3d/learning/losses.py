@@ -1,4 +1,4 @@
-"""Losses: of the shape network (tip, offsets, stop, and the curve itself), of 3D-FGRN, and of segmentation."""
+"""Losses: of the shape network (tip, spherical or Cartesian offsets, stop, curve), of 3D-FGRN, and of segmentation."""
 
 from __future__ import annotations
 
