@@ -71,6 +71,38 @@ def test_a_scene_names_its_parts(vessels: dict[str, trimesh.Trimesh], tmp_path: 
     assert surface.notes[0].startswith("1 of 5 parts left out")
 
 
+@pytest.mark.parametrize("kind", ["o", "g", "solid"])
+def test_objects_groups_and_solids_name_their_parts_as_nodes_do(kind: str, tmp_path: Path):
+    path = tmp_path / ("a.stl" if kind == "solid" else "a.obj")
+
+    def save(*names: str) -> Path:
+        content, before = "", 0
+        for k, name in enumerate(names):
+            tube = trimesh.creation.capsule(100.0, 10.0).apply_translation([15.0 * k, 0.0, 0.0])
+            if kind == "solid":
+                content += tube.export(file_type="stl_ascii").replace("solid ", f"solid {name}")
+                continue
+            points = "".join(f"v {x} {y} {z}\n" for x, y, z in tube.vertices)
+            content += f"{kind} {name}\n{points}" + "".join(f"f {a} {b} {c}\n" for a, b, c in tube.faces + before + 1)
+            before += len(tube.vertices)
+        path.write_text(content)
+        return path
+
+    found = read_parts(save("left_subclavian", "inferior_vena_cava", "Aorta_Mesh.001"))
+    assert {part.name: float(part.mesh.bounds[0, 0]) for part in found.parts} == pytest.approx(
+        {"lsa": -10.0, "aorta": 20.0}
+    )
+    assert found.notes[0].endswith("which are no way to head or arms: inferior_vena_cava")
+    assert read_parts(save("aorta_with_branches", "vein")).notes == (
+        "parts not taken, whose names are no known artery's: vein",
+    )
+    with pytest.raises(MeshRefusedError, match="no part that is named after an artery"):
+        read_parts(save("vein", "bone"))
+    assert read_parts(save("wall", "inlet")).notes == (
+        "its 2 parts are taken together, no name is an artery's: wall, inlet",
+    )
+
+
 def test_pieces_are_parts_and_walls_are_not(vessels: dict[str, trimesh.Trimesh]):
     whole = trimesh.util.concatenate(list(vessels.values()))
     triangles = Triangles(np.asarray(whole.vertices), np.asarray(whole.faces, dtype=np.int64))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.mesh.cavity import find_cavity
 from cathsim.anatomy.mesh.files.scenes import read_mesh, read_scene
 from cathsim.anatomy.mesh.files.stl import read_stl
-from cathsim.anatomy.mesh.files.surface import MOST_BYTES, MOST_TRIANGLES
+from cathsim.anatomy.mesh.files.surface import MOST_BYTES, MOST_TRIANGLES, SurfaceFile
 from cathsim.anatomy.mesh.files.vtk_legacy import read_legacy_vtk
 from cathsim.anatomy.mesh.files.vtp import read_vtp
 from cathsim.anatomy.mesh.lattice import Budget
@@ -33,7 +34,11 @@ _CONVERTERS = {
     **dict.fromkeys((".3ds", ".wrl", ".x3d"), "MeshLab (export PLY)"),
     **dict.fromkeys((".hdr", ".img", ".gipl", ".mgh", ".mgz", ".vti"), "3D Slicer (save as NRRD)"),
 }
-_OWN = {".stl": read_stl, ".vtp": read_vtp, ".vtk": read_legacy_vtk}
+_OWN: dict[str, Callable[[bytes], list[tuple[str, SurfaceFile]]]] = {
+    ".stl": read_stl,
+    ".vtp": lambda content: [("", read_vtp(content))],
+    ".vtk": lambda content: [("", read_legacy_vtk(content))],
+}
 MOST_FACES = 400_000  # above this a mesh is thinned out
 _STRAY, _MOST_STRAY = 0.5, 10.0  # % of vertices at either side, and how many times further than the others they may lie
 _WELD = 1e-5  # of the largest extent: vertices nearer than this are one
@@ -131,7 +136,7 @@ class NamedSurface:
     """A checked surface of a file, or of a node of a scene.
 
     Attributes:
-        name: of the node; empty for a file that is one surface.
+        name: of the node, object or solid; empty for a file that is one surface.
         mesh: its triangles, in the file's unit and frame.
         space: "LPS" or "RAS", the patient's frame that the coordinates are in; empty where the file does not say.
         notes: what of the file was not as it should be.
@@ -156,9 +161,9 @@ def read_surfaces(path: Path) -> list[NamedSurface]:
             found = read_scene(path)
         elif suffix in _OWN:
             with open_regular(path, MOST_BYTES) as file:
-                found = [("", _OWN[suffix](file.read()))]
+                found = _OWN[suffix](file.read())
         else:
-            found = [("", read_mesh(path))]
+            found = read_mesh(path)
     except (MemoryError, MeshRefusedError):
         raise
     except UnreadableFileError as error:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
@@ -14,6 +16,7 @@ from cathsim.anatomy.mesh.files.surface import (
     MOST_NODES,
     MOST_TRIANGLES,
     SurfaceFile,
+    part_names,
     space_of_comment,
     triangles_of_cells,
 )
@@ -31,8 +34,8 @@ _TYPES = {
 _END = b"end_header\n"
 
 
-def read_mesh(path: Path) -> SurfaceFile:
-    """Reads an OBJ, PLY or OFF file without its materials and textures.
+def read_mesh(path: Path) -> list[tuple[str, SurfaceFile]]:
+    """Reads an OBJ, PLY or OFF file without its materials and textures; objects or groups with names of vessels apart.
 
     Raises:
         Exception: whatever trimesh raises on a damaged file.
@@ -42,18 +45,26 @@ def read_mesh(path: Path) -> SurfaceFile:
     with open_regular(path, MOST_BYTES) as file:
         content = file.read()
     kind = path.suffix[1:].lower()
+    space, notes = space_of_comment(content), []
+    settings: dict[str, Any] = {"file_type": kind, "process": False, "skip_materials": True, "resolver": {}}
+    for key, split in (("o", "split_objects"), ("g", "split_groups")) if kind == "obj" else ():
+        names, note = part_names(re.findall(rb"^%s[ \t]+(.*?)[ \t\r]*$" % key.encode(), content, re.MULTILINE))
+        notes += [note] if note else []
+        if names:
+            scene = trimesh.load_scene(BytesIO(content), group_material=False, **(settings | {split: True}))
+            return [(name, _surface(mesh, space)) for name, mesh in scene.geometry.items()]
     try:
-        loaded = trimesh.load(
-            BytesIO(content), file_type=kind, force="mesh", process=False, skip_materials=True, resolver={}
-        )
+        loaded = trimesh.load(BytesIO(content), force="mesh", **settings)
     except ValueError:
         if kind != "ply":
             raise
-        return read_polygons(content)
-    vertices = np.asarray(getattr(loaded, "vertices", np.zeros((0, 3))), dtype=np.float64)
-    return SurfaceFile(
-        vertices, np.asarray(getattr(loaded, "faces", np.zeros((0, 3))), dtype=np.int64), space_of_comment(content)
-    )
+        return [("", read_polygons(content))]
+    return [("", _surface(loaded, space, tuple(notes)))]
+
+
+def _surface(loaded: Any, space: str, notes: tuple[str, ...] = ()) -> SurfaceFile:
+    vertices, faces = (np.asarray(getattr(loaded, key, np.zeros((0, 3)))) for key in ("vertices", "faces"))
+    return SurfaceFile(vertices.astype(np.float64), faces.astype(np.int64), space, notes)
 
 
 def read_scene(path: Path) -> list[tuple[str, SurfaceFile]]:

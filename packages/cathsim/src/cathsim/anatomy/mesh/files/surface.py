@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from cathsim.anatomy.vessel_names import is_other, vessel_name
 
 MOST_BYTES = 1_000_000_000  # of a file: ten million faces in text, the wordiest kind
 MOST_TRIANGLES = 10_000_000  # three times those of both sides of an aorta's wall at 0.3 mm
 MOST_NODES = 5_000  # of a scene: twice the organs of a whole body
 _SPACE = re.compile(rb"SPACE=(LPS|RAS)\b")  # 3D Slicer's comment
 _HEAD = 1_000  # bytes in which it stands
+_FEW, _SHOWN = 4, 40  # names in a note, and characters of each
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -33,6 +37,18 @@ def space_of_comment(data: bytes) -> str:
     """The space that 3D Slicer's comment at the beginning of a file names; empty where there is none."""
     found = _SPACE.search(data[:_HEAD])
     return found.group(1).decode() if found else ""
+
+
+def part_names(names: Iterable[bytes]) -> tuple[list[str], str]:
+    """Names of the parts that a file parts its triangles into, where they tell vessels apart; else a note on them.
+
+    Groups such as "wall" and "inlet" are of one lumen and tell nothing.
+    """
+    found = list(dict.fromkeys(name.decode(errors="replace").strip() for name in names))
+    if any(vessel_name(name) or (is_other(name) and "wall" not in name.lower()) for name in found):
+        return found, ""
+    shown = ", ".join(name[:_SHOWN] or "unnamed" for name in found[:_FEW]) + (", …" if len(found) > _FEW else "")
+    return [], f"its {len(found)} parts are taken together, no name is an artery's: {shown}" if len(found) > 1 else ""
 
 
 def numbers(text: str | bytes, kind: str) -> NDArray:

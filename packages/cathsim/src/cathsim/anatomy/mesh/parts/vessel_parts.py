@@ -119,7 +119,11 @@ def _in_child(function: Callable[[Path], Result], path: Path) -> Result:
 def _read_parts(path: Path) -> Surface:
     if path.is_dir():
         named = [
-            replace(one, name=_stem(file), notes=tuple(f"{file.name}: {note}" for note in one.notes))
+            replace(
+                one,
+                name=one.name if is_other(one.name) else _stem(file),
+                notes=tuple(f"{file.name}: {note}" for note in one.notes),
+            )
             for file in folder_files(path)
             for one in read_surfaces(file)
         ]
