@@ -22,11 +22,12 @@ KNOWN = {
     "aorta": (
         "aorta.nii.gz", "VHF_descending_aorta_b", "aortic arch", "AAo", "Thoracic Aorta", "Aorta descendens",
         "Arcus aortae", "thoracic aorta", "aortic root", "sub-01_aorta", "patient7_aorta_final_v2",
-        "s0011_AscendingAorta", "A_Aorta_Asc",
+        "s0011_AscendingAorta", "A_Aorta_Asc", "Aortenbogen", "Arco aortico", "node_12_aorta",
     ),
     "bca": (
         "brachiocephalic_trunk", "VHF_brachiocephalic_artery_a", "Innominate", "bct", "BCA.stl", "co",
-        "Truncus brachiocephalicus", "left brachiocephalic artery",
+        "Truncus brachiocephalicus", "Tr. brachiocephalicus", "TABC",
+        "tronc artériel brachio-céphalique", "left brachiocephalic artery",
     ),
     "lcca": (
         "common_carotid_artery_left", "LCCA", "LeftCommonCarotid2", "A. carotis communis sinistra", "L CCA", "VHM_LCCA",
@@ -34,9 +35,9 @@ KNOWN = {
         "carotid_l", "lt-carotid",
     ),
     "rcca": ("right common carotid artery", "rcca_01", "A. carotis communis dx"),
-    "lsa": ("subclavian_artery_left", "left subclavian", "LSCA", "A. subclavia sin."),
+    "lsa": ("subclavian_artery_left", "left subclavian", "LSCA", "A. subclavia sin.", "artère sous-clavière gauche"),
     "rsa": ("R_SCA", "arteria subclavia dextra", "ARSA", "A. subclavia dex", "aberrant right subclavian artery"),
-    "vertebral_left": ("left vertebral artery", "LVA", "Arteria vertebralis sinistra"),
+    "vertebral_left": ("left vertebral artery", "LVA", "Arteria vertebralis sinistra", "A vertebralis sin."),
     "internal_carotid_right": ("Right Internal Carotid Artery", "internal_carotid_artery_right", "R ICA"),
     "internal_iliac_left": ("internal_iliac_artery_L",),
     "external_iliac_left": ("A. iliaca externa sin.",),
@@ -66,6 +67,7 @@ KNOWN = {
         "THROMB_AORTA", "ILT2_aorta", "IMH aorta", "CALC_AORTA", "RING_aorta", "PLAQ_carotid_left",
         "aortic wall", "aorta calcification", "aortic aneurysm thrombus", "stent graft aorta", "false lumen thrombus",
         "FLT", "aorta plaque", "PVAT_aorta", "periaortic lymph node", "left_coronary_cusp",
+        "Left iliac node", "Iliac_Node_L", "Node_Carotid_L", "carotid nodes left", "a vertebral L",
         # of no one vessel, or of no known one
         "left and right iliac artery", "iliac arteries", "femoral", "RCA", "LCA", "true and false lumen",
     ),

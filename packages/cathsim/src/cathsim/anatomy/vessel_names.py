@@ -56,10 +56,10 @@ _SPELLINGS = _spelled(
     {
         "left": "l lt li links linke linker gauche izquierda izquierdo sin sinistra sinister sinistrum sx",
         "right": "r rt re rechts rechte rechter droite derecha derecho dex dx dextra dexter dextrum destra der",
-        "artery": "arteria arterie artere arterial art",
-        "trunk": "truncus tronc tronco",
-        "aorta": "aortae aorte ao",
-        "aortic": "aortica aortique",
+        "artery": "arteria arterie artere arterial arteriel art",
+        "trunk": "truncus tronc tronco tr",
+        "aorta": "aortae aorte aortenbogen ao",
+        "aortic": "aortica aortique aortico",
         "arch": "arcus arco bogen crosse",
         "root": "bulb bulbus radix",
         "ascending": "ascendens ascendente ascendante asc",
@@ -75,7 +75,7 @@ _SPELLINGS = _spelled(
         "deep": "profunda profonda",
         "carotid": "carotis carotide carotida carotidea",
         "bicarotid": "bicaroticus bicarotideus",
-        "subclavian": "subclavia succlavia sca sub",
+        "subclavian": "subclavia succlavia sousclaviere sca sub",
         "brachiocephalic": "brachiocephalicus brachiocephalica brachiocephalique brachiocefalico braquiocefalico",
         "innominate": "innominata innom anonyma anonima",
         "vertebral": "vertebralis vertebrale",
@@ -94,7 +94,7 @@ _PARTS_OF_AORTA = _these(
 _PASSING = _these(
     "proximal distal part segment section portion lumen lumina vessel blood contrast enhanced main whole the of a b "
     "c d e f version final new old edited copy smooth smoothed clean cleaned remeshed closed open cut mask label "
-    "labels seg segmentation surface mesh model object group geometry node roi patient pat case subject vhf vhm scan "
+    "labels seg segmentation surface mesh model object group geometry roi patient pat case subject vhf vhm scan "
     "ct cta cect mra mr stl obj ply vtp vtk glb gltf nii gz nrrd nhdr mha mhd dcm"
 )
 # Vessels by the words that name them. Those of the second table are adjectives, of bones and organs as well: they need
@@ -139,7 +139,7 @@ _TERMS = {frozenset(term.split()): vessel for term, vessel in (*_NOUNS.items(), 
 # Abbreviations that are whole names; those of the second table need a side, or have it as their first letter.
 _ABBREVIATIONS: dict[str, str] = {
     **dict.fromkeys(("aa", "dao", "aao", "aoa", "arch"), AORTA),
-    **dict.fromkeys(("bca", "bct", "bcta", "tbc", "btrunk", "co"), "bca"),
+    **dict.fromkeys(("bca", "bct", "bcta", "tbc", "tabc", "btrunk", "co"), "bca"),
     **dict.fromkeys(("lccar", "ccal"), "lcca"),
     **dict.fromkeys(("rccar", "ccar"), "rcca"),
     **dict.fromkeys(("arsa", "lusoria"), "rsa"),
@@ -202,7 +202,8 @@ def vessel_name(text: str) -> str:
         return AORTA if rest <= {AORTA, "aortic", *_PARTS_OF_AORTA} else ""
     which = side.pop() if side else ""
     if vessel := _TERMS.get(rest, ""):
-        sure = {"artery", "trunk"}.intersection(words)
+        latin = plain[0] == "a" and plain[1] != words[1]  # "A vertebralis", not "a vertebral"
+        sure = latin or {"artery", "trunk"}.intersection(words)
         if vessel == "bca":
             return vessel if sure or not which else ""  # those of a side are veins where nothing else is said
         level = vessel == "vertebral" and not {"left", "right"}.intersection(plain)  # "vertebral L" is a bone
@@ -262,6 +263,8 @@ def _words(text: str) -> list[str]:
     beginning ("sub-01", "s0011") is left out, no other word: "NOT_AORTA" and "PRV05_Aorta" are no aortas.
     """
     ascii_text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
+    ascii_text = re.sub(r"(?i)\b(brachio|sous)[-_ ](?=c)", r"\1", ascii_text)  # French
+    ascii_text = re.sub(r"(?i)^node[-_. ]*\d+", "", ascii_text)  # a scene's; any other node is a lymph node
     parted = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", ascii_text)
     raw = [word for word in re.split(r"[^a-z0-9]+", parted.lower()) if word and not re.fullmatch(r"v\d+", word)]
     if len(raw) > 2 and raw[0] == "sub" and raw[1].isdecimal():
