@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from cathsim.anatomy import Branch, MeshRefusedError, VesselTree
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.generator.aortic_arch import build_arch
+from cathsim.anatomy.generator.random_tree import RandomTree, build_random_tree
 from cathsim.anatomy.generator.scan_arch import sample_parameters
 from cathsim.anatomy.generator.variety_arch import ARCH_TYPES, VarietyArch, build_variety_arch
 from cathsim.anatomy.mesh.arches.arch_naming import labelled_names, labelled_sides, name_vessels
@@ -283,3 +284,19 @@ def test_targets_move_into_short_branches(tee: VesselTree):
     targets, notes = propose_targets(VesselTree((tee.root, stub)))
     assert targets == {}
     assert notes == ("no target in bca: it is only 7 mm long",)
+
+
+@pytest.mark.parametrize("seed", [0, 4, 5])
+def test_vessels_from_the_groin_to_the_head_have_names(seed: int) -> None:
+    tree = build_random_tree(RandomTree(seed))
+    made = rough_vessels(tree, np.eye(3))
+    names, _ = name_vessels(made["aorta"], sides_known=True)
+    number = {index: branch.name for index, branch in enumerate(tree)}
+    ends = {vessel.end: vessel for vessel in made["aorta"].every if vessel.end}
+    assert {number[end]: names[id(vessel)] for end, vessel in ends.items()} == {
+        number[end]: number[end] for end in ends
+    }
+    assert {"lcca", "rcca"} <= {names[id(vessel)] for vessel in made["aorta"].every if vessel.end is None}
+    for vessel in made["aorta"].every:
+        if names[id(vessel)].startswith("internal"):
+            assert vessel.length == pytest.approx(tree[names[id(vessel)]].length, abs=0.012)

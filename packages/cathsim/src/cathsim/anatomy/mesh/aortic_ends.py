@@ -16,6 +16,7 @@ from cathsim.anatomy.centreline import arc_length
 
 _CALIBRE = 0.6  # of a way's mean radius: narrower parts of it are no part of the tube
 _AS_LARGE = 0.97  # of the largest tube's size
+_END = 0.6  # of the radius of the aorta's end: a vessel that ends narrower is none
 _UNSURE = 0.7  # of the tube's size that another pair of ends has, and of its radius that the other's own part has
 
 Array = NDArray[np.float64]
@@ -84,7 +85,7 @@ def aortic_ends(
             to_other, between = tube(kept, other), tube(left, other)
             own, shared = _common(to_other, between, aorta), _common(to_other, aorta, between)
             large = sizes[tuple(sorted((kept, other)))] >= _UNSURE * sizes[best]  # type: ignore[index]
-            if large and own >= _UNSURE * shared:
+            if large and own >= _UNSURE * shared and radii[other] >= _END * radii[left]:
                 unsure.append(other)
     return *best, tuple(sorted(set(unsure)))
 

@@ -361,6 +361,20 @@ def led_into(vessel: RoughVessel, side: RoughVessel) -> RoughVessel:
     return beyond
 
 
+def part_at(vessel: RoughVessel, side: RoughVessel) -> None:
+    """Makes a vessel end where a side branch leaves it, and part into what it was beyond and that branch."""
+    arc = arc_length(vessel.points)
+    at = int(np.clip(np.searchsorted(arc, side.start), 1, len(arc) - 3))
+    later = [child for child in vessel.children if child is not side and child.start > side.start]
+    for child in later:
+        child.start -= float(arc[at])
+    beyond = RoughVessel(vessel.points[at:], vessel.depth[at:], vessel.end, later, float(arc[at]), from_fork=True)
+    side.start, side.from_fork = float(arc[at]), True
+    vessel.points, vessel.depth, vessel.end = vessel.points[: at + 1], vessel.depth[: at + 1], None
+    vessel.children = [child for child in vessel.children if child not in later]
+    vessel.children.append(beyond)
+
+
 def turned(vessel: RoughVessel, rotation: Array, offset: Array) -> RoughVessel:
     """A vessel and its children in another frame, by a rotation (3, 3) and an offset (3,) m added after it."""
     children = [turned(child, rotation, offset) for child in vessel.children]

@@ -18,7 +18,7 @@ from cathsim.anatomy.mesh.arches.arch_types import (
     read_arch,
 )
 from cathsim.anatomy.mesh.arches.subtrees import RIGHT, Subtree, rebuilt, subtree
-from cathsim.anatomy.mesh.branches import RoughVessel, leaving, led_into, parted
+from cathsim.anatomy.mesh.branches import RoughVessel, leaving, led_into, part_at, parted
 from cathsim.anatomy.mesh.naming import arch_branches, has_arch
 from cathsim.anatomy.vessel_names import AORTA
 
@@ -30,6 +30,10 @@ _CLEAR = 0.7  # of score between the likeliest reading and the next: below, the 
 Array = NDArray[np.float64]
 VERTEBRALS = {"lsa": "vertebral_left", "rsa": "vertebral_right"}
 _TO_THE_HEAD = 80e-3  # m that a vertebral artery rises, and none to an arm
+_CAROTIDS = {"lcca": "left", "rcca": "right"}
+_COMMON, _ONWARD = 50e-3, 25e-3  # m of a common carotid artery at least, and that both it parts into rise
+_BELOW = 0.4  # of the aorta's length, within which the other iliac artery leaves one that begins in the groin
+_ILIAC, _DOWN = 0.5, 30e-3  # of the aorta's radius before it, at least; m that it goes down
 _ARM = 0.5  # of its radius, at least that of the artery to the arm
 
 LabelOf = Callable[[Array], Sequence[str]]
@@ -57,6 +61,9 @@ def name_vessels(aorta: RoughVessel, *, sides_known: bool = False) -> NamesAndNo
         _give_names(aorta, parts, dict(best.names), names)
         notes += _doubts(readings, list(parts.values()))
     _tell_vertebrals(aorta, names)
+    _part_carotids(aorta, names)
+    if readings:
+        _tell_iliac(aorta, names)
     _number_others(aorta, names)
     return names, tuple(notes)
 
@@ -145,7 +152,7 @@ def _give_names(
 
 
 def _tell_vertebrals(aorta: RoughVessel, names: dict[int, str]) -> None:
-    """Lets a subclavian artery that was followed up into the vertebral one go on to the arm instead."""
+    """Names vertebral arteries; a subclavian artery that was followed up into one goes on to the arm instead."""
     for vessel in aorta.every:
         name = names.get(id(vessel))
         if name in VERTEBRALS and _rise(vessel) > _TO_THE_HEAD:
@@ -154,6 +161,43 @@ def _tell_vertebrals(aorta: RoughVessel, names: dict[int, str]) -> None:
             beyond = 0.0 if arm is None else float(np.median(vessel.depth[arc_length(vessel.points) > arm.start]))
             if arm is not None and arm.radius > _ARM * beyond:
                 names[id(led_into(vessel, arm))] = VERTEBRALS[name]
+        elif name in VERTEBRALS:
+            rising = [child for child in vessel.children if _rise(child) > _TO_THE_HEAD]
+            if rising:
+                names[id(max(rising, key=lambda child: child.radius))] = VERTEBRALS[name]
+
+
+def _part_carotids(aorta: RoughVessel, names: dict[int, str]) -> None:
+    """Lets a common carotid artery end where it parts into the internal one, which leads higher, and the external."""
+    for vessel in aorta.every:
+        side = _CAROTIDS.get(names.get(id(vessel), ""), "")
+        sides = [c for c in vessel.children if c.start > _COMMON and c.points[-1, 2] - c.points[0, 2] > _ONWARD]
+        if not side or not sides:
+            continue
+        first = min(sides, key=lambda child: child.start)
+        if not first.from_fork:
+            if vessel.points[-1, 2] - first.points[0, 2] < _ONWARD:
+                continue
+            part_at(vessel, first)
+        daughters = sorted((c for c in vessel.children if c.from_fork), key=lambda child: -child.points[-1, 2])
+        for name, daughter in zip(("internal_carotid", "external_carotid"), daughters, strict=False):
+            names[id(daughter)] = f"{name}_{side}"
+
+
+def _tell_iliac(aorta: RoughVessel, names: dict[int, str]) -> None:
+    """Names the other iliac artery of an aorta that begins in one: wide, and it goes down."""
+    arc = arc_length(aorta.points)
+    wide = [
+        child
+        for child in aorta.children
+        if child.start < _BELOW * arc[-1]
+        and _rise(child) < -_DOWN
+        and child.radius > _ILIAC * float(np.median(aorta.depth[arc < child.start]))
+    ]
+    if wide:
+        iliac = max(wide, key=lambda child: child.radius)
+        left = iliac.points[-1, 0] > aorta.points[0, 0]
+        names[id(iliac)] = f"iliac_{'left' if left else 'right'}"
 
 
 def _rise(vessel: RoughVessel) -> float:
