@@ -129,6 +129,17 @@ def test_an_import_that_takes_too_long_is_refused(surface: Surface):
         build.phantom(Triangles(np.asarray(surface[0]) / 1000, np.asarray(surface[1])))
 
 
+def test_a_long_import_tells_its_time_and_its_steps_on_a_terminal(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
+    budget = Budget()
+    for voxels in (3e6, 40e6):
+        budget.check_lattice(voxels, 7e-4, "610 x 230 x 140 mm in mm")
+    budget._began -= 7.0
+    budget.check_time("finding its vessels")
+    about = "the import takes about 48 s at this resolution\n"
+    assert capsys.readouterr().err == about + "the import is finding its vessels after 7 s\n"
+
+
 def test_too_many_points_are_refused_before_they_are_made():
     corners = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
     with pytest.raises(MeshRefusedError, match="the import would take"):

@@ -105,7 +105,7 @@ class LumenPaths:
             self._cover(covered, np.array(ways.traceback(tuple(end))), _COVER_CLOSELY)
         widest = float(self.depth.max())
         left = self.inside & np.isfinite(away)
-        for tip in self.wide_tips()[0]:  # the rim of an end that is cut aslant stands out as well
+        for tip in self.wide_tips[0]:  # the rim of an end that is cut aslant stands out as well
             far = np.sqrt(
                 sum((axis - x) ** 2 for axis, x in zip(np.ogrid[tuple(map(slice, left.shape))], tip, strict=True))
             )
@@ -133,6 +133,7 @@ class LumenPaths:
             if not covered.ravel()[index]:
                 yield np.array(np.unravel_index(index, places.shape))
 
+    @cached_property
     def wide_tips(self) -> tuple[Voxels, float]:
         """Both tips of the lumen's wide part, voxels (2, 3), and the radius, m, of the ball that fits everywhere in it.
 
@@ -207,9 +208,17 @@ class LumenPaths:
     def _costs_and_ways(self, root: tuple[int, ...]) -> tuple[Array, MCP_Geometric]:  # type: ignore[name-defined]  # noqa: F821
         from skimage.graph import MCP_Geometric
 
-        cost = np.where(self.inside, (self.spacing / np.maximum(self.depth, self.spacing)) ** 2, -1.0)
-        ways = MCP_Geometric(cost)
-        return ways.find_costs([root])[0], ways
+        if root not in self._searched:
+            cost = np.where(self.inside, (self.spacing / np.maximum(self.depth, self.spacing)) ** 2, -1.0)
+            ways = MCP_Geometric(cost)
+            self._searched.clear()
+            self._searched[root] = ways.find_costs([root])[0], ways
+        return self._searched[root]
+
+    @cached_property
+    def _searched(self) -> dict[tuple[int, ...], tuple[Array, MCP_Geometric]]:  # type: ignore[name-defined]  # noqa: F821
+        """What the last search from a root has found."""
+        return {}
 
     def _cover(self, covered: Mask, way: Voxels, radii: float = _COVER) -> None:
         """Marks the lumen that a way accounts for."""

@@ -22,6 +22,7 @@ Mask = NDArray[np.bool_]
 MOST_SECONDS = 120.0  # s of processor time; whole arches take 4 to 15, a tree from groin to head 40
 MOST_BYTES = 1.5e9
 VOXEL_BYTES = 25  # of every voxel of the lattice, all steps' arrays together at their peak
+_VOXEL_SECONDS = 1.2e-6  # of processor time that every voxel of the lattice takes, all steps together
 _LONG = 5.0  # s
 SAMPLE_BYTES = 200  # of every point on the surface, its place in the search tree included
 
@@ -86,13 +87,19 @@ class Budget:
             )
 
     def check_lattice(self, voxels: float, spacing: float, size: str) -> None:
-        """Raises `MeshRefusedError` for too many voxels, `spacing` (m) apart, over a surface of a `size` in words."""
+        """Raises `MeshRefusedError` for too many voxels, `spacing` (m) apart, over a surface of a `size` in words.
+
+        On a terminal, an import that will take long is told on stderr with its time.
+        """
         if not voxels * VOXEL_BYTES <= self.memory:
             raise MeshRefusedError(
                 f"at {2e3 * spacing:g} mm this surface is too large ({size}): the import would take "
                 f"{voxels * VOXEL_BYTES / 1e9:.3g} GB, it may take {self.memory / 1e9:g}; check its unit, cut it to "
                 "the arch and its branches, or take a coarser resolution."
             )
+        seconds = _VOXEL_SECONDS * voxels
+        if seconds > _LONG and sys.stderr.isatty():
+            sys.stderr.write(f"the import takes about {seconds:.0f} s at this resolution\n")
 
     def check_samples(self, points: float) -> None:
         """Raises `MeshRefusedError` for a surface whose triangles would take too many points."""

@@ -150,7 +150,7 @@ def _hidden_ends(
     Returns:
         Those ends, and those of the found ones that are left: a narrow vessel that a wide one's end cuts off is not.
     """
-    tips, radius = paths.wide_tips()
+    tips, radius = paths.wide_tips
     hidden: list[VesselEnd] = []
     kept = list(found)
     for tip in tips:
