@@ -10,7 +10,17 @@ import pytest
 from cathsim.anatomy.importing import import_anatomy, import_digest, is_anatomy_path
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.files.reading import open_volume, read_labels
-from tests.cathsim.anatomy.volume.dicom.ct_series import SHAPE, affine, axes, masks, write_series
+from tests.cathsim.anatomy.volume.dicom.ct_series import (
+    ORIGIN,
+    SHAPE,
+    SPACING,
+    VESSELS,
+    affine,
+    axes,
+    masks,
+    write_segmentation,
+    write_series,
+)
 
 pydicom = pytest.importorskip("pydicom", reason="DICOM files need pydicom")
 
@@ -96,6 +106,38 @@ def test_segmentations_of_highdicom(kind: str) -> None:
     np.testing.assert_array_equal(found["aorta"], (expected[1] & ~expected[2])[..., low[2] : low[2] + volume.shape[2]])
     np.testing.assert_allclose(source.affine[:3, :3], affine(axes())[:3, :3], atol=1e-5)
     assert any("fractional" in note for note in volume.notes) == (kind == "fractional")
+
+
+@pytest.mark.parametrize("columns", range(17, 25))
+def test_frames_that_begin_within_a_byte(columns: int, tmp_path: Path) -> None:
+    labels = np.zeros((columns, 19, 8), dtype=np.uint8)
+    labels[:12, 5:13], labels[12:, 7:10, 3:6] = 1, 2
+    write_segmentation(tmp_path / "a.dcm", labels, affine(axes()), VESSELS)
+    found, _ = whole(tmp_path / "a.dcm")
+    np.testing.assert_array_equal(found["aorta"], labels == 1)
+    np.testing.assert_array_equal(found["lsa"], (labels == 2))
+
+
+def test_frames_tell_how_far_slices_lie_apart(tmp_path: Path) -> None:
+    path = tmp_path / "a.dcm"
+    write_segmentation(path, masks()[1].astype(np.uint8), affine(np.eye(3)), {1: "aorta"})
+    one = pydicom.dcmread(path)
+    measures = one.SharedFunctionalGroupsSequence[0].PixelMeasuresSequence[0]
+    del measures.SpacingBetweenSlices
+    measures.SliceThickness = 1.0  # slices lie 2 mm apart
+    one.save_as(path)
+    found, volume = whole(path)
+    np.testing.assert_allclose(volume.spacing, 1e-3 * np.array(SPACING))
+    np.testing.assert_array_equal(found["aorta"], masks()[1])
+    frames = one.PerFrameFunctionalGroupsSequence
+    for at, frame in zip((0, 1, 2, 3, 4, 6, 8, 10), frames, strict=True):
+        frame.PlanePositionSequence[0].ImagePositionPatient = [*ORIGIN[:2], 2.0 * at]
+    one.save_as(path)
+    refused(path, "slices that lie 2 to 4 mm apart; resample it to even ones", image=False)
+    for at, frame in zip((0, 1, 2, 3, 4, 5, 6, 8), frames, strict=True):
+        frame.PlanePositionSequence[0].ImagePositionPatient = [*ORIGIN[:2], 2.0 * at]
+    one.save_as(path)
+    assert whole(path)[1].notes == ("aorta has no frame in 1 slices between others",)
 
 
 @pytest.mark.parametrize("beside", [True, False])

@@ -19,9 +19,8 @@ from cathsim.anatomy.volume.files.source import LARGEST, Slab, VolumeSource
 from cathsim.anatomy.volume.files.stream import BROKEN, in_words
 
 _OFF_GRID = 0.1  # of the distance between slices by which a frame may lie beside its place
+_FEW_GAPS, _UNEVEN = 3, 0.1  # gaps between slices, and their share, from which on the slices are uneven
 _MOST_SLICES = 10_000
-
-
 _MOST_BYTES = 3_000_000_000  # of all layers
 
 
@@ -65,6 +64,7 @@ def open_segmentation(path: Path) -> VolumeSource:
         )  # fmt: skip
         by_segment.setdefault(number, []).append(frame)
     limit = 0.5 * float(header.get("MaximumFractionalValue", 1)) if kind == "FRACTIONAL" else 0.5
+    notes: tuple[str, ...] = ("the segmentation is fractional: half and more is taken",) if kind == "FRACTIONAL" else ()
     for number, some in by_segment.items():
         images = _frames(path, header, some)
         if kind == "LABELMAP":
@@ -79,7 +79,8 @@ def open_segmentation(path: Path) -> VolumeSource:
         for frame, image in images:
             masks[int(at[frame])] = masks.get(int(at[frame]), False) | (image >= limit)
         names[layers.add(number, masks), number] = segments.get(number, "")
-    notes = ("the segmentation is fractional: half and more is taken",) if kind == "FRACTIONAL" else ()
+        if gaps := max(masks) - min(masks) + 1 - len(masks):
+            notes += (f"{segments.get(number) or number} has no frame in {gaps} slices between others",)
     return VolumeSource(
         path, layers.shape, affine, "LPS", "mm", 2, layers.slabs, len(layers.volumes), names, notes
     )  # fmt: skip
@@ -88,18 +89,23 @@ def open_segmentation(path: Path) -> VolumeSource:
 def _lattice(path: Path, axes: Array, places: Array, told: float) -> tuple[Array, NDArray[np.int64]]:
     """The affine (4, 4), and the slice of every frame; slices without any segment have no frame."""
     along = places @ axes[:, 2]
-    first = places[int(np.argmin(along))]
+    first, away = places[int(np.argmin(along))], along - along.min()
     apart = np.diff(np.unique(np.round(along, 3)))
-    step = float(apart.min()) if len(apart) else told
-    if (
-        told > 0
-        and len(apart)
-        and np.abs(along / told - along.min() / told - np.rint((along - along.min()) / told)).max() < _OFF_GRID
-    ):
-        step = told
-    if not step > 0 or (along.max() - along.min()) / step > _MOST_SLICES:
+    step = told
+    if len(apart):  # the places tell, but for segments that leave out whole slices
+        step = float(apart[apart < 1.5 * apart.min()].mean())
+        step = float(away.max() / np.rint(away.max() / step))
+        if told > 0 and _beside(away, step) > _OFF_GRID > _beside(away, told):
+            step = told
+    if not step > 0 or away.max() / step > _MOST_SLICES:
         raise MeshRefusedError(f"{path.name} does not say how far its slices lie apart; {CONVERTERS}.")
-    at = np.rint((along - along.min()) / step)
+    at = np.rint(away / step)
+    gaps = np.diff(np.unique(at))
+    if np.count_nonzero(gaps > 1) >= max(_FEW_GAPS, _UNEVEN * len(gaps)) or _beside(away, step) > _OFF_GRID:
+        raise MeshRefusedError(
+            f"{path.name} has slices that lie {apart.min():.3g} to {apart.max():.3g} mm apart; resample it to even "
+            "ones, or export all of them."
+        )
     off = places - first - at[:, None] * step * axes[:, 2]
     if np.abs(off).max() > _OFF_GRID * max(step, float(np.linalg.norm(axes[:, 0]))):
         raise MeshRefusedError(f"{path.name} has frames that lie on no one lattice of voxels; {CONVERTERS}.")
@@ -108,10 +114,25 @@ def _lattice(path: Path, axes: Array, places: Array, told: float) -> tuple[Array
     return affine, at.astype(np.int64)
 
 
+def _beside(away: Array, step: float) -> float:
+    """The greatest part of a step by which distances lie beside a whole number of steps."""
+    return float(np.abs(away / step - np.rint(away / step)).max())
+
+
 def _frames(path: Path, header: Any, some: list[int]) -> Iterator[tuple[int, NDArray]]:
     """Frames by number, each (columns, rows)."""
     from pydicom.pixels import iter_pixels
 
+    bits, kind = int(header.Rows) * int(header.Columns), header.file_meta.TransferSyntaxUID
+    if header.BitsAllocated == 1 and kind.is_little_endian and not kind.is_compressed:
+        octets = np.frombuffer(header.PixelData, np.uint8)  # a frame may begin within a byte
+        if 8 * len(octets) < bits * int(header.NumberOfFrames):
+            raise MeshRefusedError(f"{path.name} is cut off: its frames are not all there; export it again.")
+        for frame in some:
+            start = frame * bits
+            part = np.unpackbits(octets[start // 8 : (start + bits + 7) // 8], bitorder="little")
+            yield frame, part[start % 8 : start % 8 + bits].reshape(header.Rows, header.Columns).T
+        return
     try:
         for frame, image in zip(some, iter_pixels(header, indices=some, raw=True), strict=True):
             yield frame, np.asarray(image).T
