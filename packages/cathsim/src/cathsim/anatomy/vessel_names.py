@@ -91,9 +91,10 @@ _PARTS_OF_AORTA = _these(
     "arch root isthmus ascending descending transverse thoracic abdominal infrarenal suprarenal juxtarenal"
 )
 # Words that do not say which vessel it is: of parts, of what a program makes, endings of files
-_PASSING = _these(
-    "proximal distal part segment section portion lumen lumina vessel blood contrast enhanced main whole the of a b "
-    "c d e f version final new old edited copy smooth smoothed clean cleaned remeshed closed open cut mask label "
+_STRETCH = _these("proximal distal part segment section portion")
+_PASSING = _STRETCH | _these(
+    "lumen lumina vessel blood contrast enhanced main whole the of a b "
+    "c d e f version final new edited smooth smoothed clean cleaned remeshed closed open cut mask label "
     "labels seg segmentation surface mesh model object group geometry roi patient pat case subject vhf vhm scan "
     "ct cta cect mra mr stl obj ply vtp vtk glb gltf nii gz nrrd nhdr mha mhd dcm"
 )
@@ -242,6 +243,21 @@ def not_taken(texts: Iterable[str], what: str) -> tuple[str, ...]:
     more = f" and {len(left) - _FEW_NAMES} more" if len(left) > _FEW_NAMES else ""
     shown = ", ".join(left[:_FEW_NAMES])
     return (f"{what} not taken, whose names are no known artery's: {shown}{more}",) if left else ()
+
+
+def of_one_name(texts: Iterable[str], what: str) -> tuple[str, ...]:
+    """A note on names that say the same of one vessel ("aorta", "aorta_new"), not of stretches of it; none if none do.
+
+    Args:
+        what: things have these names, in the plural.
+    """
+    same: dict[tuple[str, frozenset[str]], list[str]] = {}
+    for text in texts:
+        if vessel := vessel_name(text):
+            words = frozenset(_SPELLINGS.get(word, word) for word in _words(text)) - (_PASSING - _STRETCH)
+            same.setdefault((vessel, words), []).append(text)
+    twice = [" and ".join(some[:_FEW_NAMES]) for some in same.values() if len(some) > 1]
+    return (f"{what} of one vessel's name are taken together: {', '.join(twice)}",) if twice else ()
 
 
 _NEED_MORE = frozenset(" ".join(sorted(term.split())) for term in _ADJECTIVES)

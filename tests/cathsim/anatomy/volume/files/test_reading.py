@@ -63,9 +63,16 @@ def test_qform_counts_where_there_is_no_sform_and_neither_is_noted(tmp_path: Pat
     assert "says nothing of the patient's axes" in read_labels(tmp_path / "scan.nii.gz").notes[0]
 
 
-@pytest.mark.parametrize("space", ["left-posterior-superior", "RAS"])
+SPACES = {
+    "left-posterior-superior": np.eye(3), "RAS": np.diag([-1.0, -1.0, 1.0]), "right-posterior-superior-time":
+    np.diag([-1.0, 1.0, 1.0]), "las": np.diag([1.0, -1.0, 1.0]), "PIR": np.eye(3)[[2, 0, 1]] * [1.0, -1.0, -1.0],
+    "scanner-xyz": np.eye(3),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("space", SPACES)
 @pytest.mark.parametrize("encoding", ["gzip", "raw"])
-def test_nrrd_in_either_space(tmp_path: Path, space: str, encoding: str) -> None:
+def test_nrrd_in_any_space(tmp_path: Path, space: str, encoding: str) -> None:
     header = {
         "space": space,
         "space directions": AFFINE[:3, :3].T,
@@ -74,8 +81,8 @@ def test_nrrd_in_either_space(tmp_path: Path, space: str, encoding: str) -> None
     }
     nrrd.write(str(tmp_path / "a.nrrd"), tubes(), header)
     volume = read_labels(tmp_path / "a.nrrd")
-    expected = np.eye(3) if space.startswith("left") else np.diag([-1.0, -1.0, 1.0])
-    np.testing.assert_allclose(volume.frame, expected)
+    np.testing.assert_array_equal(volume.frame, SPACES[space])
+    assert any("the file's space, scanner-xyz, is not" in note for note in volume.notes) == (space == "scanner-xyz")
     np.testing.assert_array_equal(volume.vessels[:10, :10, :], 1)
 
 
@@ -188,6 +195,39 @@ def test_folders(tmp_path: Path) -> None:
     save_nifti(folder / "subclavian_artery_left.nii.gz", (tubes() == 58).astype(np.uint8), np.diag([1.0, 1, 1, 1]))
     refused(folder, "different lattices")
     refused(folder, "no branch|no label", labels={"spleen": "aorta"})
+
+
+def test_axes_in_inches_and_in_a_unit_that_is_not_known(tmp_path: Path) -> None:
+    header = {"space": "LPS", "space directions": np.diag([1.0, 1, 1]) / 25.4, "space origin": [0.0, 0, 0]}
+    nrrd.write(str(tmp_path / "a.nrrd"), tubes(), header | {"space units": ["inch"] * 3})
+    np.testing.assert_allclose(read_labels(tmp_path / "a.nrrd").spacing, 1e-3)
+    nrrd.write(str(tmp_path / "b.nrrd"), tubes(), header | {"space units": ["ell"] * 3})
+    assert "the unit ell of its axes is not known: mm is taken" in read_labels(tmp_path / "b.nrrd").notes
+
+
+def test_a_folder_of_nifti_and_nrrd_whose_files_hold_more_than_they_say(tmp_path: Path) -> None:
+    two = (tubes() == 52).astype(np.uint8)
+    two[:, :, 20:] *= 2
+    save_nifti(tmp_path / "aorta.nii.gz", two, AFFINE)
+    save_nifti(tmp_path / "left_subclavian_old.nii.gz", tubes(), AFFINE)
+    lps = np.diag([-1.0, -1.0, 1.0]) @ AFFINE[:3]
+    header = {"space": "LPS", "space directions": lps[:, :3].T, "space origin": lps[:, 3]}
+    for name in ("lsa.nrrd", "lsa_new.nrrd"):
+        nrrd.write(str(tmp_path / name), (tubes() == 58).astype(np.uint8), header)
+    volume = read_labels(tmp_path)
+    for number, label in enumerate((52, 58), 1):
+        np.testing.assert_array_equal(volume.vessels == number, (tubes() == label)[10:30, 10:20])
+    assert volume.notes == (
+        "aorta.nii.gz holds labels 1, 2, taken together",
+        "files not taken, whose names are no known artery's: left_subclavian_old",
+        "files of one vessel's name are taken together: lsa and lsa_new",
+    )
+    save_nifti(tmp_path / "lsa.nii.gz", (tubes() == 52).astype(np.uint8), AFFINE)
+    refused(tmp_path, r"lsa\.nii\.gz and lsa\.nrrd have one name; leave the one that is not meant out")
+    save_slicer(tmp_path / "n.seg.nrrd", tubes(), AFFINE, {52: "Aorta", 58: "aorta"})
+    assert (
+        "labels of one vessel's name are taken together: Aorta and aorta" in read_labels(tmp_path / "n.seg.nrrd").notes
+    )
 
 
 def test_files_of_no_kind_that_is_read(tmp_path: Path) -> None:

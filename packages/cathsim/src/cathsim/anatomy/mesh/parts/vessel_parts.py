@@ -22,7 +22,7 @@ from cathsim.anatomy.mesh.reading import (
     read_surfaces,
 )
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.vessel_names import ACCESS, AORTA, SUPRA_AORTIC, is_other, not_taken, vessel_name
+from cathsim.anatomy.vessel_names import ACCESS, AORTA, SUPRA_AORTIC, is_other, not_taken, of_one_name, vessel_name
 from cathsim.guarded_reading import UnreadableFileError, call_in_child
 
 Result = TypeVar("Result")
@@ -144,6 +144,7 @@ def _read_parts(path: Path) -> Surface:
                 *not_taken(dropped, "parts"),
             )
         known = [one for one in known if one[0] in _TAKEN]
+        notes += of_one_name((one.name for _, one in known), "parts")
     elif others := [one.name for _, one in known if is_other(one.name)]:
         if len(others) == len(known):
             raise MeshRefusedError(

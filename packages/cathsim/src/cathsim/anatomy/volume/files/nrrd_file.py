@@ -18,19 +18,11 @@ from numpy.typing import NDArray
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import name_of_segment
 from cathsim.anatomy.volume.files.detached import named_files
-from cathsim.anatomy.volume.files.source import UNIT_METRES, Slab, VolumeSource
+from cathsim.anatomy.volume.files.source import SIDES, UNIT_METRES, Slab, VolumeSource
 from cathsim.anatomy.volume.files.stream import BROKEN, SLAB_BYTES, ValueStream, in_words
 from cathsim.guarded_reading import UnreadableFileError, referenced_file
 
 SUFFIXES = (".nrrd", ".nhdr")
-_SPACES = {
-    "right-anterior-superior": "RAS",
-    "ras": "RAS",
-    "left-posterior-superior": "LPS",
-    "lps": "LPS",
-    "left-anterior-superior": "LAS",
-    "las": "LAS",
-}
 _SEGMENT = re.compile(r"^Segment(\d+)_(Name|LabelValue|Layer|ID|Tags)$")
 
 Array = NDArray[np.float64]
@@ -65,15 +57,26 @@ def open_nrrd(path: Path) -> VolumeSource:
     if str(header.get("Segmentation_MasterRepresentation", "")).startswith("Fractional"):
         raise MeshRefusedError(f"{path.name} holds fractions of segments; save it as binary label maps in 3D Slicer.")
     layer_axis, affine, notes = _axes(path, header, sizes)
-    world = _SPACES.get(str(header.get("space", "")).lower(), "")
-    if not world:
-        world = "LPS"
-        notes += ("the file does not name its space: left, posterior, superior is assumed",)
-    units = [str(unit).strip().lower() for unit in header.get("space units", [])]
-    unit = units[0] if units and units[0] in UNIT_METRES else "mm"
+    space, world = str(header.get("space", "")).strip().lower(), "LPS"
+    words = space.removesuffix("-time").split("-")
+    letters = ("".join(word[:1] for word in words) if len(words) == 3 else space).upper()
+    if len(letters) == 3 and all(any(axis in side for axis in letters) for side in SIDES):
+        world = letters
+    elif space == "3d-left-handed":
+        raise MeshRefusedError(f"{path.name} has axes in a mirrored space of no patient; save it again in 3D Slicer.")
+    else:
+        what = f"the file's space, {space}, is not the patient's" if space else "the file does not name its space"
+        notes += (f"{what}: left, posterior, superior is assumed",)
+    units = {str(unit).strip().lower() for unit in header.get("space units", [])}
+    known = units & set(UNIT_METRES)
+    if len(known) > 1:
+        raise MeshRefusedError(f"{path.name} has axes in several units, {', '.join(sorted(known))}; save it in mm.")
+    unit = known.pop() if known else "mm"
+    if units - {unit, ""}:
+        notes += (f"the unit {', '.join(sorted(units - {unit}))} of its axes is not known: {unit} is taken",)
     layers = 1 if layer_axis is None else sizes[layer_axis]
-    space = [n for axis, n in enumerate(sizes) if axis != layer_axis]
-    shape = (space[0], space[1], space[2])
+    across = [n for axis, n in enumerate(sizes) if axis != layer_axis]
+    shape = (across[0], across[1], across[2])
 
     def slabs() -> Iterator[Slab]:
         try:

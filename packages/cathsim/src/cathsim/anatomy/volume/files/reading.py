@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.vessel_names import AORTA, not_taken, vessel_name
+from cathsim.anatomy.vessel_names import AORTA, is_other, not_taken, of_one_name, vessel_name
 from cathsim.anatomy.volume.dicom.files import is_dicom_file, is_dicom_folder
 from cathsim.anatomy.volume.dicom.reading import open_dicom
 from cathsim.anatomy.volume.files import metaimage, nifti, nrrd_file
@@ -176,7 +176,11 @@ def file_stem(path: Path) -> str:
 
 
 def _folder(path: Path, labels: Labels, transform: str | None) -> LabelVolume:
-    files = {file_stem(file): file for file in volume_files(path)}
+    files: dict[str, Path] = {}
+    for file in volume_files(path):
+        if other := files.get(file_stem(file)):
+            raise MeshRefusedError(f"{other.name} and {file.name} have one name; leave the one that is not meant out.")
+        files[file_stem(file)] = file
     if not files:
         raise MeshRefusedError(f"{path} holds no file in {FORMATS} format; give a folder with one file a vessel.")
     names = {(0, number): stem for number, stem in enumerate(files, 1)}
@@ -199,11 +203,18 @@ def _folder(path: Path, labels: Labels, transform: str | None) -> LabelVolume:
                 raise MeshRefusedError(f"{source.path.name} is empty: all its voxels are zero; export the aorta again.")
             notes.append(f"{source.path.name} is empty")
             continue
+        others = {label for label in present if is_other(source.names.get(label, ""))}
+        if len(present) > 1:
+            told = ", ".join(source.names.get(label, "") or str(label[1]) for label in sorted(present.keys() - others))
+            left = ", ".join(source.names[label] for label in sorted(others))
+            notes.append(f"{source.path.name} holds labels {told}, taken together" + (f", without {left}" * bool(left)))
+            present = {label: count for label, count in present.items() if label not in others}
         total.update(present)
         parts.append((source, LabelChoice(dict.fromkeys(present, vessel), choice.scheme)))
     unused = [stem for key, stem in names.items() if key not in choice.vessels and vessel_name(stem)]
     notes += [f"{stem} is not used" for stem in unused]
     notes += not_taken((stem for key, stem in names.items() if key not in choice.vessels), "files")
+    notes += of_one_name((names[key] for key in choice.vessels), "files")
     volume = _box(parts, path.name, dict(total))
     return LabelVolume(**{**vars(volume), "notes": volume.notes + tuple(notes), "named": len(volume.names) > 1})
 
@@ -293,7 +304,7 @@ def _box(parts: list[tuple[VolumeSource, LabelChoice]], file: str, present: dict
     affine[:3] *= first.metres
     choice = parts[0][1]
     corner = (int(low[0]), int(low[1]), int(low[2]))
-    notes = first.notes + choice.notes
+    notes = (*dict.fromkeys(note for source, _ in parts for note in source.notes), *choice.notes)
     return LabelVolume(
         box, tuple(names), affine, corner, first.shape, first.frame, file, first.unit, first.metres, choice.scheme,
         choice.named, notes,
@@ -328,13 +339,13 @@ def _shift(source: VolumeSource, first: VolumeSource) -> NDArray[np.int64]:
     Raises:
         MeshRefusedError: the lattices differ.
     """
-    scaled = np.linalg.inv(np.diag([*[first.metres] * 3, 1.0]) @ first.affine) @ (
-        np.diag([*[source.metres] * 3, 1.0]) @ source.affine
-    )
+    turn = np.eye(4)  # from one's world to the other's
+    turn[:3, :3] = first.frame.T @ source.frame * (source.metres / first.metres)
+    scaled = np.linalg.inv(first.affine) @ turn @ source.affine
     shift = np.rint(scaled[:3, 3])
     moved = np.eye(4)
     moved[:3, 3] = shift
-    if source.world != first.world or farthest_apart(scaled, moved, source.shape) > _SAME_LATTICE:
+    if farthest_apart(scaled, moved, source.shape) > _SAME_LATTICE:
         raise MeshRefusedError(
             f"{source.path.name} and {first.path.name} lie on different lattices of voxels; export all vessels of one "
             "patient over the same volume."

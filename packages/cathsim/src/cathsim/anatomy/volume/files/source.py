@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 from cathsim.anatomy.mesh.report import MeshRefusedError
 
 LARGEST = 4_000_000_000  # bytes of a volume that is read at all
-UNIT_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "micron": 1e-6, "um": 1e-6}
+UNIT_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "micron": 1e-6, "um": 1e-6, "inch": 0.0254}
 _THINNEST, _THICKEST = 2e-5, 2e-2  # m, sides of a voxel
 _LEAST_SIDES = 4  # voxels along every axis
 _MOST_SHEAR = 0.05  # cosine of the angle between two of the volume's axes
 _ROUNDING = 1e-6  # cosine of such an angle that is none
 _NOTED = 0.5  # of a voxel's smallest side by which two headers may place a corner apart without a note
-# the patient's left, posterior and superior axis in a file's world, whose axes are named by letters
-FRAMES = {"RAS": (-1.0, -1.0, 1.0), "LPS": (1.0, 1.0, 1.0), "LAS": (1.0, -1.0, 1.0)}
+SIDES = ("LR", "PA", "SI")  # letters of a world's axes: of the patient's left, posterior and superior axis first
 
 Array = NDArray[np.float64]
 Slab = tuple[int, NDArray]  # first index along the last axis, and values (layers, nx, ny, k)
@@ -34,7 +33,7 @@ class VolumeSource:
     path: Path
     shape: tuple[int, int, int]  # voxels along the file's axes
     affine: Array  # (4, 4) from a voxel's indices to the file's world, in the file's unit
-    world: str  # axes of the file's world: "RAS" (NIfTI), "LPS" or "LAS"
+    world: str  # axes of the file's world: "RAS" (NIfTI), "LPS" (DICOM), or other letters of SIDES
     unit: str  # of the file's world
     itemsize: int  # bytes of a value
     slabs: Callable[[], Iterator[Slab]]  # reads the values, from the first slice on
@@ -72,7 +71,7 @@ class VolumeSource:
     @property
     def frame(self) -> Array:
         """(3, 3) rows are the patient's left, posterior and superior axis in the file's world."""
-        return np.diag(FRAMES[self.world])
+        return np.array([[float((axis == side[0]) - (axis == side[1])) for axis in self.world] for side in SIDES])
 
 
 def require_one_volume(path: Path, sizes: Sequence[int], components: int = 1) -> tuple[int, int, int]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.vessel_names import AORTA, PARENTS, TOTALSEGMENTATOR, is_other, not_taken, vessel_name
+from cathsim.anatomy.vessel_names import AORTA, PARENTS, TOTALSEGMENTATOR, is_other, not_taken, of_one_name, vessel_name
 
 Key = tuple[int, int]  # layer and value of a label
 Labels = Mapping[int | str, str | None] | None
@@ -176,7 +176,8 @@ def _checked(
             "labels={number: 'aorta'}, or export it too."
         )
     left = (names.get(key, "") for key in sorted(present, key=lambda key: -present[key]) if key not in vessels)
-    return LabelChoice(vessels, scheme, named=len(set(vessels.values())) > 1, notes=not_taken(left, "labels"))
+    notes = (*not_taken(left, "labels"), *of_one_name((names.get(key, "") for key in vessels), "labels"))
+    return LabelChoice(vessels, scheme, named=len(set(vessels.values())) > 1, notes=notes)
 
 
 def _listed(present: Mapping[Key, int], names: Mapping[Key, str]) -> str:
