@@ -155,7 +155,7 @@ def test_an_aorta_that_goes_on_into_narrow_iliac_arteries(vessels: dict[str, tri
         iliacs[-1].apply_scale(1000)
     trimesh.util.concatenate([*vessels.values(), *iliacs]).export(tmp_path / "whole.stl")
     found = import_mesh(tmp_path / "whole.stl", resolution=COARSE, cache_dir=tmp_path / "cache")
-    assert set(found.tree.names) == {"aorta", "bca", "lcca", "lsa", "branch_1"}
+    assert set(found.tree.names) == {"aorta", "bca", "lcca", "lsa", "iliac_right"}
     assert found.tree.root.length > tree.root.length + 0.07
     report = found.imported
     for name in ("bca", "lcca", "lsa"):
