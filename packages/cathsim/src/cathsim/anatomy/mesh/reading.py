@@ -307,9 +307,13 @@ def measure_size(mesh: Triangles, budget: Budget) -> Size:
     Raises:
         MeshRefusedError: there is no lumen.
     """
-    spacing = mesh.extent / _VOXELS
-    samples = sample_surface(mesh.corners, 0.7 * spacing, budget)
-    return Size(2 * find_cavity(samples, spacing, rough=True).widest, mesh.extent)
+    for spacing in (mesh.extent / _VOXELS, mesh.extent / _VOXELS / 2):  # a tree from the groin to the head is slim
+        samples = sample_surface(mesh.corners, 0.7 * spacing, budget)
+        try:
+            return Size(2 * find_cavity(samples, spacing, rough=True).widest, mesh.extent)
+        except MeshRefusedError as error:
+            refusal = error
+    raise refusal
 
 
 def detect_unit(size: Size) -> tuple[str, str, tuple[str, ...]]:
