@@ -2,9 +2,10 @@
 
 Sources: diameters of common and internal carotids, 6.5 and 5.1 mm in men, 6.1 and 4.7 mm in women: Krejza et al. 2006,
 Stroke 37(4), 1103. Of vertebral arteries, 3 to 4 mm; of the abdominal aorta, 16 to 20 mm; common iliac arteries of 9 to
-11 mm and 40 to 60 mm: textbook values. Types of arches: Popieluszko et al. 2018, Journal of Vascular Surgery 68(1): a
-common origin in 14 %, a left vertebral artery from the arch in 3 %, an aberrant right subclavian artery below 1 %; the
-rare ones are drawn more often here. Windings and the siphon's bends, of 5 to 8 mm radius, are chosen.
+11 mm and 40 to 60 mm: textbook values, not looked up. Types of arches: Murray and Abdel Meguid 2023, Irish Journal of
+Medical Science 192(4), 1807: a common origin in 5 to 31 %, a left vertebral artery from the arch in 0.2 to 15 %, an
+aberrant right subclavian artery in 0.1 to 3 %; rare ones are drawn more often. Windings and the siphon's bends, of 5 to
+8 mm radius, are chosen.
 """
 
 from __future__ import annotations
