@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from pipeline.early_stop import stop_at_once_by_ctrl_c
+from pipeline.store.interruption import stop_at_once_by_ctrl_c
 
 if __name__ == "__main__":
     stop_at_once_by_ctrl_c()

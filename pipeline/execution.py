@@ -14,7 +14,7 @@ from enn.reinforcement.free_memory import available_bytes
 from pipeline.config import RunConfig, anatomy_not_taken
 from pipeline.jobs.engines.cluster import end_earlier_jobs
 from pipeline.jobs.engines.settings import LOCAL
-from pipeline.jobs.gpus import CPU, check_device
+from pipeline.jobs.machine import CPU, check_device
 from pipeline.jobs.pool import chosen_engine
 from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages import Stage, StageContext, load_stage, missing_module
@@ -23,8 +23,8 @@ from pipeline.store.errors import StageError
 from pipeline.store.manifest import Identity, read_manifest
 from pipeline.store.provenance import hash_value, present_commit
 from pipeline.store.run_folder import RunFolder
+from pipeline.store.variants import RunRequest, effective_overrides, require_input, variant_of
 from pipeline.task import Task, device_files
-from pipeline.variants import RunRequest, effective_overrides, require_input, variant_of
 
 _LOGGER = logging.getLogger(__name__)
 

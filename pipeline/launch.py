@@ -33,9 +33,9 @@ from pipeline.settings.kinds import sentence
 from pipeline.settings.quoting import advice, with_quoted_paths
 from pipeline.stages import available_stages
 from pipeline.store.errors import PipelineError, system_error, system_sentence
-from pipeline.store.interruption import interrupted, let_ctrl_c_interrupt
+from pipeline.store.interruption import EXIT_INTERRUPTED, INTERRUPTED, interrupted, let_ctrl_c_interrupt
+from pipeline.store.variants import variant_of
 from pipeline.task import PARTS, TASK
-from pipeline.variants import variant_of
 
 _NUMBER = "Config group override must be"  # so begins the ValueError of a number as a choice, ``stage=5``
 _KEY = re.compile(r"Could not (?:override|append|delete from config:) '?([\w./@-]+)|Key '([\w.]+)' (?:is )?not in")
@@ -105,10 +105,7 @@ def _first_line(text: str) -> str:
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
-EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
-
-_INTERRUPTED = "interrupted: finished items are kept; the same command goes on from there"
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -190,12 +187,12 @@ def main(arguments: list[str]) -> int:
         register_schemas(_chosen_stages(arguments))
         hydra_main(version_base="1.3", config_path=str(CONFIG_DIRECTORY), config_name="config")(task)()
     except KeyboardInterrupt:
-        return _say(_INTERRUPTED, EXIT_INTERRUPTED)
+        return _say(INTERRUPTED, EXIT_INTERRUPTED)
     except (_Stop, Exception) as stop:
         error = stop.error if isinstance(stop, _Stop) else stop
         if interrupted() and not isinstance(error, PipelineError):
             _LOGGER.debug("what came after Ctrl-C", exc_info=True)  # shown with hydra.verbose=true
-            return _say(_INTERRUPTED, EXIT_INTERRUPTED)
+            return _say(INTERRUPTED, EXIT_INTERRUPTED)
         if not is_foreseen(error):
             raise
         is_usage = isinstance(error, PipelineError) or system_error(error) is None

@@ -163,11 +163,6 @@ def held_out_copies(count: int) -> range:
     return ANATOMY_COPIES["test"].part(0, count)
 
 
-def fit_seed(seed: int, number: int) -> int:
-    """Seed of a fit's order of samples in round `number` of advised episodes; no environment is reset with it."""
-    return seed * 1000 + number
-
-
 def acquisition_seed(run_seed: int, number: int) -> int:
     """Seed of all that an acquisition of the generated bi-planar data set draws; hashed, so it has no range."""
     return int(np.random.SeedSequence((run_seed, number)).generate_state(1)[0])

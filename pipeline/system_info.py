@@ -11,7 +11,7 @@ from pathlib import Path
 
 from cathsim.anatomy.phantom_cache import default_cache_directory
 from pipeline.installation import GL_LIBRARIES
-from pipeline.jobs.gpus import find_gpus
+from pipeline.jobs.machine import find_gpus
 from pipeline.store.errors import StageError
 from pipeline.store.provenance import machine
 

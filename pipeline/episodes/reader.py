@@ -33,8 +33,17 @@ from pipeline.episodes.encoding.schema import (
     topic_messages,
 )
 from pipeline.episodes.encoding.step_codec import decode_step
-from pipeline.episodes.metadata import VersionError, open_episode, open_outcome
-from pipeline.episodes.records import MOST_STEPS, ContainerError, EpisodeOutcome, EpisodeReadError, StepRecord, damaged
+from pipeline.episodes.records import (
+    MOST_STEPS,
+    ContainerError,
+    EpisodeOutcome,
+    EpisodeReadError,
+    StepRecord,
+    VersionError,
+    damaged,
+    open_episode,
+    open_outcome,
+)
 from pipeline.settings.kinds import shown
 
 _Decoded = TypeVar("_Decoded")

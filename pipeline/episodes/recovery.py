@@ -21,15 +21,6 @@ from pipeline.episodes.camera import Camera
 from pipeline.episodes.encoding import scan
 from pipeline.episodes.encoding.container import McapFile, replacing
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE, STEP_TOPIC, topic_messages
-from pipeline.episodes.metadata import (
-    VersionError,
-    open_episode,
-    open_outcome,
-    seal,
-    seal_episode,
-    seal_outcome,
-    unseal,
-)
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.records import (
     MOST_STEPS,
@@ -38,7 +29,14 @@ from pipeline.episodes.records import (
     EpisodeOutcome,
     EpisodeReadError,
     EpisodeWriteError,
+    VersionError,
     damaged,
+    open_episode,
+    open_outcome,
+    seal,
+    seal_episode,
+    seal_outcome,
+    unseal,
 )
 from pipeline.episodes.writer import schema_data
 

@@ -24,8 +24,15 @@ from pipeline.episodes.encoding.container import MAX_CHUNK_BYTES, McapFile
 from pipeline.episodes.encoding.png import encode_image, encode_mask
 from pipeline.episodes.encoding.scene import PhantomMesh, encode_wire_line, encode_wire_points
 from pipeline.episodes.encoding.step_codec import delimited, encode_devices, encode_step, timestamp
-from pipeline.episodes.metadata import seal_episode, seal_outcome
-from pipeline.episodes.records import EpisodeInfo, EpisodeOutcome, EpisodeWriteError, StepRecord, recover_command
+from pipeline.episodes.records import (
+    EpisodeInfo,
+    EpisodeOutcome,
+    EpisodeWriteError,
+    StepRecord,
+    recover_command,
+    seal_episode,
+    seal_outcome,
+)
 
 logger = logging.getLogger(__name__)
 

@@ -28,8 +28,7 @@ from pipeline.jobs.display import JobDisplay, JobState
 from pipeline.jobs.engines.cluster import JOBS, ClusterEngine
 from pipeline.jobs.engines.local import LocalEngine, available_workers
 from pipeline.jobs.engines.settings import EngineSettings, RaySettings, SlurmSettings
-from pipeline.jobs.gpus import CPU, Gpu, find_gpus
-from pipeline.jobs.machine import Machine
+from pipeline.jobs.machine import CPU, Gpu, Machine, find_gpus
 from pipeline.jobs.worker import AGAIN, ENDED, STARTED, Job, Message, Report
 from pipeline.store.costs import keep_cost
 from pipeline.store.errors import StageError

@@ -20,7 +20,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from pipeline.jobs.gpus import CPU, CUDA, CUDA_CONTEXT_BYTES, VISIBLE
+from pipeline.jobs.machine import CPU, CUDA, CUDA_CONTEXT_BYTES, VISIBLE
 from pipeline.settings.kinds import sentence
 from pipeline.store.costs import Cost, CostMeter
 from pipeline.store.errors import PipelineError

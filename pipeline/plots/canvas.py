@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.plots.words import in_words
 from pipeline.store.atomic_files import atomic_path
-from pipeline.words import in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

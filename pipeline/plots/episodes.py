@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.plots.canvas import MM, chart, new_figure, save_figure
+from pipeline.plots.words import in_words
 from pipeline.store.atomic_files import atomic_path
-from pipeline.words import in_words
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

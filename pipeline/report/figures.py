@@ -8,9 +8,9 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipeline.plots.words import in_words
 from pipeline.store.atomic_files import atomic_path
 from pipeline.tables import read_figures
-from pipeline.words import in_words
 
 FIGURES_FOLDER = "figures"
 _BASE64 = 4 / 3  # characters a byte

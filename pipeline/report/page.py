@@ -8,12 +8,12 @@ from pathlib import Path
 
 import jinja2
 
+from pipeline.plots.words import place_in_thesis, row_words
 from pipeline.report.figures import ShownFigure
 from pipeline.report.headlines import headlines
 from pipeline.report.tables import NOT_RUN, ReportTable, format_over_seeds
 from pipeline.store.manifest import Manifest
 from pipeline.tables import format_cell
-from pipeline.words import place_in_thesis, row_words
 
 BEYOND, DETAIL = "Beyond the thesis", "Learning in detail"
 FIGURES_SHOWN = 2  # beside the tables of a stage; more are folded

@@ -12,9 +12,9 @@ from typing import Any
 
 import yaml
 
+from pipeline.plots.words import column_words, group_words, plain, row_words
 from pipeline.report.intervals import CellName, OverSeeds
 from pipeline.tables import SAMPLES, Cell, Table, format_cell, pool
-from pipeline.words import column_words, group_words, plain, row_words
 
 _THESIS = Path(__file__).with_name("thesis.yaml")
 KINDS = ("results", "settings", "literature", "own")

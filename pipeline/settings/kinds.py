@@ -171,7 +171,7 @@ RISING = _list_check(
     lambda values: f"must rise, got {', '.join(map(str, values))}" if values != sorted(values) else None
 )
 
-Device = Annotated[str, AfterValidator(_device)]  # of networks: see `pipeline.jobs.gpus`
+Device = Annotated[str, AfterValidator(_device)]  # of networks: see `pipeline.jobs.machine`
 PathText = Annotated[str, AfterValidator(path_text)]
 FolderName = Annotated[str, AfterValidator(folder_name)]
 FolderNames = Annotated[list[FolderName], UNIQUE]
@@ -263,4 +263,4 @@ class JobSettings:
     """How the jobs of a stage are run."""
 
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
-    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.gpus
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.machine

@@ -7,11 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from enn.curves import Curves
 from pipeline.anatomies.settings import settle
 from pipeline.evaluations.tables import log_summary
 from pipeline.jobs.pool import Job
 from pipeline.jobs.worker import Report
-from pipeline.recording.curves import Curves
 from pipeline.recording.trials import MODES, Origin
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.job_memory import policy_gb

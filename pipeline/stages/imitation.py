@@ -18,12 +18,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from enn.curves import Curves
 from pipeline.anatomies.settings import check_anatomies, settle
 from pipeline.evaluations.tables import log_summary
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import OPTIMISER, Report
 from pipeline.plots.episodes import draw_success
-from pipeline.recording.curves import Curves
 from pipeline.recording.trials import POLICY, Origin, controllers
 from pipeline.seeds import disturbed_seeds
 from pipeline.settings.kinds import require_modalities

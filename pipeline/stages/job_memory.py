@@ -1,6 +1,6 @@
 """Memory that a job is expected to need, beside the processor and on a GPU: an estimate, before anything has run.
 
-While a job runs its process tells what it really uses of a GPU, and `pipeline.jobs.gpus` goes by that where it is more.
+While a job runs its process tells what it really uses of a GPU; `pipeline.jobs.machine` goes by that where it is more.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.jobs.gpus import CUDA_CONTEXT_BYTES
+from pipeline.jobs.machine import CUDA_CONTEXT_BYTES
 from pipeline.stages.learning.task import LearningTask
 from pipeline.task import DESCENDING
 

@@ -69,7 +69,7 @@ class FinishedItems:
             yield
 
     def journal(self, key: str) -> Path:
-        """Where another process that works on an item notes its files: see `pipeline.store.written_files.noted`."""
+        """Where another process that works on an item notes its files: see `pipeline.store.atomic_files.noted`."""
         return self._place / f"files-{safe_name(key)}.txt"
 
     def mark_done(self, key: str, result: Any = None) -> None:

@@ -12,7 +12,7 @@ import pytest
 from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError, check, recover
 from pipeline.episodes.encoding.container import McapFile
 from pipeline.episodes.encoding.schema import topic_messages
-from pipeline.episodes.metadata import _checksum
+from pipeline.episodes.records import _checksum
 from pipeline.episodes.writer import schema_data
 from tests.fuzz.mutations import altered, damaged, text_of
 from tests.fuzz.promise import BrokenPromiseError, fuzz, refused

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,9 +15,10 @@ from omegaconf import OmegaConf
 from pipeline.chain import after_inputs
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY
 from pipeline.launch import main
+from pipeline.printing import say
 from pipeline.stages import available_stages
 from pipeline.store.errors import StageError
-from pipeline.variants import RunRequest, require_input
+from pipeline.store.variants import RunRequest, require_input
 
 WRONG = {
     "no stage": ((), ["no stage given", "phantoms", "report"]),
@@ -125,3 +128,25 @@ def flip(file: Path) -> None:
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
     file.write_bytes(content)
+
+
+LEFT = "import sys; from pipeline.printing import say; sys.stdin.read(); say('first'); say('second'); sys.exit(3)"
+
+
+def test_a_reader_that_has_gone_is_no_error() -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", LEFT], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.close()  # as `head` does
+    process.stdin.close()
+    assert process.stderr.read() == ""
+    assert process.wait(60) == 3
+
+
+def test_texts_go_where_they_belong(capfd: pytest.CaptureFixture[str]) -> None:
+    say("a result\n")
+    say("an error", error=True)
+    assert capfd.readouterr() == ("a result\n", "an error\n")

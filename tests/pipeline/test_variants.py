@@ -11,7 +11,7 @@ import pytest
 from pipeline.store.errors import StageError
 from pipeline.store.manifest import Identity, read_manifest
 from pipeline.store.run_folder import RunFolder
-from pipeline.variants import RunRequest, require_input, variant_of
+from pipeline.store.variants import RunRequest, require_input, variant_of
 
 
 def leave(run: Path, stage: str, *variant: str, seed: int = 0) -> Path:

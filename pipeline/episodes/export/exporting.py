@@ -13,10 +13,9 @@ from typing import Any
 
 from tqdm import tqdm
 
-from pipeline.episodes.export.hdf5 import FILE, Hdf5Writer
+from pipeline.episodes.export.hdf5 import FILE, Hdf5Writer, MinariWriter
 from pipeline.episodes.export.layout import ExportError, common_layout, open_episode
 from pipeline.episodes.export.lerobot import LeRobotWriter
-from pipeline.episodes.export.minari import MinariWriter
 from pipeline.store.atomic_files import TEMPORARY_PREFIX
 from pipeline.store.errors import is_no_room
 

@@ -32,7 +32,7 @@ from typing import Any
 from pipeline.jobs.engines.local import ONE_THREAD
 from pipeline.jobs.engines.settings import ClusterSettings
 from pipeline.jobs.engines.task import DRIVER, MESSAGES, Task, read_driver
-from pipeline.jobs.gpus import AUTO, CPU
+from pipeline.jobs.machine import AUTO, CPU
 from pipeline.jobs.worker import AGAIN, ENDED, LOST, STARTED, Job, Message
 from pipeline.store.costs import Cost
 from pipeline.store.errors import StageError

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from pipeline.jobs.engines.task import write_line
-from pipeline.jobs.gpus import VISIBLE
+from pipeline.jobs.machine import VISIBLE
 from pipeline.jobs.worker import LOST, Message, work
 
 _SECONDS_BETWEEN_PROGRESS = 2.0

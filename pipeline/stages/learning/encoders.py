@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from enn.curves import Curves
 from pipeline.jobs.worker import Report
-from pipeline.recording.curves import Curves
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.learning.training import repeat
 from pipeline.store.atomic_files import write_json

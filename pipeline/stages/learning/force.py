@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from enn.curves import Curves
 from pipeline.jobs.worker import OPTIMISER, Report
-from pipeline.recording.curves import Curves
 from pipeline.recording.record import record_episode
 from pipeline.recording.trials import recorded
 from pipeline.seeds import force_seed

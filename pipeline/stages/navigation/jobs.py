@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from enn.curves import Curves
+from enn.imitation.advised_rounds import forget_rounds, last_policy, read_episodes, teach, write_episodes
 from pipeline.episodes.records import EpisodeReadError
 from pipeline.jobs.worker import OPTIMISER, Report
-from pipeline.recording.curves import Curves
 from pipeline.recording.trials import Origin
 from pipeline.seeds import further_expert_seeds, navigation_episode_seeds
-from pipeline.stages.learning.advised_rounds import forget_rounds, last_policy, read_episodes, teach, write_episodes
 from pipeline.stages.navigation.perception import load_perception
 from pipeline.stages.navigation.scene import NAMED, Anatomy, episode_of_log, episode_starts, in_view, room_for
 from pipeline.stages.navigation.settings import NavigationSettings

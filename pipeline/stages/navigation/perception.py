@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from enn.curves import Curves
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.anatomies.devices import fitted_task
 from pipeline.anatomies.settings import TARGETS
 from pipeline.jobs.worker import Report
-from pipeline.recording.curves import Curves
 from pipeline.stages.navigation.scene import NAMED, Anatomy, among_clutter, phantom_of, scene_of
 from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.store.atomic_files import write_arrays, write_json

@@ -33,7 +33,7 @@ class TrainingSettings(kinds.JobSettings):
     epochs: kinds.CountOrNone = 0  # 0: the recipe's own number
     split_seed: kinds.Seed = 0  # of the split by acquisition
     processes: Annotated[int, Ge(1), Le(64)] = 1  # that train one network together, by torchrun: one a GPU
-    # of the networks: see pipeline.jobs.gpus
+    # of the networks: see pipeline.jobs.machine
     device: kinds.Device = field(default="auto", metadata=kinds.NO_EFFECT_ON_RESULTS)
 
 

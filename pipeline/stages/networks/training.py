@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from enn.curves import Curves
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import OPTIMISER, Report
-from pipeline.recording.curves import Curves
 from pipeline.stages import StageContext
 from pipeline.stages.guide3d.folder import open_dataset, read_source
 from pipeline.stages.job_memory import network_gb

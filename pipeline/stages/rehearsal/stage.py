@@ -28,10 +28,15 @@ from pipeline.stages.rehearsal.demonstrations import (
     nothing_to_record,
     record_demonstrations,
 )
-from pipeline.stages.rehearsal.devices import with_chosen_devices
 from pipeline.stages.rehearsal.episodes import film_file, film_scan, play
 from pipeline.stages.rehearsal.settings import RehearsalSettings
-from pipeline.stages.rehearsal.starting_policy import advising_policies, policy_hashes, starting_policy, with_devices_of
+from pipeline.stages.rehearsal.start import (
+    advising_policies,
+    policy_hashes,
+    starting_policy,
+    with_chosen_devices,
+    with_devices_of,
+)
 from pipeline.stages.rehearsal.training import train
 from pipeline.store.errors import ConfigurationError
 from pipeline.tables import Figure, Results

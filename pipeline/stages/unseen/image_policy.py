@@ -20,12 +20,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from enn.curves import Curves
+from enn.imitation.advised_rounds import FinishedRound, forget_rounds, last_policy, teach
 from pipeline.clutter import clutter_of
 from pipeline.jobs.worker import Report
-from pipeline.recording.curves import Curves
 from pipeline.recording.trials import POLICY, Controller
 from pipeline.seeds import unseen_episode_seeds
-from pipeline.stages.learning.advised_rounds import FinishedRound, forget_rounds, last_policy, teach
 from pipeline.stages.unseen.settings import ONE_VIEW, UnseenSettings
 from pipeline.stages.unseen.task import RESOLUTION, ROADMAP, XRAY, training_arch
 from pipeline.stages.unseen.trials import PolicyJob, policy_folder, run_tests

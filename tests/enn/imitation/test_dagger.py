@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from enn.fitting import EpisodeFitSettings
-from enn.imitation.advised_episodes import FIRST_NOISE, NOISE, TEACHER_SHARE, advised_rounds
 from enn.imitation.behaviour_cloning import DESK_CLONING
-from enn.imitation.dagger import DaggerSettings, DisturbanceSettings, Disturbed, dagger, record
+from enn.imitation.dagger import DaggerSettings, DisturbanceSettings, Disturbed, record
 from enn.imitation.distillation import distil
 from enn.imitation.images.egocentric import VIEW_SIZE
 from enn.imitation.perturbed_controller import PerturbedController
@@ -22,18 +21,6 @@ from tests.enn.imitation.drawn_point import DrawnPoint, expert
 from tests.enn.imitation.straight_wire import CLONING, advised, policy_on, untrained
 
 QUICK = replace(DESK_CLONING, fit=EpisodeFitSettings(epochs=6, batch_size=32, learning_rate=3e-3))
-
-
-def test_rounds_aggregate_and_the_student_improves() -> None:
-    environment = DrawnPoint()
-    first = [record(environment, expert, seed=seed, keys=("image",)) for seed in range(4)]
-    settings = DaggerSettings(rounds=3, episodes=12, expert_share=0.5)
-    student, rounds, everything = dagger(DrawnPoint, expert, first, settings, QUICK)
-    assert [told.episodes for told in rounds] == [16, 28, 40]
-    assert len(everything) == 40
-    assert rounds[-1].disagreement < rounds[0].disagreement
-    reached = [record(environment, student.controller(), seed=500 + k, keys=()).terminated for k in range(20)]
-    assert np.mean(reached) >= 0.9
 
 
 def test_disturbance_is_seeded_and_spells_push() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.demo.film import LUMEN, STRIDE, TARGET, TITLE_PX, TRUE_WIRE, VIEW_PX, WAY, WIRE, DemoFilm
+from pipeline.demo.page import plot, sections
 from pipeline.demo.steering import Scene, open_scene
 from tests.pipeline.demo.small_policies import ship
 
@@ -90,3 +91,36 @@ def test_a_catheter_is_in_the_views_for_people() -> None:
     assert len(film._frames) == 1
     film.close()
     environment.close()
+
+
+CARD = """# a
+
+Steers.
+
+| file |
+|---|
+
+**What it sees.** The `image`
+alone.
+
+**Command.** None.
+
+**Figures.** Some.
+
+| x |
+
+**Limits.** Many,
+
+```bash
+make demo
+```
+"""
+
+
+def test_parts_of_a_card_are_plain_text() -> None:
+    assert sections(CARD) == {"What it sees": "The image alone.", "Limits": "Many, make demo"}
+
+
+def test_a_plot_spans_its_width_and_height() -> None:
+    assert plot([0.0, 2.0, 1.0]) == "0.0,120.0 245.0,0.0 490.0,60.0"
+    assert plot([0.0]) == "0.0,120.0"

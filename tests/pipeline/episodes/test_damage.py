@@ -16,7 +16,7 @@ from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError
 from pipeline.episodes.encoding.container import McapFile
 from pipeline.episodes.encoding.scan import messages, read_chunk
 from pipeline.episodes.encoding.schema import topic_messages
-from pipeline.episodes.metadata import seal_episode, seal_outcome
+from pipeline.episodes.records import seal_episode, seal_outcome
 from pipeline.episodes.writer import schema_data
 
 

@@ -23,8 +23,7 @@ from pipeline.episodes.encoding.container import McapFile
 from pipeline.episodes.encoding.scan import open_chunk
 from pipeline.episodes.encoding.schema import topic_messages
 from pipeline.episodes.encoding.step_codec import FIXED64, VARINT, decode_step, delimited, encode_step, tag, varint
-from pipeline.episodes.metadata import _checksum, open_episode, open_outcome, seal_outcome
-from pipeline.episodes.records import ContainerError
+from pipeline.episodes.records import ContainerError, _checksum, open_episode, open_outcome, seal_outcome
 from pipeline.episodes.recovery import annotate, read_annotation
 from pipeline.episodes.writer import schema_data
 

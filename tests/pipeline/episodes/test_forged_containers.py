@@ -28,7 +28,7 @@ from PIL import Image
 from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriter, check, recover
 from pipeline.episodes.__main__ import main
 from pipeline.episodes.encoding.schema import Step
-from pipeline.episodes.metadata import _checksum
+from pipeline.episodes.records import _checksum
 from pipeline.episodes.recovery import annotate, read_annotation
 
 IMAGE, MASK, SIDE = "/camera/frontal/image", "/camera/frontal/mask", "/camera/side/image"

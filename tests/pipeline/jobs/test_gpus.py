@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.jobs.gpus import Gpu, check_device, find_gpus, gpus_of
-from pipeline.jobs.machine import Machine
+from pipeline.jobs.machine import Gpu, Machine, check_device, find_gpus, gpus_of
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Message, Report
 from pipeline.settings.kinds import settings_that_matter

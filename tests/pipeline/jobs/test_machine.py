@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.jobs.gpus import Gpu
-from pipeline.jobs.machine import FOLDER, Machine, shared_machine
+from pipeline.jobs.machine import FOLDER, Gpu, Machine, shared_machine
 from pipeline.jobs.worker import Job
 from tests.pipeline.jobs.toy_training import square
 
@@ -118,7 +117,7 @@ def test_a_stage_sees_what_others_were_promised_of_a_gpu(monkeypatch: pytest.Mon
 STAGE = """
 import sys, time
 from pathlib import Path
-from pipeline.jobs.gpus import Gpu
+from pipeline.jobs.machine import Gpu
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.store.run_folder import Identity, RunFolder
 

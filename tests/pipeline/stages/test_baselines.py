@@ -19,7 +19,7 @@ from pipeline.stages.learning.settings import BaselinesSettings
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
-from tests.pipeline.event_scalars import scalars
+from tests.enn.event_scalars import scalars
 from tests.pipeline.stages.small_expert import context
 from tests.pipeline.stages.test_enn import expert_run  # noqa: F401 - a fixture
 
@@ -114,7 +114,7 @@ def test_a_path_follower_leaves_damaged_logs_out_by_name(expert_run, tmp_path, c
 
 
 def test_a_tiny_run_fills_the_table(pipeline_process, expert_run) -> None:  # noqa: F811
-    done = pipeline_process.run(
+    done = pipeline_process.run_here(
         "stage=baselines", "budget=smoke", "name=run", "stage.observations=[image]", "stage.decisions=48",
         "stage.ppo_decisions=256", "stage.encoder_samples=150", "stage.task.max_steps=30",
     )  # fmt: skip

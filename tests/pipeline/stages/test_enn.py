@@ -15,7 +15,7 @@ from pipeline.stages.learning.plan import training_seeds
 from pipeline.stages.learning.settings import EnnSettings
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task
-from tests.pipeline.event_scalars import scalars
+from tests.enn.event_scalars import scalars
 from tests.pipeline.stages.small_expert import context
 
 
@@ -152,10 +152,7 @@ TINY = ("stage=enn", "budget=smoke", "name=run", "modality=I+V+M", "stage.decisi
 
 @pytest.fixture
 def expert_run(pipeline_process) -> Path:
-    """A run whose stages before enn have finished; the expert's one log is a short scripted episode."""
-    done = pipeline_process.run("stage=phantoms", "budget=smoke", "name=run", "stage.picture=false",
-                                "stage.resolution_mm=2.5")  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    """A run whose stage expert has finished; its one log is a short scripted episode."""
     run = pipeline_process.runs / "run"
     finish_expert(run)
     return run
@@ -180,7 +177,7 @@ def finish_expert(run: Path) -> None:
 
 
 def test_a_tiny_run_leaves_policy_curve_logs_and_tables(pipeline_process, expert_run: Path) -> None:
-    done = pipeline_process.run(*TINY)
+    done = pipeline_process.run_here(*TINY)
     assert done.returncode == 0, done.stderr + done.stdout
     assert "enn trainings 2/2" in done.stdout
     folder = expert_run / "enn"
@@ -199,4 +196,4 @@ def test_a_tiny_run_leaves_policy_curve_logs_and_tables(pipeline_process, expert
     assert "type_1/bca/I+V+M: success" in done.stdout
     assert results["training_time_h"]["enn"]["bca"] > 0
     assert results["sac_hyperparameters"]["gamma"] == {"value": 0.99}
-    assert "up to date" in pipeline_process.run(*TINY).stdout
+    assert "up to date" in pipeline_process.run_here(*TINY).stdout

@@ -15,11 +15,11 @@ from PIL import Image
 from cathsim import NavigateEnv, load_phantom
 from cathsim.metrics.failure_modes import MODES, STUCK
 from cathsim.observations.c_arm_view import CArms
+from enn.imitation.advised_rounds import read_episodes
 from enn.imitation.sequence_cloning import AdvisedEpisode
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
-from pipeline.stages.learning.advised_rounds import read_episodes
 from pipeline.stages.navigation import stage as navigation
 from pipeline.stages.navigation.jobs import NAVIGATOR, Course, cases_in_view, load_navigator, navigate, success_of
 from pipeline.stages.navigation.perception import PerceptionJob, frames_in, load_perception

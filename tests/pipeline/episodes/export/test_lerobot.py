@@ -1,4 +1,4 @@
-"""LeRobotDataset v3: the files as they are described, and as LeRobot itself reads them."""
+"""Exports to LeRobot: what its own reader finds, its statistics and videos."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ import os
 import subprocess
 from pathlib import Path
 
+import imageio_ffmpeg
 import numpy as np
 import pytest
 
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.export.exporting import export_logs
+from pipeline.episodes.export.statistics import GreyStatistics, of_rows, together
+from pipeline.episodes.export.video import GreyVideo
 
 pq = pytest.importorskip("pyarrow.parquet")
 
@@ -93,3 +96,67 @@ def test_lerobot_reads_the_data_set(kind: str, request: pytest.FixtureRequest, t
     read = json.loads(done.stdout.splitlines()[-1])
     assert (read["steps"], read["fps"]) == (15, 10)
     assert read["worst_grey"] <= 8
+
+
+@pytest.mark.parametrize(("size", "stored"), [((48, 64), "yuv420p"), ((47, 65), "yuv444p")])
+def test_pictures_come_back(size: tuple[int, int], stored: str, tmp_path: Path) -> None:
+    rows, columns = np.indices(size)
+    pictures = [((rows * 3 + columns * 2 + 40 * index) % 200 + 30).astype(np.uint8) for index in range(9)]
+    film = GreyVideo(tmp_path / "deep" / "a.mp4", size, 7.5)
+    for picture in pictures:
+        film.add(picture)
+    film.close()
+    film.close()
+    assert film.written_bytes == (tmp_path / "deep" / "a.mp4").stat().st_size
+    frames = imageio_ffmpeg.read_frames(str(tmp_path / "deep" / "a.mp4"), pix_fmt="gray", bits_per_pixel=8)
+    meta = next(frames)
+    assert meta["fps"] == 7.5
+    assert meta["pix_fmt"].startswith(stored)
+    found = [np.frombuffer(frame, np.uint8).reshape(size) for frame in frames]
+    assert len(found) == len(pictures)
+    for one, picture in zip(found, pictures, strict=True):
+        assert np.abs(one.astype(int) - picture).mean() < 3
+
+
+def test_a_film_of_which_nothing_is_written_yet_has_no_size(tmp_path: Path) -> None:
+    film = GreyVideo(tmp_path / "a.mp4", (48, 64), 7.5)
+    film.path = tmp_path / "later.mp4"
+    assert film.written_bytes == 0
+    film.add(np.zeros((48, 64), np.uint8))
+    film.close()
+
+
+def test_rows_against_numpy() -> None:
+    values = np.random.default_rng(0).normal(size=(50, 3))
+    found = of_rows(values)
+    np.testing.assert_allclose(found["mean"], values.mean(axis=0))
+    np.testing.assert_allclose(found["q90"], np.quantile(values, 0.9, axis=0))
+    assert found["count"].tolist() == [50]
+    assert of_rows(values[:, 0])["min"].shape == (1,)
+
+
+def test_a_part_without_numbers_gives_zeros() -> None:
+    values = np.stack([np.full(4, np.nan), [1.0, np.nan, 3.0, 2.0]], axis=1)
+    found = of_rows(values)
+    assert found["mean"].tolist() == [0.0, 2.0]
+    assert found["max"].tolist() == [0.0, 3.0]
+
+
+def test_pictures_against_numpy() -> None:
+    pictures = np.random.default_rng(1).integers(0, 256, (5, 20, 30), np.uint8)
+    greys = GreyStatistics()
+    for picture in pictures:
+        greys.add(picture)
+    found, shares = greys.values(), pictures / 255.0
+    assert found["mean"].shape == (3, 1, 1)
+    np.testing.assert_allclose(found["mean"][0], shares.mean())
+    np.testing.assert_allclose(found["std"][0], shares.std())
+    np.testing.assert_allclose(found["q50"][0], np.quantile(shares, 0.5), atol=1 / 255)
+    assert found["count"].tolist() == [5]
+
+
+def test_together_is_the_statistics_of_all() -> None:
+    values = np.random.default_rng(2).normal(size=(60, 2))
+    found, whole = together([of_rows(values[:10]), of_rows(values[10:])]), of_rows(values)
+    for name in ("min", "max", "mean", "std", "count"):
+        np.testing.assert_allclose(found[name], whole[name])

@@ -1,9 +1,12 @@
-"""The engine of a cluster: results, progress, failures, lost machines, stops, a killed driver."""
+"""Engines: a cluster's, Slurm's and this machine's, and how one is chosen."""
 
 from __future__ import annotations
 
 import json
 import logging
+import shutil
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,13 +14,17 @@ from pathlib import Path
 import pytest
 
 from pipeline.jobs import pool
-from pipeline.jobs.engines.cluster import JOBS, ClusterEngine, end_earlier_jobs
-from pipeline.jobs.engines.settings import RaySettings
+from pipeline.jobs.engines.cluster import JOBS, ClusterEngine, Needs, end_earlier_jobs
+from pipeline.jobs.engines.local import ctrl_c_held_back
+from pipeline.jobs.engines.settings import SETTINGS, RaySettings, SlurmSettings
+from pipeline.jobs.engines.slurm import SlurmExecutor
 from pipeline.jobs.engines.task import Task, run_task
-from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.pool import Job, chosen_engine, run_jobs
 from pipeline.store.costs import kept_costs
 from pipeline.store.errors import StageError
+from pipeline.store.manifest import read_manifest
 from pipeline.store.run_folder import Identity, RunFolder
+from pipeline.store.variants import effective_overrides
 from tests.pipeline.jobs.engines.process_executor import ProcessExecutor
 from tests.pipeline.jobs.toy_training import Toy, square, train
 
@@ -215,3 +222,89 @@ def test_a_machine_that_does_not_see_the_folder_is_named() -> None:
     reason = run_task(Task("/no/such/folder", "", 5.0, "/no/python", "/", {}, b""))
     assert reason is not None
     assert "does not see /no/such/folder: put the project, its environment and runs_dir on a file system" in reason
+
+
+def test_jobs_by_submitit_leave_their_results_and_fail_with_a_sentence(folder: RunFolder, tmp_path: Path) -> None:
+    toys = [Job("good", train, Toy(tmp_path / "good")), Job("bad", train, Toy(tmp_path / "bad", fails="sentence"))]
+    with folder.locked(), chosen_engine(SlurmSettings(manager="local", jobs=2)):
+        folder.prepare()
+        with pytest.raises(StageError, match=r"1 of 2 toys failed: bad \(the toy is broken: mend it\)"):
+            run_jobs(folder, toys, label="toys")
+        again = run_jobs(folder, [toys[0], Job("bad", square, 3)], label="toys")
+    assert again["bad"] == 9
+    assert again["good"]["count"] == 3
+
+
+def test_where_there_is_no_slurm_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: None)
+    with pytest.raises(StageError, match="there is no sbatch on this machine"):
+        SlurmExecutor(SlurmSettings(), tmp_path)
+
+
+def test_a_job_is_submitted_with_what_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from submitit.slurm.slurm import _make_sbatch_string
+
+    monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
+    settings = SlurmSettings(partition="long", account="lab", hours=1.5)
+    cluster = SlurmExecutor(settings, tmp_path)
+    cluster._executor.update_parameters(**cluster.parameters("enn type_1/bca", Needs(2, 1, 4.0)))
+    script = _make_sbatch_string(command="true", folder=tmp_path, **cluster._executor._executor.parameters)
+    for line in (
+        "--job-name=enn_type_1_bca", "--time=90", "--cpus-per-task=2", "--gpus-per-node=1", "--mem=4GB",
+        "--partition=long", "--account=lab", "--no-requeue",
+    ):  # fmt: skip
+        assert f"#SBATCH {line}\n" in script
+
+
+_INTERRUPT_ITSELF = "import os, signal; os.kill(os.getpid(), signal.SIGINT); print('alive')"
+_INTERRUPTED_MEANWHILE = """
+import os, signal
+from pipeline.jobs.engines.local import ctrl_c_held_back
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job comes without it
+try:
+    with ctrl_c_held_back():
+        os.kill(os.getpid(), signal.SIGINT)
+        print("held back")
+except KeyboardInterrupt:
+    print("interrupted", signal.pthread_sigmask(signal.SIG_BLOCK, ()))
+"""
+
+
+def test_a_ctrl_c_while_processes_start_is_not_lost() -> None:
+    process = subprocess.run([sys.executable, "-c", _INTERRUPTED_MEANWHILE], capture_output=True, text=True, check=True)
+    assert process.stdout == "held back\ninterrupted set()\n"
+
+
+def test_what_is_started_does_not_see_it() -> None:
+    with ctrl_c_held_back():
+        process = subprocess.run([sys.executable, "-c", _INTERRUPT_ITSELF], capture_output=True, text=True, check=False)
+    assert (process.stdout, process.stderr, process.returncode) == ("alive\n", "", 0)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["engine=rai"], "unknown engine 'rai': choose one of local, ray, slurm"),
+        (["engine=ray", "engine.retrys=3"], "unknown setting 'engine.retrys' (did you mean engine.retries?)"),
+        (["engine=ray", "engine.retries=-1"], "engine.retries must be 0 or more, got -1"),
+        (["engine.retries=1"], "unknown setting 'engine.retries': engine=local has none"),
+        (["engine=slurm", "engine.manager=pbs"], "engine.manager has no 'pbs': choose from slurm, local"),
+    ],
+)
+def test_what_is_no_engine_is_refused(overrides: list[str], words: str, pipeline_process) -> None:
+    done = pipeline_process.run("stage=report", "budget=smoke", "name=run", *overrides)
+    assert done.returncode == 2
+    assert done.stderr.startswith(words)
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_an_engine_is_no_part_of_the_result(pipeline_process) -> None:
+    assert effective_overrides(["engine=ray", "engine.retries=3", "seed=1"]) == ["seed=1"]
+    for engine in SETTINGS:
+        done = pipeline_process.run("stage=report", "budget=smoke", "name=run", f"engine={engine}")
+        assert done.returncode == 0, done.stderr
+        assert ("up to date" in done.stderr + done.stdout) == (engine != "local")
+    manifest = read_manifest(pipeline_process.runs / "run" / "report")
+    assert manifest is not None
+    assert manifest.variant == []

@@ -9,14 +9,27 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
+from enn.encoder import Encoder, EncoderSettings
+from enn.reinforcement import DESK_PPO, DESK_SAC
+from enn.reinforcement.training.result import Progress
+from pipeline.jobs.worker import Report
 from pipeline.recording.record import record_episode
+from pipeline.stages.baselines import training_settings as of_baselines
 from pipeline.stages.enn import plan
+from pipeline.stages.enn import training_settings as of_enn
+from pipeline.stages.learning import encoders
 from pipeline.stages.learning import plan as training_plan
-from pipeline.stages.learning.settings import EnnSettings
+from pipeline.stages.learning.encoders import EncodersJob, encoder_file, fit_encoders
+from pipeline.stages.learning.settings import BaselinesSettings, EnnSettings, with_hyperparameters
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import repeat
+from pipeline.stages.learning.training import repeat, words
+from pipeline.stages.unseen.roadmap import training_settings as of_unseen
+from pipeline.stages.unseen.settings import UnseenSettings
+from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task
+from tests.pipeline.composed import composed
 from tests.pipeline.stages.small_expert import context
 
 TASK = LearningTask("type_1", "bca", Task(max_steps=3))
@@ -96,3 +109,92 @@ def test_a_policy_of_two_devices_sees_the_feeders(tmp_path: Path) -> None:
     assert job.encoder is not None
     assert job.encoder.name == "joints+image+mask+feeder.pt"
     assert job.task.task.catheter == "vertebral"
+
+
+def test_the_return_stands_beside_the_bar() -> None:
+    assert words(Progress(10, 100, 0.5, -12.34, 0.75, 1.0, 9.0)) == "return -12.3, success 50 %, best 75 %"
+    assert words(Progress(10, 100, None, None, None, 1.0, 9.0)) == ""
+
+
+SETS = (("joints", "image"), ("image", "feeder"))
+
+
+def job(folder: Path, *sets: tuple[str, ...]) -> EncodersJob:
+    task = LearningTask("type_1", "bca", Task(image_size_px=36))
+    return EncodersJob(folder, task, sets, EncoderSettings(epochs=1, seed=3), 120, ())
+
+
+def test_encoders_share_roll_outs_and_are_as_if_alone(tmp_path: Path) -> None:
+    told = fit_encoders(job(tmp_path / "both", *SETS), Report())
+    assert list(told) == ["joints+image", "image+feeder"]
+    for keys in SETS:
+        (alone,) = fit_encoders(job(tmp_path / "alone", keys), Report()).values()
+        name = "+".join(keys)
+        assert {key: value for key, value in told[name].items() if not key.endswith("_s")} == {
+            key: value for key, value in alone.items() if not key.endswith("_s")
+        }
+        one, other = (Encoder.load(encoder_file(tmp_path / place, keys)).state_dict() for place in ("both", "alone"))
+        assert one.keys() == other.keys()
+        assert all(torch.equal(one[part], other[part]) for part in one)
+
+
+def test_an_encoder_that_is_there_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fit_encoders(job(tmp_path, SETS[0]), Report())
+    before = encoder_file(tmp_path, SETS[0]).read_bytes()
+    asked = []
+    samples = encoders._samples
+
+    def only_what_lacks(given, sets, report):
+        asked.extend(sets)
+        return samples(given, sets, report)
+
+    monkeypatch.setattr(encoders, "_samples", only_what_lacks)
+    told = fit_encoders(replace(job(tmp_path, *SETS), samples=60), Report())
+    assert asked == [SETS[1]]
+    assert encoder_file(tmp_path, SETS[0]).read_bytes() == before
+    assert [row["samples"] for row in told.values()] == [120, 60]
+    assert fit_encoders(job(tmp_path, *SETS), Report()) == told
+    assert asked == [SETS[1]]
+
+
+PLACE = {"phantoms": ["type_1"], "targets": ["bca"]}
+CHANGES = {"learning_rate": 3e-4, "n_envs": 4, "hidden": [32, 32]}
+
+
+def test_every_learning_stage_takes_them() -> None:
+    made = [
+        of_baselines(BaselinesSettings(**PLACE, training=CHANGES), "ppo", "internal"),
+        of_enn(EnnSettings(**PLACE, training=CHANGES), 500),
+        of_enn(EnnSettings(**PLACE, training=CHANGES, algorithm="ppo"), 500),
+        of_unseen(UnseenSettings(training=CHANGES), 4, 1000),
+    ]
+    assert [one.algorithm for one in made] == ["ppo", "sac", "ppo", "sac"]
+    for training in made:
+        assert (training.learning_rate, training.n_envs, training.hidden) == (3e-4, 4, (32, 32))
+
+
+def test_without_any_nothing_changes() -> None:
+    assert with_hyperparameters(DESK_SAC, None) is with_hyperparameters(DESK_SAC, {}) is DESK_SAC
+    with pytest.raises(ConfigurationError, match=r"stage\.training must be a mapping"):
+        EnnSettings(**PLACE, training=[1])
+
+
+@pytest.mark.parametrize("stage", ["baselines", "enn", "unseen", "rehearsal"])
+def test_the_command_line_takes_them(stage: str) -> None:
+    words = [f"stage={stage}", "stage.training={learning_rate: 3e-4, hidden: [32, 32]}"]
+    config = composed(*words)
+    assert config.stage.training == {"learning_rate": 3e-4, "hidden": [32, 32]}
+
+
+@pytest.mark.parametrize(
+    ("preset", "changes", "message"),
+    [
+        (DESK_SAC, {"lerning_rate": 1e-3}, "stage.training has no 'lerning_rate': choose from .*learning_rate"),
+        (DESK_SAC, {"decisions": 5}, "stage.training has no 'decisions'"),
+        (DESK_SAC, {"gamma": 2.0}, "stage.training: .*gamma"),
+        (DESK_PPO, {"tau": 0.1}, "stage.training has no 'tau': choose from .*gae_lambda"),
+    ],
+)
+def test_what_cannot_be_is_one_sentence(preset: Any, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        with_hyperparameters(preset, changes)

@@ -13,10 +13,10 @@ from pipeline.stages import segmentation, shape
 from pipeline.stages.guide3d.folder import Source
 from pipeline.stages.networks import training as network_stage
 from pipeline.stages.networks.settings import SegmentationSettings, ShapeSettings
-from pipeline.stages.networks.training import learn_shape, train_network
+from pipeline.stages.networks.training import learn_shape, train_network, train_together
 from pipeline.store.errors import ConfigurationError, StageError
+from tests.enn.event_scalars import scalars
 from tests.guide3d.learning.drawn_data import draw
-from tests.pipeline.event_scalars import scalars
 from tests.pipeline.stages.small_expert import context, in_this_process
 
 
@@ -126,3 +126,30 @@ def test_settings_know_what_the_package_trains() -> None:
 
     assert set(SHAPE_ROWS) | set(SEGMENTATION_ROWS) == set(NETWORKS)
     assert NETWORK_SIZES == SIZES
+
+
+TALKER = """
+import sys
+from pathlib import Path
+sys.stderr.write("much to say\\n" * 30_000)
+Path(sys.argv[1]).write_text("finished")
+"""
+
+
+@pytest.fixture
+def talker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    (tmp_path / "talker.py").write_text(TALKER)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    return "talker"
+
+
+def test_an_error_stream_that_nobody_reads_does_not_stop_the_training(talker: str, tmp_path: Path) -> None:
+    looks: list[str] = []
+    train_together(talker, [str(tmp_path / "written")], 1, lambda share, words="": looks.append(words))
+    assert (tmp_path / "written").read_text() == "finished"
+    assert looks[0] == "1 processes"
+
+
+def test_a_failure_is_told_in_a_sentence() -> None:
+    with pytest.raises(StageError, match=r"torchrun ended with code 1: .*no_such_training"):
+        train_together("no_such_training", [], 1, lambda share, words="": None)

@@ -24,7 +24,7 @@ from pipeline.stages.rehearsal.demonstrations import (
     turn_of,
 )
 from pipeline.stages.rehearsal.stage import plan, shown_by
-from pipeline.stages.rehearsal.starting_policy import advising_policies
+from pipeline.stages.rehearsal.start import advising_policies
 from pipeline.stages.rehearsal.training import train
 from pipeline.store.atomic_files import write_arrays
 from pipeline.task import Task

@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cathsim import load_phantom
+from cathsim.planning import demonstration
+from cathsim.planning.demonstration import demonstrate
 from pipeline.anatomies.devices import set_back_mm
+from pipeline.jobs.worker import Report
 from pipeline.seeds import unseen_arches
 from pipeline.stages.unseen import task as arches
-from pipeline.stages.unseen.plan import plan
-from pipeline.stages.unseen.roadmap import (
-    AnatomiesJob,
-)
-from pipeline.stages.unseen.task import UnseenTask, training_arch
+from pipeline.stages.unseen.demonstrations import DemonstrationsJob, read_demonstrations, record_demonstrations
+from pipeline.stages.unseen.roadmap import AnatomiesJob
+from pipeline.stages.unseen.stage import plan
+from pipeline.stages.unseen.task import ROADMAP_KEYS, UnseenTask, training_arch
 from pipeline.store.errors import ConfigurationError
+from pipeline.task import Task
 from tests.pipeline.stages.unseen.small_unseen import small_settings, variety
 
 
@@ -34,7 +39,7 @@ def test_steep_arches_are_trained_in_and_chosen_by(tmp_path: Path, monkeypatch: 
         assert (list(targets), least_mm, kind) == (["bca", "lcca", "lsa"], 13.0, "random")
         return list(seeds)[::10][:count]
 
-    monkeypatch.setattr("pipeline.stages.unseen.plan.with_steep_take_off", every_tenth)
+    monkeypatch.setattr("pipeline.stages.unseen.stage.with_steep_take_off", every_tenth)
     wanted = small_settings(least_set_back_mm=13.0, image=False, xray=False, curve=[], test_anatomies=5)
     jobs = {job.key: job.given for job in plan(wanted, tmp_path, 1, "desk")}
     assert jobs["roadmap"].anatomies == tuple(range(1000, 1080, 10))
@@ -78,3 +83,33 @@ def test_environments_of_arch_variety_have_its_pace_and_points() -> None:
         assert environment.simulation.pace.interval == pytest.approx(1 / 7.5)
         assert environment.task.success_radius == pytest.approx(0.005)
         environment.close()
+
+
+TASK = UnseenTask(("bca", "lcca"), Task(wire_length_mm=312.0, max_steps=24))
+
+
+def test_what_is_demonstrated_is_what_the_training_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    environment = TASK.training_environment((0,), ROADMAP_KEYS)
+    made = demonstrate(environment, 1, ROADMAP_KEYS, hold=4, seed=3)
+
+    tries = []
+    monkeypatch.setattr(
+        demonstration, "demonstrate", lambda *_, **__: tries.append(1) or {**made, "terminated": np.array(True)}
+    )
+    job = DemonstrationsJob(tmp_path, TASK, (0,), (0,), "lcca", hold=4, seed=3)
+    assert record_demonstrations(job, Report()) == {"shown": 1, "reached": 1}
+    assert record_demonstrations(job, Report()) == {"shown": 1, "reached": 1}
+    assert len(tries) == 1  # what is there is not made again
+    (read,) = read_demonstrations(tmp_path, (0, 7))
+    np.testing.assert_array_equal(read.observations["roadmap"], made["roadmap"])
+    np.testing.assert_array_equal(read.simulation_states, made["states"])
+    assert read_demonstrations(tmp_path, (7,)) == []
+
+
+def test_failures_are_kept_but_not_learnt_from(tmp_path: Path) -> None:
+    job = DemonstrationsJob(
+        tmp_path, replace(TASK, task=replace(TASK.task, max_steps=8)), (0,), (0,), "bca", hold=4, seed=0
+    )
+    assert record_demonstrations(job, Report()) == {"shown": 1, "reached": 0}
+    assert [path.name for path in tmp_path.iterdir()] == ["bca_0.npz"]
+    assert read_demonstrations(tmp_path, (0,)) == []

@@ -20,7 +20,6 @@ from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.stages.unseen.demonstrations import StartsJob, lay_starts, read_starts
 from pipeline.stages.unseen.image_policy import train_image_policy
-from pipeline.stages.unseen.plan import plan
 from pipeline.stages.unseen.roadmap import (
     AnatomiesJob,
     RoadmapJob,
@@ -28,7 +27,7 @@ from pipeline.stages.unseen.roadmap import (
     train_roadmap,
     training_settings,
 )
-from pipeline.stages.unseen.stage import check_unseen, curve
+from pipeline.stages.unseen.stage import check_unseen, curve, plan
 from pipeline.stages.unseen.task import UnseenTask, training_arch
 from pipeline.task import Task
 from tests.pipeline.stages.unseen.small_unseen import TASK, TESTS, image_job, small_settings

@@ -1,13 +1,9 @@
-"""Advised episodes: teacher or policy steers while the teacher says at each decision what it would do, round by round.
-
-Source: S. Ross, G. Gordon, D. Bagnell, A reduction of imitation learning and structured prediction to no-regret online
-learning, AISTATS 2011, algorithm 3.1.
-"""
+"""Advised episodes: teacher or policy steers while the teacher says at each decision what it would do."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
@@ -17,12 +13,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from enn.imitation.recurrent_policy import Begin, Perception, RecurrentPolicy, RecurrentPolicySettings
-from enn.imitation.sequence_cloning import AdvisedEpisode, SequenceCloningSettings, clone_sequences
+from enn.imitation.sequence_cloning import AdvisedEpisode
 from enn.policy import Policy
 
 SIDE_BY_SIDE = 12  # episodes played together, so that networks see them in batches
-TEACHER_SHARE, NOISE = 0.1, 0.1  # of a round: share of the episodes that the teacher steers, noise of the actions
-FIRST_TEACHER_SHARE, FIRST_NOISE = 1.0, 0.3  # where nothing was learnt before
 
 
 @dataclass(frozen=True)
@@ -98,56 +92,6 @@ def play_advised(
         running = still
         tick(len(episodes))
     return episodes
-
-
-@dataclass(frozen=True)
-class AdvisedRound:
-    """What a round came to.
-
-    Attributes:
-        number: from 0.
-        loss: mean of the last epoch of its fit.
-    """
-
-    number: int
-    new: list[AdvisedEpisode]
-    loss: float
-
-
-def advised_rounds(
-    policy: RecurrentPolicy,
-    episodes: list[AdvisedEpisode],
-    play: Callable[[int, float, float], list[AdvisedEpisode]],
-    settings: SequenceCloningSettings,
-    *,
-    rounds: range,
-    seed_of: Callable[[int], int],
-    progress: Callable[[int, int, float], None] = lambda number, epoch, loss: None,
-) -> Iterator[AdvisedRound]:
-    """Rounds of DAgger: the policy steers most episodes, the teacher advises, and the policy is fitted to all so far.
-
-    Args:
-        episodes: learnt before; those of the rounds are added.
-        play: takes a round's number, the share of its episodes that the teacher steers and the noise of the actions.
-        settings: of each fit; the last round has twice as many epochs.
-        rounds: numbers of the rounds to play, from 0 or from the first that is missing to the last.
-        seed_of: a round's number to the seed of its fit.
-        progress: called with a round's number, the epoch from 1, and its mean loss.
-
-    Yields:
-        Each round once the policy has been fitted.
-    """
-    for number in rounds:
-        first = number == 0 and not episodes
-        new = play(number, FIRST_TEACHER_SHARE if first else TEACHER_SHARE, FIRST_NOISE if first else NOISE)
-        episodes += new
-        fit = replace(settings, epochs=settings.epochs * (2 if number == rounds.stop - 1 else 1))
-
-        def report(epoch: int, loss: float, number: int = number) -> None:
-            progress(number, epoch, loss)
-
-        losses = clone_sequences(policy, episodes, fit, seed=seed_of(number), progress=report)
-        yield AdvisedRound(number, new, losses[-1])
 
 
 def _joined(states: Sequence[Tensor | None], policy: RecurrentPolicy) -> Tensor:

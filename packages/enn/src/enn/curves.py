@@ -1,6 +1,6 @@
 """Curves of a training for TensorBoard, as it goes: event files in `tensorboard/` of its folder.
 
-Policies that learn by reinforcement write theirs themselves (`enn.reinforcement.training.result`).
+Policies that learn by reinforcement write more (`enn.reinforcement.training.result`).
 """
 
 from __future__ import annotations

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from enn.reinforcement.training.result import Progress
-from pipeline.recording.curves import Curves
-from pipeline.stages.learning.training import words
-from tests.pipeline.event_scalars import scalars
+from enn.curves import Curves
+from tests.enn.event_scalars import scalars
 
 
 def test_scalars_keep_name_step_and_value_and_go_on(tmp_path: Path) -> None:
@@ -25,8 +23,3 @@ def test_nothing_is_written_where_nothing_is_measured(tmp_path: Path) -> None:
     with Curves(tmp_path):
         pass
     assert not list(tmp_path.iterdir())
-
-
-def test_the_return_stands_beside_the_bar() -> None:
-    assert words(Progress(10, 100, 0.5, -12.34, 0.75, 1.0, 9.0)) == "return -12.3, success 50 %, best 75 %"
-    assert words(Progress(10, 100, None, None, None, 1.0, 9.0)) == ""

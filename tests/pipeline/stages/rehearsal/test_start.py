@@ -1,9 +1,10 @@
-"""The devices of a rehearsal: which policies are tried, what is chosen from how they fare, and what is not tried."""
+"""What a rehearsal starts from: devices by trials of policies, the policy, and what a newton costs."""
 
 from __future__ import annotations
 
 import dataclasses
 import logging
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,23 @@ import pytest
 
 from cathsim import load_phantom
 from enn.device_trials import Trial, Tried, try_in_copies
+from enn.shipped import weight_files
 from pipeline.jobs.worker import Report
 from pipeline.seeds import training_copies
-from pipeline.stages.rehearsal import devices
-from pipeline.stages.rehearsal.devices import try_devices, with_chosen_devices
+from pipeline.stages.rehearsal import start
 from pipeline.stages.rehearsal.settings import RehearsalSettings
+from pipeline.stages.rehearsal.stage import run_rehearsal
+from pipeline.stages.rehearsal.start import (
+    advising_policies,
+    policy_hashes,
+    starting_policy,
+    try_devices,
+    with_chosen_devices,
+    with_devices_of,
+)
+from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task
+from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, TINY
 from tests.pipeline.stages.small_expert import context
 
 BY_SHAPE = Task(catheter="pigtail")  # what nothing else gives
@@ -46,9 +58,9 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
                 assert set(trials) == {trials[0]}
                 return outcomes[trials[0] + " again" * (len(trials) > 2)]
 
-        monkeypatch.setattr(devices, "run_jobs", run)
+        monkeypatch.setattr(start, "run_jobs", run)
         monkeypatch.setattr("enn.device_trials.Tried", Told)
-        monkeypatch.setattr(devices, "with_catheter_where_steep", lambda *_, choose: BY_SHAPE)
+        monkeypatch.setattr(start, "with_catheter_where_steep", lambda *_, choose: BY_SHAPE)
         settings = RehearsalSettings(**changed)
         return with_chosen_devices(settings, context(tmp_path, "rehearsal"), phantom, target, task or Task())
 
@@ -142,9 +154,9 @@ def test_a_trial_plays_the_policy_in_copies_that_the_training_has_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     task = Task(max_steps=6)
-    named = {devices.WIRE_ALONE: task}
-    (given,) = devices._trials(RehearsalSettings(task=task), context(tmp_path, "rehearsal"), "bca", named).values()
-    assert given.copies == tuple(training_copies(0, 2 * devices.TRIALS))
+    named = {start.WIRE_ALONE: task}
+    (given,) = start._trials(RehearsalSettings(task=task), context(tmp_path, "rehearsal"), "bca", named).values()
+    assert given.copies == tuple(training_copies(0, 2 * start.TRIALS))
     assert given.start is not None
     assert given.start.stem == "generalist"
     played: list[Sequence[int]] = []
@@ -153,7 +165,76 @@ def test_a_trial_plays_the_policy_in_copies_that_the_training_has_too(
         played.append(cases)
         return try_in_copies(*arguments, cases=cases[:1], **further)
 
-    monkeypatch.setattr(devices, "try_in_copies", noted)
+    monkeypatch.setattr(start, "try_in_copies", noted)
     trials = [one for part in range(4) for one in try_devices(dataclasses.replace(given, part=part), Report())]
     assert [(reached, len(forces)) for reached, forces in trials] == 4 * [(False, 6)]
     assert [list(cases) for cases in played] == [list(range(k, k + 8, 2)) for k in (0, 1, 8, 9)]
+
+
+OF_SIMMONS = next(file for file in weight_files() if file.stem == "generalist_simmons2")
+
+
+def test_the_policy_of_the_run_comes_before_a_shipped_one(tmp_path: Path) -> None:
+    alone, shipped = Task(), GENERALIST
+    assert starting_policy(RehearsalSettings(), tmp_path, 0, alone) == shipped
+    file = tmp_path / "unseen/roadmap/seed0/policy.pt"
+    file.parent.mkdir(parents=True)
+    shutil.copy(shipped, file)
+    assert starting_policy(RehearsalSettings(), tmp_path, 0, alone) == file
+    hashes = policy_hashes(tmp_path)
+    assert hashes["unseen/roadmap/seed0/policy.pt"] == hashes[f"shipped/{shipped.name}"]
+    assert policy_hashes(tmp_path / "elsewhere") == {k: v for k, v in hashes.items() if k.startswith("shipped/")}
+    assert starting_policy(RehearsalSettings(fresh=True), tmp_path, 0, alone) is None
+    assert starting_policy(RehearsalSettings(policy=str(shipped)), tmp_path, 0, alone) == shipped
+    file.write_bytes(b"x")
+    with pytest.raises(ValueError, match=r"policy\.pt"):
+        starting_policy(RehearsalSettings(), tmp_path, 0, alone)
+
+
+def test_a_policy_of_other_actions_is_not_started_from(tmp_path: Path) -> None:
+    assert starting_policy(RehearsalSettings(), tmp_path, 0, Task(pace="arch_variety")) is None  # without critics
+    for task in (Task(catheter="jb2", wire="none"), Task(actions="tip_motors")):
+        assert starting_policy(RehearsalSettings(), tmp_path, 0, task) is None
+        assert advising_policies(tmp_path, 0, task, None) == []
+    assert starting_policy(RehearsalSettings(algorithm="ppo"), tmp_path, 0, Task()) is None
+
+
+def test_a_catheter_without_a_policy_is_steered_by_those_of_others(tmp_path: Path) -> None:
+    asked = {}
+    for catheter in ("simmons2", "simmons2_4f", "vertebral"):
+        task = Task(catheter=catheter)
+        start = starting_policy(RehearsalSettings(), tmp_path, 0, task)
+        asked[catheter] = [path.stem for path in advising_policies(tmp_path, 0, task, start)]
+    assert asked["simmons2"] == ["generalist_simmons2", "navigator_simmons2"]  # a catheter's own policies are enough
+    assert asked["simmons2_4f"] == asked["simmons2"]  # of the same shape in another size
+    assert asked["vertebral"] == ["generalist_jb2", "generalist_simmons2"]
+
+
+def test_a_given_policy_brings_its_catheter_where_none_is_named() -> None:
+    assert with_devices_of(GENERALIST, Task()) == Task()
+    assert with_devices_of(OF_SIMMONS, Task(max_steps=7)) == Task(catheter="simmons2", max_steps=7)
+    assert with_devices_of(OF_SIMMONS, Task(catheter="jb2")) == Task(catheter="jb2")
+
+
+def test_a_given_policy_of_a_wire_alone_does_not_steer_a_catheter(tmp_path: Path) -> None:
+    settings = RehearsalSettings(**TINY | {"policy": str(GENERALIST), "catheter": "jb2"})
+    with pytest.raises(ConfigurationError, match="steers a wire alone, the task has a catheter, too: give another"):
+        run_rehearsal(settings, context(tmp_path, "rehearsal"))
+
+
+def test_a_newton_costs_more_with_two_devices_unless_the_settings_say() -> None:
+    task, both = Task(), Task(catheter="jb2")
+    assert [RehearsalSettings().price_of_force(one) for one in (task, both)] == [0.1, 0.3]
+    assert [RehearsalSettings(force_penalty=0.0).price_of_force(one) for one in (task, both)] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("tried", "price"),
+    [(Tried(4, 4, 60.0, 0.5), 1.0), (Tried(4, 4, 60.0, 0.2), 0.1), (Tried(3, 4, 60.0, 0.5), 0.1), (None, 0.1)],
+    ids=["presses", "presses little", "does not always arrive", "not tried"],
+)
+def test_a_newton_costs_more_where_the_wire_alone_always_arrives_and_presses(tried: Tried | None, price: float) -> None:
+    settings = RehearsalSettings()
+    assert settings.price_of_force(Task(), tried) == price
+    assert settings.price_of_force(Task(catheter="jb2"), tried) == 0.3
+    assert RehearsalSettings(force_penalty=0.2).price_of_force(Task(), tried) == 0.2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.recording.curves import FOLDER
+from enn.curves import FOLDER
 
 
 def scalars(training: Path) -> dict[str, dict[int, float]]:

@@ -1,0 +1,189 @@
+"""Chains of stages: steps, the command line, stages beside each other, and how a chain ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from pipeline.chain import Step, concerns, main, steps_of, steps_to_the_end, waits_for, worded
+from pipeline.stages import available_stages
+from pipeline.store.manifest import read_manifest
+from tests.conftest import PipelineProcess
+
+
+def test_settings_concern_the_stages_that_have_them() -> None:
+    assert concerns("stage.device=cuda", "enn")
+    assert not concerns("stage.device=cuda", "phantoms")
+    assert concerns("++stage.task.max_steps=5", "expert")
+    assert not concerns("stage.task.max_steps=5", "shape")
+    assert concerns("stage@enn.decisions=5", "enn")
+    assert not concerns("stage@enn.decisions=5", "baselines")
+    assert not concerns("stage@enn.nothing=5", "enn")
+    assert concerns("budget=smoke", "phantoms")
+
+
+def test_several_seeds_repeat_the_stages_whose_figures_depend_on_them() -> None:
+    steps = steps_of(["phantoms", "shape", "report"], 3)
+    assert list(map(str, steps)) == ["phantoms", "shape", "shape with seed 1", "shape with seed 2", "report"]
+    assert steps_of(["shape"], 1) == [Step("shape")]
+    repeated = [step.stage for step in steps_of(available_stages(), 2) if step.seed == 1]
+    assert repeated == ["imitation", "force", "unseen", "shape", "splineformer", "navigation"]
+
+
+def test_a_step_waits_for_what_it_reads_and_the_report_for_all() -> None:
+    steps = steps_of(
+        ["phantoms", "guide3d", "segmentation", "shape", "splineformer", "unseen", "rehearsal", "report"], 2
+    )
+    needs = {str(step): [str(steps[k]) for k in waits_for(steps, place)] for place, step in enumerate(steps)}
+    assert needs["guide3d"] == []
+    assert needs["shape with seed 1"] == ["guide3d"]
+    assert needs["splineformer"] == ["guide3d", "segmentation"]
+    assert needs["rehearsal"] == ["unseen", "unseen with seed 1"]
+    assert needs["report"] == list(needs)[:-1]
+
+
+def test_the_longest_chain_of_steps_that_wait_for_each_other() -> None:
+    steps = [Step("phantoms"), Step("expert"), Step("enn"), Step("guide3d"), Step("shape"), Step("report")]
+    assert steps_to_the_end(steps) == [4, 3, 2, 3, 2, 1]
+    # the same stage with other seeds is not waited for
+    assert steps_to_the_end([Step("shape"), Step("shape", 1)]) == [1, 1]
+
+
+def test_stages_that_do_not_need_each_other_run_at_the_same_time(pipeline_process) -> None:
+    process = start(
+        pipeline_process, "--beside", "2", "phantoms", "user_study", "report", "--", "budget=smoke", "name=run"
+    )
+    told, errors = process.communicate(timeout=240)
+    assert process.returncode == 0, errors
+    lines = told.splitlines()
+    heads = [line.partition(";")[0] for line in lines if line.startswith("== ")]
+    assert heads[:3] == ["== stage 1 of 3: phantoms", "== stage 2 of 3: user_study", "== stage 3 of 3: report"]
+    assert heads[3].startswith("== all 3 stages in ")
+    second = lines.index(next(line for line in lines if line.startswith("== stage 2")))
+    assert not any("done in" in line for line in lines[:second])
+    whole = lines + errors.splitlines()
+    assert any(line.startswith("phantoms | ") and "done in" in line for line in whole)
+    assert any(line.startswith("user_study | ") and "done in" in line for line in whole)
+    assert all(line.startswith(("== ", "phantoms | ", "user_study | ", "report | ")) for line in whole if line)
+    finished = [read_manifest(pipeline_process.runs / "run" / name) for name in ("phantoms", "user_study", "report")]
+    assert None not in finished
+    phantoms, study, report = (manifest.finished for manifest in finished if manifest is not None)
+    assert report >= max(phantoms, study)
+
+
+def test_the_failure_of_one_stops_those_beside_it(pipeline_process) -> None:
+    process = start(pipeline_process, "--beside", "2", "phantoms", "enn", "report", "--", "budget=desk", "name=run")
+    told, errors = process.communicate(timeout=240)
+    assert process.returncode == 2
+    assert any(line.startswith("enn | ") and "expert" in line for line in errors.splitlines())
+    assert "report" not in told
+    assert not (pipeline_process.runs / "run" / "phantoms" / "manifest.json").exists()
+    assert "Traceback" not in errors
+
+
+def test_ctrl_c_ends_all_of_them(pipeline_process) -> None:
+    process = start(pipeline_process, "--beside", "2", "phantoms", "guide3d", "--", "budget=desk", "name=run")
+    try:
+        folders = [pipeline_process.runs / "run" / name for name in ("phantoms", "guide3d")]
+        deadline = time.monotonic() + 120
+        while not all((folder / ".lock").exists() for folder in folders):
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        os.killpg(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=90)
+    finally:
+        process.kill()
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    assert not any((folder / "manifest.json").exists() for folder in folders)
+
+
+@pytest.mark.parametrize(
+    ("minutes", "words"), [(0.5, "30 s"), (12.4, "12 min"), (59.6, "1 h 00 min"), (125, "2 h 05 min")]
+)
+def test_durations_are_worded(minutes: float, words: str) -> None:
+    assert worded(minutes) == words
+
+
+def test_stages_run_in_order_and_are_told(pipeline_process) -> None:
+    words = ("user_study", "report", "--", "budget=smoke", "name=run", "stage@report.embed_limit_mb=2")
+    process = start(pipeline_process, *words)
+    told, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    lines = [line for line in told.splitlines() if line.startswith("==")]
+    assert lines[0] == "== stage 1 of 2: user_study"
+    assert lines[1].startswith("== stage 2 of 2: report; 1 done in ")
+    assert lines[2].startswith("== all 2 stages in ")
+    manifest = read_manifest(pipeline_process.runs / "run" / "report")
+    assert manifest is not None
+    assert manifest.config["embed_limit_mb"] == 2.0  # a setting goes to the stages that have it
+    assert (pipeline_process.runs / "run" / "report" / "index.html").is_file()
+
+
+def test_the_first_stage_that_fails_ends_it(pipeline_process) -> None:
+    process = start(pipeline_process, "enn", "report", "--", "budget=smoke", "name=run")
+    told, errors = process.communicate(timeout=120)
+    assert process.returncode == 2
+    assert "expert" in errors.strip().splitlines()[-1]  # which is missing
+    assert "report" not in told
+    assert not (pipeline_process.runs / "run" / "report").exists()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_the_stage_and_starts_no_other(number: signal.Signals, code: int, pipeline_process) -> None:
+    process = start(pipeline_process, "phantoms", "report", "--", "budget=desk", "name=run")
+    try:
+        progress = pipeline_process.runs / "run" / "phantoms" / ".progress"
+        deadline = time.monotonic() + 60
+        while not list(progress.glob("item-*.json")):
+            assert process.poll() is None, process.communicate()
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        if number == signal.SIGINT:
+            os.killpg(process.pid, number)  # a terminal sends it to the stage, too
+        else:
+            process.send_signal(number)
+        told, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == code
+    assert "Traceback" not in errors
+    assert "stage 2" not in told
+    assert not (pipeline_process.runs / "run" / "phantoms" / "manifest.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["--seeds", "0", "report"], "--seeds needs a whole number from 1 to 20, got '0'"),
+        (["report", "--seeds"], "--seeds needs a whole number from 1 to 20, got 'nothing'"),
+        (["--beside", "65", "report"], "--beside needs a whole number from 1 to 64, got '65'"),
+        (["--seeds", "2", "report", "--", "seed=4"], "--seeds counts from seed 0 on: leave seed=… out, or --seeds"),
+        (["all", "name=a"], "name=a is no stage: settings stand behind --, after the stages"),
+        (["phantoms", "phantom"], "unknown stage 'phantom': choose from all, phantoms, "),
+        ([], "no stage is named: choose from all, phantoms, "),
+        (
+            ["user_study", "report", "--", "stage.devise=cuda"],
+            "no stage of the chain has the setting 'stage.devise=cuda': name its stage, or leave it out",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused(words: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(problem)
+
+
+def start(pipeline_process: PipelineProcess, *arguments: str) -> subprocess.Popen[str]:
+    """A chain in a process group of its own, which a test may interrupt."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "pipeline.chain", *arguments, f"runs_dir={pipeline_process.runs}"],
+        env=pipeline_process.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True, preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
