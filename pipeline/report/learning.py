@@ -17,8 +17,7 @@ from pipeline.evaluations.logs import (
     read_logs,
     stage_of,
 )
-from pipeline.evaluations.statistics import shortest_paths
-from pipeline.evaluations.tables import OWN_TABLES, learning_tables
+from pipeline.evaluations.tables import OWN_TABLES, learning_tables, shortest_paths
 from pipeline.report.learning_figures import Material, draw_learning
 from pipeline.report.learning_plots import read_curves
 from pipeline.report.tables import join_sweep

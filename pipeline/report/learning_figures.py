@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.evaluations.forces import episode_forces
 from pipeline.evaluations.logs import DETERMINISTIC, Evaluation
-from pipeline.evaluations.statistics import counted, of_mode
-from pipeline.evaluations.tables import EXPERT_ROW, named_rows, row_place
+from pipeline.evaluations.tables import EXPERT_ROW, counted, named_rows, of_mode, row_place
 from pipeline.plots import forces
 from pipeline.plots.canvas import MM
 from pipeline.report import learning_plots as plots

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 import re
 from collections.abc import Callable
 from dataclasses import field
 from typing import Annotated, Any, TypeVar, dataclass_transform
 
-from annotated_types import Ge, Gt, Le
-from pydantic import AfterValidator, ConfigDict, ValidationError
+from annotated_types import Ge, Gt, Le, Len
+from pydantic import AfterValidator, ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from pipeline.store.errors import ConfigurationError
@@ -205,57 +204,35 @@ NoisePixels = Annotated[float, Ge(0), Le(100)]
 Weight = Annotated[float, Ge(0), Le(1e6)]
 
 
-def _branch_names(value: Any) -> Any:
-    """Accepts None, a mapping from names to names, or a list of names."""
-    if value is None:
-        return None
-    names = [*value, *value.values()] if isinstance(value, dict) else value
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise ValueError(f"must be a mapping such as {{lcca: lsa}} or a list of names, got {shown(value)}")
-    for name in names:
-        folder_name(name)
-    return value
+def _read_as(kind: Any, words: str, made: Callable[[Any], Any] = lambda value: value) -> Any:
+    """A setting of a type that OmegaConf does not know, None always among its values, made into what stages take."""
+    adapter = TypeAdapter[Any](kind | None, config=ConfigDict(allow_inf_nan=False, strict=True))
+
+    def check(value: Any) -> Any:
+        try:
+            return None if value is None else made(adapter.validate_python(value))
+        except ValidationError as error:
+            ours = [str(one["ctx"]["error"]) for one in error.errors() if one["type"] == "value_error"]
+            raise ValueError(ours[0] if ours else f"must be {words}, got {shown(value)}") from None
+
+    return Annotated[Any, AfterValidator(check)]
 
 
-def _hyperparameters(value: Any) -> Any:
-    """Accepts None, or a mapping from names to values."""
-    if value is not None and not (isinstance(value, dict) and all(isinstance(name, str) for name in value)):
-        raise ValueError(f"must be a mapping such as {{learning_rate: 3e-4}}, got {shown(value)}")
-    return value
+def _with_text_keys(labels: dict[int | str, str | None]) -> dict[str, str | None]:
+    return {str(label): vessel for label, vessel in labels.items()}
 
 
-def _vessel_labels(value: Any) -> Any:
-    """Accepts None, or a mapping from labels to vessels' names or null; its keys become text."""
-    if value is None:
-        return None
-    if not isinstance(value, dict) or not value:
-        raise ValueError(f"must be a mapping such as {{3: aorta, 9: lsa}}, got {shown(value)}")
-    for label, vessel in value.items():
-        if isinstance(label, bool) or not isinstance(label, int | str) or not isinstance(vessel, str | None):
-            raise ValueError(f"must lead from labels to names of vessels or null, got {shown({label: vessel})}")
-        if vessel is not None:
-            folder_name(vessel)
-    return {str(label): vessel for label, vessel in value.items()}
+_SOME = Len(1)
+_NAMES = Annotated[dict[FolderName, FolderName], _SOME] | Annotated[list[FolderName], _SOME]
+_LABELS = Annotated[dict[int | str, FolderName | None], _SOME]
+_PLACE = "a name such as descending or lsa_end, or a point [x,y,z] in mm"
 
-
-def _entry_place(value: Any) -> Any:
-    """Accepts None, a name, or three coordinates."""
-    if value is None:
-        return None
-    if isinstance(value, str):
-        return folder_name(value)
-    numbers = value if isinstance(value, list) else []
-    if len(numbers) != 3 or not all(
-        isinstance(one, int | float) and not isinstance(one, bool) and math.isfinite(one) for one in numbers
-    ):
-        raise ValueError(f"must be a name such as descending or lsa_end, or a point [x,y,z] in mm, got {shown(value)}")
-    return [float(one) for one in numbers]
-
-
-Hyperparameters = Annotated[Any, AfterValidator(_hyperparameters)]  # fields of enn's SacSettings or PpoSettings
-BranchNames = Annotated[Any, AfterValidator(_branch_names)]  # of a mesh's branches
-VesselLabels = Annotated[Any, AfterValidator(_vessel_labels)]  # of a label volume
-EntryPlace = Annotated[Any, AfterValidator(_entry_place)]
+# fields of enn's SacSettings or PpoSettings
+Hyperparameters = _read_as(dict[str, Any], "a mapping such as {learning_rate: 3e-4}")
+BranchNames = _read_as(_NAMES, "a mapping such as {lcca: lsa} or a list of names")  # of a mesh's branches
+# of a label volume
+VesselLabels = _read_as(_LABELS, "a mapping such as {3: aorta, 9: lsa} to names or null", _with_text_keys)
+EntryPlace = _read_as(FolderName | Annotated[list[float], Len(3, 3)], _PLACE)
 
 
 @validated()

@@ -15,6 +15,8 @@ from pipeline.stages import available_stages
 from pipeline.store.manifest import read_manifest
 from tests.conftest import PipelineProcess
 
+COARSE = ("stage@phantoms.picture=false", "stage@phantoms.resolution_mm=2.5")
+
 
 def test_settings_concern_the_stages_that_have_them() -> None:
     assert concerns("stage.device=cuda", "enn")
@@ -55,9 +57,8 @@ def test_the_longest_chain_of_steps_that_wait_for_each_other() -> None:
 
 
 def test_stages_that_do_not_need_each_other_run_at_the_same_time(pipeline_process) -> None:
-    process = start(
-        pipeline_process, "--beside", "2", "phantoms", "user_study", "report", "--", "budget=smoke", "name=run"
-    )
+    words = ("phantoms", "user_study", "report", "--", "budget=smoke", "name=run", *COARSE)
+    process = start(pipeline_process, "--beside", "2", *words)
     told, errors = process.communicate(timeout=240)
     assert process.returncode == 0, errors
     lines = told.splitlines()
@@ -137,7 +138,7 @@ def test_the_first_stage_that_fails_ends_it(pipeline_process) -> None:
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_ends_the_stage_and_starts_no_other(number: signal.Signals, code: int, pipeline_process) -> None:
-    process = start(pipeline_process, "phantoms", "report", "--", "budget=desk", "name=run")
+    process = start(pipeline_process, "phantoms", "report", "--", "budget=desk", "name=run", *COARSE)
     try:
         progress = pipeline_process.runs / "run" / "phantoms" / ".progress"
         deadline = time.monotonic() + 60

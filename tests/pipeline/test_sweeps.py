@@ -17,7 +17,7 @@ from tests.conftest import PipelineProcess
 RAY = importlib.util.find_spec("hydra_plugins") and importlib.util.find_spec("hydra_plugins.hydra_ray_launcher")
 COMMON = ("budget=smoke", "name=sweep")
 EXPERT = ("stage=expert", *COMMON, "stage.episodes=1", "stage.evaluation_episodes=1", "stage.film=false",
-          "phantom.name=type_1", "target=bca", "task.max_steps=4")  # fmt: skip
+          "stage.phantoms=[type_1]", "stage.targets=[bca]", "stage.task.max_steps=4")  # fmt: skip
 VALIDATE = ("stage=validate", *COMMON, "stage.speed_steps=3", "stage.speed_rounds=1", "stage.physics=false")
 
 

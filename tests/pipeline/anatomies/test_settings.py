@@ -76,8 +76,14 @@ def test_navigation_keeps_what_is_learnt_in_out_of_the_transfer(mesh: Path) -> N
         ({"file": __file__, "phantom": "type_1"}, "phantom.file brings the anatomy: leave out phantom.name"),
         ({"target": "bca", "point_mm": [0.0, 0.0, 0.0]}, "stage.point_mm is the target: leave out target"),
         ({"point_mm": [0.0, 1.0]}, "stage.point_mm"),
-        ({"labels": {1.5: "aorta"}}, "stage.labels must lead from labels to names of vessels or null, got"),
-        ({"labels": "aorta"}, "stage.labels must be a mapping such as {3: aorta, 9: lsa}, got 'aorta'"),
+        (
+            {"labels": {1.5: "aorta"}},
+            "stage.labels must be a mapping such as {3: aorta, 9: lsa} to names or null, got",
+        ),
+        (
+            {"labels": "aorta"},
+            "stage.labels must be a mapping such as {3: aorta, 9: lsa} to names or null, got 'aorta'",
+        ),
         ({"labels": {3: "../x"}}, "stage.labels cannot be '../x'"),
         ({"entry": [1.0, float("nan"), 2.0]}, "stage.entry must be a name such as descending or lsa_end, or a point"),
         ({"entry": "a b"}, "stage.entry cannot be 'a b'"),

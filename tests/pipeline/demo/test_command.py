@@ -48,9 +48,7 @@ def test_an_episode_leaves_log_films_and_page(tmp_path: Path, capsys: pytest.Cap
 
 
 def test_a_surface_of_ones_own_and_the_roadmap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    surface = load_phantom("type_1", resolution=2e-3).lumen_mesh.copy()
-    surface.apply_scale(1e3)
-    surface.export(tmp_path / "arch.stl")
+    load_phantom("type_1", resolution=2e-3).lumen_mesh.export(tmp_path / "arch.stl")
     own = ("--anatomy", str(tmp_path / "arch.stl"), "--model", "generalist")
     refused = one_sentence(capsys, *own, "--target", "spleen")
     assert refused.startswith("arch.stl has no target 'spleen': choose --target from ")

@@ -129,8 +129,7 @@ def test_what_there_is_not_is_refused(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_the_patients_ct_is_what_the_navigator_sees_around_the_vessels(tmp_path: Path) -> None:
-    surface = load_phantom("type_1", resolution=2e-3).lumen_mesh.copy()
-    surface.export(tmp_path / "arch.stl")
+    load_phantom("type_1", resolution=2e-3).lumen_mesh.export(tmp_path / "arch.stl")
     own = {"anatomy": str(tmp_path / "arch.stl"), "target": "bca"}
     bath = open_scene("navigator", **own)
     ct = ct_of(bath.environment.phantom, tmp_path / "ct.nii.gz")

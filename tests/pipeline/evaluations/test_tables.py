@@ -11,8 +11,7 @@ import pytest
 import pipeline.evaluations.logs as reading_module
 from cathsim.metrics.episodes import wilson_interval
 from pipeline.evaluations.logs import changed_settings, evaluation_folders, read_evaluation, read_logs
-from pipeline.evaluations.statistics import shortest_paths
-from pipeline.evaluations.tables import learning_tables, log_summary, tables_from_logs
+from pipeline.evaluations.tables import learning_tables, log_summary, shortest_paths, tables_from_logs
 from pipeline.report.tables import report_tables
 from pipeline.store.errors import StageError
 from pipeline.tables import check_cell

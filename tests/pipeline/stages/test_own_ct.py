@@ -45,8 +45,8 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """The settings of an arch and of its CT."""
     folder = tmp_path_factory.mktemp("scan")
     load_phantom("type_1", resolution=2e-3).lumen_mesh.export(folder / "arch.stl")
-    own = AnatomyFile.of(str(folder / "arch.stl"), "m")
-    return {"file": own.path, "unit": "m", "ct": str(ct_of(own.load(), folder / "ct.nii.gz"))}
+    own = AnatomyFile.of(str(folder / "arch.stl"))
+    return {"file": own.path, "ct": str(ct_of(own.load(), folder / "ct.nii.gz"))}
 
 
 def test_the_stage_phantoms_draws_the_contrast_run_in_the_ct(scan: dict[str, Any], tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_the_rehearsal_s_film_is_taken_in_the_ct(
 
 
 def test_policies_of_images_are_tested_in_the_ct(scan: dict[str, Any], tmp_path: Path) -> None:
-    place = AnatomyFile.of(scan["file"], "m", ct=scan["ct"])
+    place = AnatomyFile.of(scan["file"], ct=scan["ct"])
     job = replace(image_job(tmp_path, 1, XRAY), tests=(HeldOutSet("arch", (place, 1), targets=("bca",)),))
     rooms: list[Any] = []
 
@@ -106,7 +106,7 @@ def test_policies_of_images_are_tested_in_the_ct(scan: dict[str, Any], tmp_path:
     ("settings", "values", "message"),
     [
         (ExpertSettings, {"ct": "none.nii.gz"}, "phantom.ct=none.nii.gz is no file: give the path of the CT (NIfTI, "),
-        (ExpertSettings, {"file": None, "unit": None}, "phantom.ct belongs to a file: give phantom.file=PATH too"),
+        (ExpertSettings, {"file": None}, "phantom.ct belongs to a file: give phantom.file=PATH too"),
         (EnnSettings, {}, "phantom.ct is shown by the stages phantoms, expert, rehearsal and unseen alone"),
         (ExpertSettings, {"film": False}, "phantom.ct needs stage.film=true: give it, or leave out the CT"),
         (UnseenSettings, {"xray": False}, "phantom.ct needs stage.xray=true: give it, or leave out the CT"),
