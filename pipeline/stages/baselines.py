@@ -17,18 +17,19 @@ from pipeline.stages import Stage, StageContext
 from pipeline.stages.job_memory import policy_gb
 from pipeline.stages.learning.aids import note, of_training
 from pipeline.stages.learning.expert_episodes import read_episode, readable, require_demonstrations
-from pipeline.stages.learning.plan import (
+from pipeline.stages.learning.settings import BaselinesSettings, with_hyperparameters
+from pipeline.stages.learning.task import LearningTask
+from pipeline.stages.learning.training import (
     THESIS,
+    PolicyTrainingJob,
     check_learning,
     demonstrations,
+    evaluate,
     planned_training,
     run_trainings,
     task_of,
     training_seeds,
 )
-from pipeline.stages.learning.settings import BaselinesSettings, with_hyperparameters
-from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import PolicyTrainingJob, evaluate
 from pipeline.store.errors import StageError
 from pipeline.tables import Results
 from pipeline.task import FEEDER, observed

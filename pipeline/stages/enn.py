@@ -11,16 +11,16 @@ from pipeline.evaluations.tables import log_summary
 from pipeline.settings.kinds import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.aids import note, of_training
-from pipeline.stages.learning.plan import (
+from pipeline.stages.learning.settings import EnnSettings, with_hyperparameters
+from pipeline.stages.learning.training import (
     THESIS,
+    PolicyTrainingJob,
     check_learning,
     planned_training,
     run_trainings,
     task_of,
     training_seeds,
 )
-from pipeline.stages.learning.settings import EnnSettings, with_hyperparameters
-from pipeline.stages.learning.training import PolicyTrainingJob
 from pipeline.tables import Results
 from pipeline.task import number_of_actions, observed
 

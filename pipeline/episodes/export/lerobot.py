@@ -26,8 +26,7 @@ import numpy as np
 
 from pipeline.episodes.export import statistics
 from pipeline.episodes.export.layout import ExportEpisode, ExportError, Layout
-from pipeline.episodes.export.statistics import Statistics
-from pipeline.episodes.export.video import CODEC, GreyVideo
+from pipeline.episodes.export.statistics import CODEC, GreyVideo, Statistics
 from pipeline.episodes.records import as_json
 
 VERSION = "v3.0"

@@ -17,8 +17,8 @@ import numpy as np
 
 from enn.curves import Curves
 from pipeline.jobs.worker import Report
+from pipeline.stages.learning.expert_episodes import repeat
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import repeat
 from pipeline.store.atomic_files import write_json
 
 if TYPE_CHECKING:

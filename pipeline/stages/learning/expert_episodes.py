@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.records import EpisodeReadError
-from pipeline.recording.replay import ReplayError, recorded_catheter, recorded_devices, recorded_wire
+from pipeline.recording.replay import ReplayError, recorded_catheter, recorded_devices, recorded_wire, replay
 from pipeline.recording.trials import POLICY
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import StageError
@@ -247,3 +247,24 @@ def _catheter_name(catheter: Catheter, like: Task | None) -> str | None:
     if like is not None and like.guiding_catheter() == catheter:
         return like.catheter
     return catheter_preset_of(catheter)
+
+
+def repeat(logs: Sequence[Path], task: LearningTask, observation: tuple[str, ...] = ()) -> list[Trajectory]:
+    """Repeats an expert's episodes; one that cannot be used is left out with a warning, those of tip motors, too."""
+    if task.task.actions != FEEDER:
+        return []
+
+    def again(log: Path) -> Trajectory:
+        with EpisodeReader(log) as reader:
+            if recorded_devices(reader.info) != task.task.devices():
+                raise ReplayError(f"it was recorded with another wire or catheter than {task.task.device_names}")
+        return replay(
+            log,
+            observation,
+            image_size=task.task.image_size_px,
+            reward=task.reward,
+            force_penalty=task.force_penalty,
+            path_penalty=task.path_penalty,
+        )
+
+    return list(readable(logs, again))

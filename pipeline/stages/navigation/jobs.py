@@ -26,9 +26,17 @@ from pipeline.jobs.worker import OPTIMISER, Report
 from pipeline.recording.trials import Origin
 from pipeline.seeds import further_expert_seeds, navigation_episode_seeds
 from pipeline.stages.navigation.perception import load_perception
-from pipeline.stages.navigation.scene import NAMED, Anatomy, episode_of_log, episode_starts, in_view, room_for
+from pipeline.stages.navigation.scene import (
+    NAMED,
+    Anatomy,
+    TrialSet,
+    episode_of_log,
+    episode_starts,
+    in_view,
+    room_for,
+    run_tests,
+)
 from pipeline.stages.navigation.settings import NavigationSettings
-from pipeline.stages.navigation.trials import TrialSet, run_tests
 from pipeline.store.atomic_files import write_json
 from pipeline.store.errors import StageError
 from pipeline.task import Task

@@ -25,7 +25,7 @@ from pipeline.stages.learning.expert_episodes import (
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.navigation.jobs import LOGS, PRELOAD, Course, LogsJob, NavigatorJob, navigate, see_logs
 from pipeline.stages.navigation.perception import PERCEPTION, PerceptionJob, fine_tune_perception
-from pipeline.stages.navigation.scene import NAMED, Anatomy
+from pipeline.stages.navigation.scene import NAMED, Anatomy, TrialSet
 from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.stages.navigation.tables import (
     ARCHES,
@@ -38,7 +38,6 @@ from pipeline.stages.navigation.tables import (
     row_of,
     tables,
 )
-from pipeline.stages.navigation.trials import TrialSet
 from pipeline.stages.networks.training import PREDICTOR
 from pipeline.stages.unseen.task import TEST_PHANTOM, training_arch
 from pipeline.store.errors import ConfigurationError, StageError

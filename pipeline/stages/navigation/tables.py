@@ -21,9 +21,8 @@ from pipeline.recording.trials import MODES, Origin
 from pipeline.stages import StageContext
 from pipeline.stages.learning.expert_episodes import expert_folder
 from pipeline.stages.navigation.perception import PERCEPTION, load_perception
-from pipeline.stages.navigation.scene import Scene, phantom_of, scene_of
+from pipeline.stages.navigation.scene import EVALUATION, Scene, TrialSet, controllers, phantom_of, scene_of
 from pipeline.stages.navigation.settings import NavigationSettings
-from pipeline.stages.navigation.trials import EVALUATION, TrialSet, controllers
 from pipeline.store.atomic_files import atomic_path
 from pipeline.tables import Figure
 

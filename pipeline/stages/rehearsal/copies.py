@@ -46,7 +46,7 @@ class RehearsalJob:
     # of demonstrations: the policies that may give them; the first is `start`, where there is one
     shown_by: tuple[Path, ...] = ()
     part: int = 0  # of demonstrations and trials: its number among those that are made beside each other
-    turn: int = 0  # of demonstrations: its number (`pipeline.stages.rehearsal.demonstrations`)
+    turn: int = 0  # of demonstrations: its number (`pipeline.stages.rehearsal.training`)
     force_price: float | None = None  # of the training's reward, 1/N; None: what the settings say without trials
     tried: Tried | None = None  # how the policy to start from fared in trials of its devices; None: there were none
 

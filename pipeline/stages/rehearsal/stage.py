@@ -21,13 +21,6 @@ from pipeline.stages import Stage, StageContext
 from pipeline.stages.job_memory import policy_gb
 from pipeline.stages.learning.settings import with_hyperparameters
 from pipeline.stages.rehearsal.copies import COPIES, PRELOAD, SCAN, RehearsalJob
-from pipeline.stages.rehearsal.demonstrations import (
-    DEMONSTRATIONS,
-    EXPERT,
-    PARTS,
-    nothing_to_record,
-    record_demonstrations,
-)
 from pipeline.stages.rehearsal.episodes import film_file, film_scan, play
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.start import (
@@ -37,7 +30,14 @@ from pipeline.stages.rehearsal.start import (
     with_chosen_devices,
     with_devices_of,
 )
-from pipeline.stages.rehearsal.training import train
+from pipeline.stages.rehearsal.training import (
+    DEMONSTRATIONS,
+    EXPERT,
+    PARTS,
+    nothing_to_record,
+    record_demonstrations,
+    train,
+)
 from pipeline.store.errors import ConfigurationError
 from pipeline.tables import Figure, Results
 from pipeline.task import Task, require_feeder, require_known_task

@@ -1,31 +1,212 @@
-"""Training of a rehearsal: from the policy that it starts from, and once more from its own while it seldom arrives."""
+"""A rehearsal's training, and the demonstrations that it learns from.
+
+It trains from the policy that it starts from, and once more from its own while it seldom arrives. Demonstrations are
+episodes in its training's copies in which some policy reached the target. Processes share the copies of a turn. Whose
+turn it is depends on the files of those before, however often the work was interrupted
+(`enn.reinforcement.rehearsal_rules`). The sampling expert plays copy by copy until enough episodes have arrived. It
+presses gently, and plays as usual, too, where few of these episodes arrive.
+
+One file an episode, ``demonstrations/<policy or expert>_<copy>_<turn>.npz`` (`pipeline.stages.unseen.roadmap`).
+"""
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.jobs.worker import Report, map_simulations
 from pipeline.recording.trials import POLICY
-from pipeline.seeds import validation_copies
+from pipeline.seeds import rehearsal_demonstration_seed, validation_copies
 from pipeline.stages.learning.training import words
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment, held_steps, threads_of, training_settings
-from pipeline.stages.rehearsal.demonstrations import first_turn, read_demonstrations
 from pipeline.stages.rehearsal.settings import SAC
+from pipeline.stages.unseen.roadmap import ARRIVED, arrived, demonstration_arrays, read_demonstration
+from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.store.atomic_files import atomic_path, write_arrays
 from pipeline.store.costs import processor_s
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import TASK
 
 if TYPE_CHECKING:
+    import gymnasium
+
+    from enn.imitation.dagger import Act
+    from enn.imitation.images.policy import ImagePolicy
     from enn.policy import Policy
     from enn.reinforcement.evaluation import EvaluationResult
+    from enn.reinforcement.rehearsal_rules import Turn
     from enn.reinforcement.training import Progress, TrainingResult, TrainingSettings
+    from enn.trajectory import Trajectory
+
+DEMONSTRATIONS = "demonstrations"  # folder, and first part of the jobs' names
+EXPERT = "expert"
+
+
+def turn_of(job: RehearsalJob) -> Turn[Path] | None:
+    """Who plays in the job's turn; None: enough is shown, or nobody is left who may show more."""
+    turns = job.rules.turns(job.shown_by, job.start, job.tried)
+    try:
+        turn = next(turns)
+        for _ in range(job.turn):
+            turn = turns.send(_outcomes(job, turn))
+    except StopIteration:
+        return None
+    return turn
+
+
+def first_turn(job: RehearsalJob) -> list[bool]:
+    """Where the policy that a rehearsal starts from arrives in its demonstrations; empty where it did not play all."""
+    if job.start is None:
+        return []
+    files = [demonstration_file(job, job.start.stem, copy, 0) for copy in job.training_cases]
+    return [arrived(file) for file in files] if all(file.is_file() for file in files) else []
+
+
+def _outcomes(job: RehearsalJob, turn: Turn[Path]) -> list[bool]:
+    """Where the episodes of a turn arrived."""
+    if turn.policy is None:
+        return [arrived(file) for file in sorted((job.folder / DEMONSTRATIONS).glob(f"{EXPERT}_*.npz"))]
+    name = policy_names(job)[turn.policy]
+    return [arrived(demonstration_file(job, name, copy, turn.number)) for copy in job.training_cases]
+
+
+def demonstration_file(job: RehearsalJob, name: str, copy: int, number: int) -> Path:
+    """The file of an episode of a policy, or of the expert, in a copy and turn."""
+    return job.folder / DEMONSTRATIONS / f"{name}_{copy}_{number}.npz"
+
+
+def policy_names(job: RehearsalJob) -> dict[Path, str]:
+    """Stems of the policies' files; where several have one, all but the first get a number."""
+    names: dict[Path, str] = {}
+    for path in job.shown_by:
+        alike = sum(other.stem == path.stem for other in names)
+        names[path] = f"{path.stem}{alike + 1}" if alike else path.stem
+    return names
+
+
+PARTS = 2  # of the copies, beside each other
+ENOUGH, LEAST = 6, 3  # episodes of the expert that arrive, in each part; fewer gentle ones: it plays as usual, too
+STEPS = 100_000  # that the expert simulates for an episode at most
+TRIED = {True: 5, False: 3}  # episodes of a gentle expert, of the usual one: it gives up where none of them arrives
+
+
+def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
+    """Lets the policy, or "expert", whose turn it is play an episode in each of the part's copies: played, arrived."""
+    map_simulations()
+    turn, copies = turn_of(job), job.training_cases
+    if turn is None:
+        return {}
+    cases = range(job.part, len(copies), PARTS)
+    if turn.policy is None:
+        return {EXPERT: _shown_by_expert(job, cases, report)}
+    name = policy_names(job)[turn.policy]
+    outcomes: list[bool] = []
+    steered = None
+    for case in cases:
+        report(len(outcomes) / len(cases), f"{name}: {sum(outcomes)} of {len(outcomes)} episodes arrived")
+        file = demonstration_file(job, name, copies[case], turn.number)
+        if not file.is_file():
+            steered = steered or _Steered(job, turn.policy, copies)
+            write_arrays(file, demonstration_arrays(steered.episode(case, turn.number)))
+        outcomes.append(arrived(file))
+    if steered is not None:
+        steered.environment.close()
+    return {name: [len(outcomes), sum(outcomes)]}
+
+
+def nothing_to_record(job: RehearsalJob) -> dict[str, Any] | None:
+    """What `record_demonstrations` returns where nobody has the job's turn; None: somebody has."""
+    return {} if turn_of(job) is None else None
+
+
+def _shown_by_expert(job: RehearsalJob, cases: Sequence[int], report: Report) -> list[int]:
+    """Episodes of the sampling expert, usual ones only where few gentle ones arrive: played, arrived."""
+    told = [0, 0]
+    for number, gentle in enumerate((True, False)):
+        outcomes = _episodes_of_expert(job, cases, number, gentle, report)
+        told = [told[0] + len(outcomes), told[1] + sum(outcomes)]
+        if told[1] >= min(LEAST, len(cases)):
+            break
+    return told
+
+
+def _episodes_of_expert(
+    job: RehearsalJob, cases: Sequence[int], number: int, gentle: bool, report: Report
+) -> list[bool]:
+    """Whether it arrived, case by case, until enough have, or none of the first."""
+    from cathsim.planning.demonstration import demonstrate
+
+    held, copies, outcomes = held_steps(job), job.training_cases, list[bool]()
+    name = "expert, gently" if gentle else "expert"
+    environment = copies_environment(job, copies, training=True, observe_every=held)
+    for case in cases:
+        if sum(outcomes) == ENOUGH or (len(outcomes) == TRIED[gentle] and not any(outcomes)):
+            break
+        file = demonstration_file(job, EXPERT, copies[case], number)
+        if not file.is_file():
+            share, text = len(outcomes) / len(cases), f"{name}: {sum(outcomes)} of {len(outcomes)} episodes arrived"
+            shown = demonstrate(
+                environment,
+                case,
+                ROADMAP_KEYS,
+                hold=held,
+                seed=rehearsal_demonstration_seed(job.origin.training_seed, number, case),
+                rollouts=math.inf,
+                steps=STEPS,
+                gentle=gentle,
+                tick=partial(report, share, text),
+            )
+            write_arrays(file, shown if shown[ARRIVED] else {ARRIVED: shown[ARRIVED]})
+        outcomes.append(arrived(file))
+    environment.close()
+    return outcomes
+
+
+class _Steered:
+    """A policy and the training's copies as it and the training observe them."""
+
+    def __init__(self, job: RehearsalJob, path: Path, copies: Sequence[int]) -> None:
+        from cathsim.observations.xray import XrayEnvironment
+        from enn.policy import Policy
+        from enn.shipped import read_policy
+
+        with stopping_the_stage(ValueError):
+            self.policy: Policy | ImagePolicy = read_policy(path)
+        self.seed, held = job.origin.training_seed, self.policy.action_repeat
+        self.environment: gymnasium.Env[Any, Any]
+        if isinstance(self.policy, Policy):
+            self.environment = copies_environment(job, copies, training=True, observe_every=held)
+        else:
+            keys = (*ROADMAP_KEYS, "goal_image")
+            bare = copies_environment(job, copies, training=True, observe_every=held, observation=keys)
+            side = int(self.policy.metadata[TASK]["image_size_px"])
+            self.environment = XrayEnvironment(bare, side, every=held, **self.policy.imaging)
+
+    def episode(self, case: int, number: int) -> Trajectory:
+        """An episode of a turn in a case."""
+        from enn.policy import Policy
+        from enn.reinforcement.rehearsal import demonstrated
+
+        seed = rehearsal_demonstration_seed(self.seed, number, case)
+        if isinstance(self.policy, Policy):
+            controller: Act = self.policy.controller(deterministic=False, seed=seed)
+        else:
+            controller = self.policy.controller()
+        return demonstrated(controller, self.environment, case, ROADMAP_KEYS, seed=seed)
+
+
+def read_demonstrations(folder: Path) -> list[Trajectory]:
+    """The demonstrations of a stage's folder that arrived, in the order of their files' names."""
+    shown = [read_demonstration(path, ROADMAP_KEYS) for path in sorted((folder / DEMONSTRATIONS).glob("*.npz"))]
+    return [one for one in shown if one is not None]
+
 
 STARTS = "starts.npz"
 FURTHER = "further"  # folder, in the training's, of each that goes on from it: further1, further2, ...

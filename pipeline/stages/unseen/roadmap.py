@@ -1,36 +1,185 @@
-"""Roadmap policies of the stage `unseen`, and the anatomies that they learn in.
+"""Roadmap policies of the stage `unseen`, the anatomies that they learn in, demonstrations there, and starts.
 
 A policy's folder, ``<row>/seed<k>/``, holds::
 
     policy.pt  training.csv  training.json
     checkpoint/                                   until it is finished
     evaluation/<test set>/<target>/<mode>/<phantom>/NNN.mcap
+
+A demonstration of the sampling expert is a file, ``demonstrations/<target>_<anatomy>.npz`` in the stage's folder, with
+all that an `enn.trajectory.Trajectory` holds; of one that fails it says only that, so that it is not tried again.
+``starts/<anatomy>.npz`` has an array of states for each target: the wire laid along the planned way to some places
+before the target, and each of them drawn back a little, turning.
 """
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from pipeline.jobs.worker import OPTIMISER, Report, map_simulations
 from pipeline.recording.trials import POLICY, Controller
+from pipeline.seeds import arch_demonstration_seed
 from pipeline.stages.learning.settings import with_hyperparameters
 from pipeline.stages.learning.training import words
-from pipeline.stages.unseen.demonstrations import DEMONSTRATIONS, STARTS, read_demonstrations, read_starts
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.task import RESOLUTION, ROADMAP_KEYS
 from pipeline.stages.unseen.trials import PolicyJob, run_tests
-from pipeline.store.atomic_files import atomic_path
+from pipeline.store.atomic_files import atomic_path, write_arrays
 from pipeline.store.errors import ConfigurationError, stopping_the_stage
 from pipeline.task import MOTION, TASK, decision_steps, differences, task_from
 
 if TYPE_CHECKING:
     from enn.policy import Policy
     from enn.reinforcement.training import TrainingSettings
+    from enn.trajectory import Trajectory
+    from pipeline.stages.unseen.task import UnseenTask
+
+ARRIVED = "terminated"  # name in the file: whether the target was reached
+
+
+def demonstration_arrays(shown: Trajectory) -> dict[str, Any]:
+    """The arrays of an episode by their names in the file; of one that did not arrive, only that."""
+    if not shown.terminated:
+        return {ARRIVED: np.array(False)}
+    return {
+        **shown.observations,
+        "actions": shown.actions,
+        "rewards": shown.rewards,
+        ARRIVED: np.array(True),
+        "forces": shown.forces,
+        "tips": shown.tips,
+        "states": shown.simulation_states,
+    }
+
+
+def arrived(path: Path) -> bool:
+    """Whether the episode of a file reached its target."""
+    with np.load(path) as arrays:
+        return bool(arrays[ARRIVED])
+
+
+def read_demonstration(path: Path, keys: Sequence[str], **metadata: Any) -> Trajectory | None:
+    """The episode of a file with observations `keys` and further metadata; None: it did not reach its target."""
+    from enn.trajectory import Trajectory
+
+    with np.load(path) as arrays:
+        if not arrays[ARRIVED]:
+            return None
+        return Trajectory(
+            {key: arrays[key] for key in keys},
+            arrays["actions"],
+            arrays["rewards"],
+            True,
+            arrays["forces"],
+            arrays["tips"],
+            arrays["states"],
+            {"file": str(path), **metadata},
+        )
+
+
+DEMONSTRATIONS = "demonstrations"  # job and folder
+
+
+@dataclass(frozen=True)
+class DemonstrationsJob:
+    """Demonstrations to make."""
+
+    folder: Path
+    task: UnseenTask
+    anatomies: tuple[int, ...]  # seeds of all random arches trained on, so that states know their case
+    shown: tuple[int, ...]  # those of them with a demonstration each
+    target: str
+    hold: int  # steps for which the expert holds an action: those of a decision of the policy
+    seed: int
+
+
+def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, Any]:
+    """Plays the episodes whose file is not there yet: how many there are, and how many reached their target."""
+    from cathsim.planning.demonstration import demonstrate
+
+    environment = job.task.training_environment(job.anatomies, ROADMAP_KEYS)
+    target = job.task.targets.index(job.target)
+    reached = 0
+    for done, seed in enumerate(job.shown):
+        text = f"{job.target} of arch {seed}, {reached}/{done} reached"
+        path = job.folder / f"{job.target}_{seed}.npz"
+        if not path.is_file():
+            case = environment.case_of(job.anatomies.index(seed), target)
+            tick = partial(report, done / len(job.shown), text)
+            seed_of_start = arch_demonstration_seed(job.seed)
+            write_arrays(
+                path, demonstrate(environment, case, ROADMAP_KEYS, hold=job.hold, seed=seed_of_start, tick=tick)
+            )
+        reached += arrived(path)
+    environment.close()
+    return {"shown": len(job.shown), "reached": reached}
+
+
+def read_demonstrations(folder: Path, anatomies: Sequence[int]) -> list[Trajectory]:
+    """The demonstrations that reached their target, in random arches of these seeds."""
+    found = []
+    for path in sorted(folder.glob("*.npz")):
+        target, anatomy = path.stem.split("_")
+        if int(anatomy) in anatomies:
+            shown = read_demonstration(path, ROADMAP_KEYS, target=target, anatomy=int(anatomy))
+            found += [] if shown is None else [shown]
+    return found
+
+
+STARTS = "starts"  # job and folder
+
+
+@dataclass(frozen=True)
+class StartsJob:
+    """Starts to lay."""
+
+    folder: Path
+    task: UnseenTask
+    anatomies: tuple[int, ...]  # seeds of the random arches
+    seed: int  # of the turns while drawing back
+
+
+def lay_starts(job: StartsJob, report: Report) -> dict[str, Any]:
+    """Lays the starts of the anatomies whose file is not there yet: how many anatomies, and how many states."""
+    from cathsim.devices.wire_placement import laid_starts
+
+    states = 0
+    environment = None
+    for place, anatomy in enumerate(job.anatomies):
+        report(place / len(job.anatomies), f"starts in arch {anatomy}")
+        path = job.folder / f"{anatomy}.npz"
+        if not path.is_file():
+            environment = environment or job.task.training_environment(job.anatomies, ("tip",))
+            generator = np.random.default_rng((job.seed, anatomy))
+            arrays = {}
+            for number, target in enumerate(job.task.targets):
+                environment.reset(seed=0, options={"case": environment.case_of(place, number)})
+                arrays[target] = laid_starts(environment.current, generator)
+            write_arrays(path, arrays)
+        with np.load(path) as kept:
+            states += sum(len(kept[target]) for target in job.task.targets)
+    if environment is not None:
+        environment.close()
+    return {"anatomies": len(job.anatomies), "states": states}
+
+
+def read_starts(folder: Path, anatomies: Sequence[int], targets: Sequence[str]) -> list[np.ndarray]:
+    """Starts for an environment over random arches of these seeds: a case each, its number last. Shapes (k, n + 1)."""
+    found = []
+    for place, anatomy in enumerate(anatomies):
+        with np.load(folder / f"{anatomy}.npz") as arrays:
+            for number, target in enumerate(targets):
+                if len(states := arrays[target]):
+                    case = np.full((len(states), 1), place * len(targets) + number, float)
+                    found.append(np.concatenate((states, case), axis=1))
+    return found
 
 
 EVALUATIONS = 5  # of a training

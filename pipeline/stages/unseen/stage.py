@@ -22,22 +22,20 @@ from pipeline.recording.trials import Origin
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.job_memory import policy_gb
-from pipeline.stages.unseen.demonstrations import (
-    DEMONSTRATIONS,
-    STARTS,
-    DemonstrationsJob,
-    StartsJob,
-    lay_starts,
-    record_demonstrations,
-)
 from pipeline.stages.unseen.image_policy import ImagePolicyJob, train_image_policy
 from pipeline.stages.unseen.roadmap import (
+    DEMONSTRATIONS,
     EVALUATIONS,
     PRELOAD,
+    STARTS,
     AnatomiesJob,
+    DemonstrationsJob,
     RoadmapJob,
+    StartsJob,
     build_anatomies,
+    lay_starts,
     policy_to_start_from,
+    record_demonstrations,
     train_roadmap,
     training_settings,
 )

@@ -11,8 +11,8 @@ import pytest
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.stages import StageContext
 from pipeline.stages.enn import architecture, check_enn, plan, sizes
-from pipeline.stages.learning.plan import training_seeds
 from pipeline.stages.learning.settings import EnnSettings
+from pipeline.stages.learning.training import training_seeds
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task
 from tests.enn.event_scalars import scalars

@@ -23,10 +23,18 @@ from pipeline.recording.trials import Origin
 from pipeline.stages.navigation import stage as navigation
 from pipeline.stages.navigation.jobs import NAVIGATOR, Course, cases_in_view, load_navigator, navigate, success_of
 from pipeline.stages.navigation.perception import PerceptionJob, frames_in, load_perception
-from pipeline.stages.navigation.scene import NAMED, episode_of_log, scene_of, space_of, vessels_of
+from pipeline.stages.navigation.scene import (
+    NAMED,
+    TrialSet,
+    count_failures,
+    episode_of_log,
+    run_tests,
+    scene_of,
+    space_of,
+    vessels_of,
+)
 from pipeline.stages.navigation.settings import NavigationSettings
 from pipeline.stages.navigation.tables import NavigationFilm
-from pipeline.stages.navigation.trials import TrialSet, count_failures, run_tests
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import TASK as KEY
 from pipeline.task import Task

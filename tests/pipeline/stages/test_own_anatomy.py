@@ -71,7 +71,7 @@ def run_stage(stage: str, folder: Path, *overrides: str) -> Path:
     module = importlib.import_module(load_stage(stage).run.__module__)
     reads = ("expert", "enn", "unseen", "splineformer")
     with pytest.MonkeyPatch.context() as patch:
-        for user in (module, importlib.import_module("pipeline.stages.learning.plan")):
+        for user in (module, importlib.import_module("pipeline.stages.learning.training")):
             if hasattr(user, "run_jobs"):
                 patch.setattr(user, "run_jobs", in_this_process)
         results = load_stage(stage).run(settings, context(folder, stage, reads=reads))
@@ -142,7 +142,7 @@ def test_unseen_tests_in_the_file_what_it_has_learnt_in_random_arches(
 ) -> None:
     monkeypatch.setattr("pipeline.stages.unseen.stage.training_arch", lambda seed, arches: ("random", 3))
     monkeypatch.setattr("pipeline.stages.unseen.stage.training_arches", lambda run, count: range(3, 3 + count))
-    for module in ("plan", "trials"):
+    for module in ("stage", "trials"):
         monkeypatch.setattr(f"pipeline.stages.unseen.{module}.unseen_arches", lambda count: range(3, 3 + count))
     monkeypatch.setattr("pipeline.stages.unseen.stage.validation_arches", lambda count, every: range(3, 3 + count))
     monkeypatch.setattr("pipeline.stages.unseen.task.training_arch", lambda seed, arches: ("random", 3))

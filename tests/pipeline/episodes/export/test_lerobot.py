@@ -13,8 +13,7 @@ import pytest
 
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.export.exporting import export_logs
-from pipeline.episodes.export.statistics import GreyStatistics, of_rows, together
-from pipeline.episodes.export.video import GreyVideo
+from pipeline.episodes.export.statistics import GreyStatistics, GreyVideo, of_rows, together
 
 pq = pytest.importorskip("pyarrow.parquet")
 

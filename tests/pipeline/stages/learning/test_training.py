@@ -20,11 +20,12 @@ from pipeline.stages.baselines import training_settings as of_baselines
 from pipeline.stages.enn import plan
 from pipeline.stages.enn import training_settings as of_enn
 from pipeline.stages.learning import encoders
-from pipeline.stages.learning import plan as training_plan
+from pipeline.stages.learning import training as training_plan
 from pipeline.stages.learning.encoders import EncodersJob, encoder_file, fit_encoders
+from pipeline.stages.learning.expert_episodes import repeat
 from pipeline.stages.learning.settings import BaselinesSettings, EnnSettings, with_hyperparameters
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import repeat, words
+from pipeline.stages.learning.training import words
 from pipeline.stages.unseen.roadmap import training_settings as of_unseen
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.store.errors import ConfigurationError

@@ -10,8 +10,8 @@ from enn.shipped import weight_files
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.stages.rehearsal.copies import RehearsalJob
-from pipeline.stages.rehearsal.demonstrations import PARTS, nothing_to_record, record_demonstrations
 from pipeline.stages.rehearsal.settings import RehearsalSettings
+from pipeline.stages.rehearsal.training import PARTS, nothing_to_record, record_demonstrations
 from pipeline.task import Task
 
 GENERALIST = next(file for file in weight_files() if file.stem == "generalist")

@@ -17,15 +17,15 @@ from enn.reinforcement.rehearsal_rules import Turn
 from enn.trajectory import Trajectory
 from pipeline.jobs.worker import Report
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
-from pipeline.stages.rehearsal.demonstrations import (
+from pipeline.stages.rehearsal.stage import plan, shown_by
+from pipeline.stages.rehearsal.start import advising_policies
+from pipeline.stages.rehearsal.training import (
     demonstration_file,
     read_demonstrations,
     record_demonstrations,
+    train,
     turn_of,
 )
-from pipeline.stages.rehearsal.stage import plan, shown_by
-from pipeline.stages.rehearsal.start import advising_policies
-from pipeline.stages.rehearsal.training import train
 from pipeline.store.atomic_files import write_arrays
 from pipeline.task import Task
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, all_demonstrations, job_of
@@ -100,7 +100,7 @@ def test_images_show_the_way_where_the_roadmap_fails_and_the_best_is_asked_again
                 np.full((2, 5), float(case)),
             )
 
-    monkeypatch.setattr("pipeline.stages.rehearsal.demonstrations._Steered", Steered)
+    monkeypatch.setattr("pipeline.stages.rehearsal.training._Steered", Steered)
     asked = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))
     job = dataclasses.replace(job_of(tmp_path, copies=2, demonstrations=3), start=GENERALIST, shown_by=asked)
     assert all_demonstrations(job) == {"generalist": [3, 0], "navigator": [9, 3], "navigator_seed1": [3, 0]}

@@ -12,14 +12,14 @@ import pytest
 
 from enn.reinforcement.rehearsal_rules import Turn
 from pipeline.jobs.worker import Report
-from pipeline.stages.rehearsal.demonstrations import (
+from pipeline.stages.rehearsal.stage import plan
+from pipeline.stages.rehearsal.training import (
     demonstration_file,
     read_demonstrations,
     record_demonstrations,
+    train,
     turn_of,
 )
-from pipeline.stages.rehearsal.stage import plan
-from pipeline.stages.rehearsal.training import train
 from pipeline.store.atomic_files import write_arrays
 from pipeline.task import Task
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of

@@ -12,7 +12,7 @@ import pytest
 from enn.device_trials import Tried
 from enn.reinforcement.rehearsal_rules import in_share
 from pipeline.stages.rehearsal.copies import RehearsalJob, training_settings
-from pipeline.stages.rehearsal.demonstrations import first_turn
+from pipeline.stages.rehearsal.training import first_turn
 from pipeline.store.atomic_files import write_arrays
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
 

@@ -16,8 +16,7 @@ from pipeline.anatomies.devices import set_back_mm
 from pipeline.jobs.worker import Report
 from pipeline.seeds import unseen_arches
 from pipeline.stages.unseen import task as arches
-from pipeline.stages.unseen.demonstrations import DemonstrationsJob, read_demonstrations, record_demonstrations
-from pipeline.stages.unseen.roadmap import AnatomiesJob
+from pipeline.stages.unseen.roadmap import AnatomiesJob, DemonstrationsJob, read_demonstrations, record_demonstrations
 from pipeline.stages.unseen.stage import plan
 from pipeline.stages.unseen.task import ROADMAP_KEYS, UnseenTask, training_arch
 from pipeline.store.errors import ConfigurationError

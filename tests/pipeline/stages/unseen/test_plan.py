@@ -13,8 +13,7 @@ from enn.shipped import weight_files
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from pipeline.jobs.worker import Report
 from pipeline.seeds import unseen_arches, validation_arches
-from pipeline.stages.unseen.demonstrations import StartsJob
-from pipeline.stages.unseen.roadmap import AnatomiesJob, RoadmapJob, train_roadmap
+from pipeline.stages.unseen.roadmap import AnatomiesJob, RoadmapJob, StartsJob, train_roadmap
 from pipeline.stages.unseen.stage import check_unseen, plan, registration
 from pipeline.stages.unseen.task import training_arch
 from pipeline.store.errors import ConfigurationError

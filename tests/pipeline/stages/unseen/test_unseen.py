@@ -18,12 +18,14 @@ from enn.shipped import weight_files
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
-from pipeline.stages.unseen.demonstrations import StartsJob, lay_starts, read_starts
 from pipeline.stages.unseen.image_policy import train_image_policy
 from pipeline.stages.unseen.roadmap import (
     AnatomiesJob,
     RoadmapJob,
+    StartsJob,
     build_anatomies,
+    lay_starts,
+    read_starts,
     train_roadmap,
     training_settings,
 )
