@@ -19,7 +19,6 @@ from omegaconf import MISSING, DictConfig, OmegaConf
 from pipeline.jobs.engines.settings import LOCAL, SETTINGS
 from pipeline.settings import kinds
 from pipeline.stages import available_stages, settings_of
-from pipeline.stages.guide3d.settings import Guide3dSource
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task
 
@@ -52,6 +51,17 @@ class OwnPhantom:
     extend: bool | None = None  # whether branches that the file cuts short are extended; null: they are
     ct: kinds.PathText | None = None  # that the file was segmented from: shown by films and X-ray images
     entry: kinds.EntryPlace = None  # where wires come in; null: descending
+
+
+@kinds.validated("guide3d.")
+class Guide3dSource:
+    """A data set of one's own: the top-level keys ``guide3d.root=PATH`` and its like."""
+
+    root: kinds.PathText | None = None  # folder in the public layout, or its raw.json
+    images: kinds.PathText | None = None  # folder of the images, where they lie elsewhere
+    # folder of the camera files (and perforated sheets), where they lie elsewhere
+    calibration: kinds.PathText | None = None
+    undistorted: bool | None = None  # whether annotations are undistorted; found out by epipolar residuals if left out
 
 
 @kinds.validated("")

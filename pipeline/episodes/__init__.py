@@ -1,7 +1,6 @@
-"""Episode logs: one MCAP file an episode, written safely, read by step, checked and recovered."""
+"""Episode logs: one MCAP file an episode, written safely and read by step; `checking` and `recovery` mend them."""
 
 from pipeline.episodes.camera import Camera
-from pipeline.episodes.checking import CheckReport, check
 from pipeline.episodes.encoding.scene import PhantomMesh
 from pipeline.episodes.encoding.schema import SCHEMA_VERSION
 from pipeline.episodes.reader import EpisodeReader
@@ -14,13 +13,11 @@ from pipeline.episodes.records import (
     StepRecord,
     ViewerError,
 )
-from pipeline.episodes.recovery import RecoveryReport, recover
 from pipeline.episodes.writer import EpisodeWriter
 
 __all__ = [
     "SCHEMA_VERSION",
     "Camera",
-    "CheckReport",
     "DeviceRecord",
     "EpisodeInfo",
     "EpisodeOutcome",
@@ -29,9 +26,6 @@ __all__ = [
     "EpisodeWriteError",
     "EpisodeWriter",
     "PhantomMesh",
-    "RecoveryReport",
     "StepRecord",
     "ViewerError",
-    "check",
-    "recover",
 ]

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError, check, recover
+from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError
+from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.container import McapFile
 from pipeline.episodes.encoding.schema import topic_messages
 from pipeline.episodes.records import _checksum
+from pipeline.episodes.recovery import recover
 from pipeline.episodes.writer import schema_data
 from tests.fuzz.mutations import altered, damaged, text_of
 from tests.fuzz.promise import BrokenPromiseError, fuzz, refused

@@ -20,17 +20,6 @@ _ANNOTATIONS = tuple(f"{folder}{name}" for folder in ("", "*/", "*/*/") for name
 _READ = (".json", ".xml", ".txt", ".yaml", ".yml", ".npz", ".jpg")
 
 
-@kinds.validated("guide3d.")
-class Guide3dSource:
-    """A data set of one's own: the top-level keys ``guide3d.root=PATH`` and its like."""
-
-    root: kinds.PathText | None = None  # folder in the public layout, or its raw.json
-    images: kinds.PathText | None = None  # folder of the images, where they lie elsewhere
-    # folder of the camera files (and perforated sheets), where they lie elsewhere
-    calibration: kinds.PathText | None = None
-    undistorted: bool | None = None  # whether annotations are undistorted; found out by epipolar residuals if left out
-
-
 @kinds.validated()
 class Guide3dSettings:
     """Settings of the guide3d stage."""

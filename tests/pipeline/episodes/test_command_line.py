@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.episodes import check
 from pipeline.episodes.__main__ import main
+from pipeline.episodes.checking import check
 
 ROOT = Path(__file__).parents[3]
 

@@ -13,7 +13,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.episodes import EpisodeReader, EpisodeWriteError, EpisodeWriter, check, recover
+from pipeline.episodes import EpisodeReader, EpisodeWriteError, EpisodeWriter
+from pipeline.episodes.checking import check
+from pipeline.episodes.recovery import recover
 
 fork = multiprocessing.get_context("fork")
 

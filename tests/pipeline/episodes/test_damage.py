@@ -12,11 +12,13 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError, check, recover
+from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError
+from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.container import McapFile
 from pipeline.episodes.encoding.scan import messages, read_chunk
 from pipeline.episodes.encoding.schema import topic_messages
 from pipeline.episodes.records import seal_episode, seal_outcome
+from pipeline.episodes.recovery import recover
 from pipeline.episodes.writer import schema_data
 
 

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.episodes import DeviceRecord, EpisodeReader, EpisodeReadError, check, recover
+from pipeline.episodes import DeviceRecord, EpisodeReader, EpisodeReadError
 from pipeline.episodes.__main__ import main
+from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.schema import CATHETER_TOPIC, DEVICE_FIELDS, DEVICES_TOPIC, WIRE_TOPIC, topic_messages
 from pipeline.episodes.encoding.step_codec import decode_devices, encode_devices
+from pipeline.episodes.recovery import recover
 
 ARRAYS = [name for name in DEVICE_FIELDS if name != "step"]
 

@@ -17,8 +17,9 @@ import pytest
 import zstandard
 from PIL import Image
 
-from pipeline.episodes import EpisodeReader, EpisodeReadError, check
+from pipeline.episodes import EpisodeReader, EpisodeReadError
 from pipeline.episodes.__main__ import main
+from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.container import McapFile
 from pipeline.episodes.encoding.scan import open_chunk
 from pipeline.episodes.encoding.schema import topic_messages

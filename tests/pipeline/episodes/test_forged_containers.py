@@ -25,11 +25,12 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from PIL import Image
 
-from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriter, check, recover
+from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriter
 from pipeline.episodes.__main__ import main
+from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.schema import Step
 from pipeline.episodes.records import _checksum
-from pipeline.episodes.recovery import annotate, read_annotation
+from pipeline.episodes.recovery import annotate, read_annotation, recover
 
 IMAGE, MASK, SIDE = "/camera/frontal/image", "/camera/frontal/mask", "/camera/side/image"
 Message = tuple[str, int, bytes]  # topic, log time, payload

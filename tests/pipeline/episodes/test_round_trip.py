@@ -11,14 +11,8 @@ from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
 
-from pipeline.episodes import (
-    EpisodeOutcome,
-    EpisodeReader,
-    EpisodeReadError,
-    EpisodeWriteError,
-    EpisodeWriter,
-    check,
-)
+from pipeline.episodes import EpisodeOutcome, EpisodeReader, EpisodeReadError, EpisodeWriteError, EpisodeWriter
+from pipeline.episodes.checking import check
 
 
 @pytest.mark.parametrize("flush_every", [1, 5, 10])

@@ -18,8 +18,9 @@ from cathsim.console.recorder import TOTALS
 from cathsim.console.setup.operator_setup import ForceLimit
 from cathsim.console.xray.room import XRayStep
 from cathsim.metrics import EpisodeMetrics
-from pipeline.episodes import EpisodeOutcome, EpisodeReader, EpisodeReadError, check
+from pipeline.episodes import EpisodeOutcome, EpisodeReader, EpisodeReadError
 from pipeline.episodes.__main__ import main as show
+from pipeline.episodes.checking import check
 from pipeline.episodes.recovery import annotate, read_annotation
 from pipeline.evaluations.logs import COUNTED
 from pipeline.evaluations.tables import tables_from_logs
