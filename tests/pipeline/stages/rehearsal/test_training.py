@@ -1,21 +1,39 @@
-"""Trainings of a rehearsal that go on from the one before."""
+"""Trainings of a rehearsal: hyperparameters, demonstrations of policies and of the expert, and further trainings."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from enn.device_trials import Tried
 from enn.reinforcement.evaluation import LatestPolicy
-from enn.reinforcement.rehearsal_rules import RehearsalRules
+from enn.reinforcement.rehearsal_rules import RehearsalRules, Turn, in_share
 from enn.reinforcement.training import TrainingResult
+from enn.trajectory import Trajectory
 from pipeline.jobs.worker import Report
-from pipeline.stages.rehearsal.training import train
-from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
+from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment, training_settings
+from pipeline.stages.rehearsal.stage import plan, shown_by
+from pipeline.stages.rehearsal.start import advising_policies
+from pipeline.stages.rehearsal.training import (
+    demonstration_file,
+    first_turn,
+    read_demonstrations,
+    record_demonstrations,
+    train,
+    turn_of,
+)
+from pipeline.store.atomic_files import write_arrays
+from pipeline.task import Task
+from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, all_demonstrations, job_of
+from tests.pipeline.stages.small_expert import context
 
 
 @pytest.mark.parametrize(
@@ -78,3 +96,270 @@ def test_what_was_played_to_choose_the_length_is_the_first_evaluation(
     assert train(job, Report())["decisions"] == 24
     assert len(asked) == 2  # the scan and a copy
     assert counts["play"] == counts["evaluate"] > 1  # one of them before the training, which does not play it again
+
+
+@pytest.mark.parametrize(("cores", "asked", "threads"), [(1, 0, 1), (2, 0, 2), (16, 0, 4), (2, 3, 3)])
+def test_a_training_has_a_thread_for_each_core_within_reason(
+    cores: int, asked: int, threads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pipeline.stages.rehearsal.copies.available_workers", lambda: cores)
+    assert training_settings(job_of(tmp_path, threads=asked), "cpu").threads == threads
+
+
+@pytest.mark.parametrize(
+    ("arrivals", "others", "trials", "decisions"),
+    [
+        ((True, True, True, False), (True, True), 0, 24),
+        ((True, True, True, False), (True, True), 1, 24),
+        ((True, True, True, False), (True, True), 2, 48),
+        ((True, True, True, False), (True, False), 0, 48),
+        ((True, True, True, True), None, 0, 48),
+        ((True, True, False, False), None, 0, 48),
+        ((True, True, True), None, 0, 48),
+        ((), None, 0, 48),
+    ],
+    ids=[
+        *("three of four", "and in the only trial", "but in one trial of two", "but not elsewhere", "all"),
+        *("two of four", "one copy was not played", "none was played"),
+    ],
+)
+def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
+    tmp_path: Path, arrivals: tuple[bool, ...], others: tuple[bool, ...] | None, trials: int, decisions: int
+) -> None:
+    tried = Tried(1, trials, 100.0, 0.1) if trials else None
+    job = dataclasses.replace(job_of(tmp_path, copies=3, share_of_decisions=0.5), tried=tried)
+    for copy, arrives in zip(job.training_cases, arrivals, strict=False):
+        write_arrays(tmp_path / f"demonstrations/generalist_{copy}_0.npz", {"terminated": np.array(arrives)})
+        write_arrays(tmp_path / f"demonstrations/navigator_{copy}_0.npz", {"terminated": np.array(True)})
+
+    def elsewhere() -> Sequence[bool]:
+        assert others is not None  # it is not played where the first round says enough
+        return others
+
+    assert not job.rules.mostly_arrives(first_turn(job), tried, elsewhere)  # of nothing
+    fewer = job.rules.mostly_arrives(first_turn(dataclasses.replace(job, start=GENERALIST)), tried, elsewhere)
+    training = training_settings(job, "cpu", fewer=fewer)
+    assert (training.decisions, training.evaluate_every) == (decisions, decisions // 3)
+    assert training.learning_rate * decisions == pytest.approx(48 * training_settings(job, "cpu").learning_rate)
+    assert training_settings(job_of(tmp_path, algorithm="ppo"), "cpu", fewer=True).decisions == 48
+
+
+def always_arrives(job: RehearsalJob) -> bool:
+    return in_share(first_turn(job), job.tried, 1.0)
+
+
+def test_a_policy_that_always_arrives_is_trained_until_the_last_evaluation_but_one(tmp_path: Path) -> None:
+    job = dataclasses.replace(job_of(tmp_path, copies=3), start=GENERALIST)
+    assert not always_arrives(job)  # nothing was played
+    for copy in job.training_cases:
+        write_arrays(tmp_path / f"demonstrations/generalist_{copy}_0.npz", {"terminated": np.array(True)})
+    assert always_arrives(job)
+    assert always_arrives(dataclasses.replace(job, tried=Tried(8, 8, 100.0, 0.1)))
+    assert not always_arrives(dataclasses.replace(job, tried=Tried(7, 8, 100.0, 0.1)))
+    assert not always_arrives(dataclasses.replace(job, start=None))
+    usual, shorter = (
+        training_settings(job, "cpu"),
+        training_settings(job, "cpu", evaluations=job.rules.fewer_evaluations),
+    )
+    assert (usual.decisions, shorter.decisions) == (48, 32)
+    assert usual.evaluate_every == shorter.evaluate_every == 16
+    assert usual.learning_rate == shorter.learning_rate
+    write_arrays(
+        tmp_path / f"demonstrations/generalist_{job.training_cases[-1]}_0.npz", {"terminated": np.array(False)}
+    )
+    assert not always_arrives(job)
+
+
+def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = Task(start_rotation_deg=180.0, max_steps=200)
+    asked = advising_policies(tmp_path, 0, task, GENERALIST)
+    assert [file.stem for file in asked] == ["generalist", "navigator", "navigator_seed1"]
+    assert [file.stem for file in advising_policies(tmp_path, 0, Task(catheter="simmons2"), None)] == [
+        "generalist_simmons2",
+        "navigator_simmons2",
+    ]
+    assert [file.stem for file in advising_policies(tmp_path, 0, Task(catheter="jb2"), None)] == [
+        "generalist_jb2",
+        "navigator_jb2",
+    ]
+
+    job = dataclasses.replace(
+        job_of(tmp_path, copies=2, demonstrations=4, task=task), start=GENERALIST, shown_by=tuple(asked)
+    )
+    # it arrives nearly always, so nobody else is asked
+    assert all_demonstrations(job) == {"generalist": [3, 3]}
+    shown = read_demonstrations(tmp_path)
+    assert len(shown) == 3
+    assert all(episode.terminated and episode.observations["roadmap"].shape[1] == 64 for episode in shown)
+    assert {int(episode.simulation_states[0, -1]) for episode in shown} == {0, 1, 2}  # type: ignore[index]
+    assert max(np.abs(episode.actions).max() for episode in shown) <= 1.0
+    monkeypatch.setattr("enn.reinforcement.rehearsal.demonstrated", None)  # nothing is played again
+    assert all_demonstrations(job) == {"generalist": [3, 3]}
+    # the training takes them up
+    train(dataclasses.replace(job, start=None), Report())
+    record = json.loads((job.own_folder / "training.json").read_text())
+    assert record["settings"]["demonstrations_in_replay"] == 0.25
+
+
+@pytest.mark.parametrize(("reached", "others"), [(None, False), (4, False), (1, False), (0, True)])
+def test_the_trials_of_the_devices_count_when_others_are_asked(
+    tmp_path: Path, reached: int | None, others: bool
+) -> None:
+    """It arrives in both of two copies that one process plays, in three of four altogether: all of them count."""
+    asked = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))[:2]
+    job = job_of(tmp_path, copies=3, demonstrations=12)
+    job = dataclasses.replace(job, start=GENERALIST, shown_by=asked, turn=1)
+    job = dataclasses.replace(job, tried=None if reached is None else Tried(reached, 4, 100.0, 0.1))
+    for place, copy in enumerate(job.training_cases):
+        write_arrays(demonstration_file(job, "generalist", copy, 0), {"terminated": np.array(place < 3)})
+    assert turn_of(job) == (Turn(asked[1]) if others else None)
+
+
+def test_images_show_the_way_where_the_roadmap_fails_and_the_best_is_asked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played: list[tuple[str, int, int]] = []
+    last = 9  # turn in which anybody arrives
+
+    class Steered:
+        def __init__(self, job: RehearsalJob, path: Path, copies: Any) -> None:
+            self.path, self.environment = path, copies_environment(job, (0,))
+
+        def episode(self, case: int, number: int) -> Trajectory:
+            played.append((self.path.stem, case, number))
+            arrives = self.path.stem == "navigator" and case == 2 and number <= last
+            return Trajectory(
+                {"roadmap": np.zeros((2, 64)), "history": np.zeros((2, 3))},
+                np.zeros((1, 2)),
+                np.zeros(1),
+                arrives,
+                np.zeros(1),
+                np.zeros((2, 3)),
+                np.full((2, 5), float(case)),
+            )
+
+    monkeypatch.setattr("pipeline.stages.rehearsal.training._Steered", Steered)
+    asked = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))
+    job = dataclasses.replace(job_of(tmp_path, copies=2, demonstrations=3), start=GENERALIST, shown_by=asked)
+    assert all_demonstrations(job) == {"generalist": [3, 0], "navigator": [9, 3], "navigator_seed1": [3, 0]}
+    turns = [("generalist", 0), ("navigator", 0), ("navigator_seed1", 0), ("navigator", 1), ("navigator", 2)]
+    assert played == [(name, case, number) for name, number in turns for case in (0, 2, 1)]  # one part, then the other
+    assert len(read_demonstrations(tmp_path)) == 3
+    fewer = dataclasses.replace(job, settings=dataclasses.replace(job.settings, demonstrations=1))
+    played.clear()
+    assert all_demonstrations(fewer) == {"generalist": [3, 0], "navigator": [3, 1]}  # enough, so no third
+    assert not played  # all of them were there
+    last = 0
+    alone = dataclasses.replace(job, folder=tmp_path / "alone")
+    # a turn in which nobody arrives is the last one
+    assert all_demonstrations(alone) == {"generalist": [3, 0], "navigator": [6, 1], "navigator_seed1": [3, 0]}
+
+
+def test_turns_are_jobs_one_after_the_other_and_the_training_follows_them(tmp_path: Path) -> None:
+    asked = advising_policies(tmp_path, 0, Task(), GENERALIST)
+    settings = job_of(tmp_path, demonstrations=6).settings
+    jobs = plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", GENERALIST, asked)
+    after = {one.key: one.after for one in jobs}
+    turns = [f"demonstrations/{turn}" for turn in range(6)]  # of three policies, and three more of the best
+    assert after["training"] == tuple(f"{turn}/{part}" for turn in turns for part in range(2))
+    for earlier, later in itertools.pairwise(turns):
+        assert after[f"{later}/0"] == after[f"{later}/1"] == (f"{earlier}/0", f"{earlier}/1")
+    assert shown_by(
+        {"demonstrations/0/0": {"navigator": [6, 3]}, "demonstrations/0/1": {"navigator": [4, 1], "generalist": [2, 0]}}
+    ) == {
+        "navigator": 4,
+        "generalist": 0,
+    }
+    none = dataclasses.replace(settings, demonstrations=0)
+    jobs = plan(none, context(tmp_path, "rehearsal"), none.task, "bca", GENERALIST, asked)
+    assert {one.key: one.after for one in jobs}["training"] == ()
+
+
+def test_policies_whose_files_have_one_name_are_told_apart(tmp_path: Path) -> None:
+    same = [tmp_path / folder / "policy.pt" for folder in ("a", "b")]
+    for file in same:
+        file.parent.mkdir()
+        shutil.copy(GENERALIST.with_name("generalist_simmons2.pt"), file)
+    job = dataclasses.replace(job_of(tmp_path, copies=1, catheter="simmons2"), shown_by=tuple(same))
+    assert all_demonstrations(job) == {"policy": [2, 0], "policy2": [2, 0]}  # after twelve steps
+    assert len(list((tmp_path / "demonstrations").iterdir())) == 4
+
+
+def test_a_navigator_by_images_plays_in_the_copies(tmp_path: Path) -> None:
+    navigator = GENERALIST.with_name("navigator.pt")
+    job = dataclasses.replace(job_of(tmp_path, copies=1, demonstrations=1), shown_by=(navigator,), part=0)
+    assert record_demonstrations(job, Report()) == {"navigator": [1, 0]}  # twelve steps do not lead there
+    assert [file.name for file in (tmp_path / "demonstrations").iterdir()] == ["navigator_0_0.npz"]
+    assert read_demonstrations(tmp_path) == []
+
+
+def test_the_sampling_expert_shows_the_way_where_no_policy_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = Task(start_rotation_deg=180.0, max_steps=300)
+    job = job_of(tmp_path, copies=1, demonstrations=2, expert="needed", task=task)
+    assert record_demonstrations(job, Report()) == {"expert": [1, 1]}  # the scan is this part's
+    (shown,) = read_demonstrations(tmp_path)
+    assert shown.terminated
+    assert len(shown.actions) == len(shown.rewards) == len(shown.simulation_states) - 1
+    assert shown.simulation_states[0, -1] == 0  # the case
+    monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", None)  # nothing is played again
+    assert record_demonstrations(job, Report()) == {"expert": [1, 1]}
+    always = dataclasses.replace(job.settings, expert="always")  # enough is shown, so that no policy is asked
+    always = dataclasses.replace(always, demonstrations=1)
+    asked = dataclasses.replace(job, settings=always, start=GENERALIST, shown_by=(GENERALIST,))
+    assert turn_of(asked) == Turn(None)
+    assert turn_of(dataclasses.replace(asked, turn=1)) is None
+    trained = train(job, Report())
+    assert trained["decisions"] == 48
+    record = json.loads((tmp_path / "seed0" / "training.json").read_text())
+    assert record["settings"]["demonstrations_in_replay"] == 0.25
+    jobs = plan(job.settings, context(tmp_path, "rehearsal"), task, "bca", None)
+    assert {one.key: one.after for one in jobs}["training"] == ("demonstrations/0/0", "demonstrations/0/1")
+    alone = dataclasses.replace(job.settings, expert="never")
+    jobs = plan(alone, context(tmp_path, "rehearsal"), task, "bca", None)
+    assert {one.key: one.after for one in jobs}["training"] == ()
+
+
+@pytest.mark.parametrize(("arriving", "expert"), [(0, True), (1, True), (2, False)])
+def test_the_expert_is_asked_where_policies_show_next_to_nothing(tmp_path: Path, arriving: int, expert: bool) -> None:
+    """Of six episodes that are wanted a third is enough."""
+    job = job_of(tmp_path, copies=5, demonstrations=6, expert="needed")
+    job = dataclasses.replace(job, start=GENERALIST, shown_by=(GENERALIST,))
+    for number in range(2):
+        for place, copy in enumerate(job.training_cases):
+            file = demonstration_file(job, "generalist", copy, number)
+            write_arrays(file, {"terminated": np.array(number == 0 and place < arriving)})
+    number = 2 if arriving else 1  # a turn in which nobody arrives is the last one of policies
+    assert turn_of(dataclasses.replace(job, turn=number)) == (Turn(None) if expert else None)
+    assert turn_of(dataclasses.replace(job, turn=number + 1)) is None
+
+
+def test_the_expert_gives_up_where_it_does_not_arrive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    failed, gentle = {"terminated": np.array(False), "actions": np.zeros((3, 2))}, list[bool]()
+
+    def fail(*_: object, **given: Any) -> dict[str, np.ndarray]:
+        gentle.append(given["gentle"])
+        return failed
+
+    monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", fail)
+    job = dataclasses.replace(job_of(tmp_path, copies=13, demonstrations=4, expert="needed"), part=1)
+    assert record_demonstrations(job, Report()) == {"expert": [8, 0]}
+    assert gentle == [True] * 5 + [False] * 3
+    assert read_demonstrations(tmp_path) == []
+
+
+@pytest.mark.parametrize(("arriving", "told", "usual"), [(1, [14, 7], True), (3, [7, 3], False)])
+def test_it_plays_as_usual_where_few_gentle_episodes_arrive(
+    tmp_path: Path, arriving: int, told: list[int], usual: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of seven copies the gentle one arrives in the first so many, the usual one in all but the first."""
+
+    def play(_: object, case: int, *__: object, gentle: bool, **___: object) -> dict[str, np.ndarray]:
+        number = (case - 1) // 2  # of the second part
+        return {"terminated": np.array(number < arriving if gentle else number > 0)}
+
+    monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", play)
+    job = dataclasses.replace(job_of(tmp_path, copies=14, demonstrations=20, expert="needed"), part=1)
+    assert record_demonstrations(job, Report()) == {"expert": told}
+    assert bool(list((tmp_path / "demonstrations").glob("expert_*_1.npz"))) == usual
