@@ -19,12 +19,9 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pipeline.store.errors import ConfigurationError, StageError
-
-if TYPE_CHECKING:
-    from pipeline.jobs.worker import Job
 
 CPU, CUDA, AUTO = "cpu", "cuda", "auto"
 VISIBLE = "CUDA_VISIBLE_DEVICES"
@@ -122,8 +119,8 @@ class Machine:
                 machine.gpus = gpus_of(device, [Gpu(**gpu) for gpu in state["gpus"]])
         return machine
 
-    def check(self, job: Job) -> None:
-        """Refuses a job that would wait for ever."""
+    def check(self, job: Any) -> None:
+        """Refuses a `pipeline.jobs.worker.Job` that would wait for ever."""
         wide = sum(gpu.free_bytes >= job.gpu_gb * _GB for gpu in self.gpus)
         if self.gpus and wide < job.gpus:
             most = max(gpu.free_bytes for gpu in self.gpus) / _GB
@@ -138,7 +135,7 @@ class Machine:
                 "end other programs, or make it smaller (stage.decisions or the side of the images, for a training)"
             )
 
-    def take(self, job: Job) -> tuple[Gpu, ...] | None:
+    def take(self, job: Any) -> tuple[Gpu, ...] | None:
         """Gives a job a core, memory, and the GPUs with most room (() if it needs none); None: one is missing."""
         with self._locked() as state:
             others, own = state["jobs"], str(os.getpid())
@@ -163,7 +160,7 @@ class Machine:
         mine = owners.count(str(os.getpid()))
         return any(owners.count(owner) < mine and gb <= left_gb for owner, gb in state["waiting"].items())
 
-    def _with_room(self, job: Job, others: Sequence[dict[str, Any]]) -> tuple[Gpu, ...] | None:
+    def _with_room(self, job: Any, others: Sequence[dict[str, Any]]) -> tuple[Gpu, ...] | None:
         if not (self.gpus and job.gpu_gb):
             return ()
         room = {
