@@ -11,16 +11,27 @@ import pytest
 
 from enn.fitting import EpisodeFitSettings
 from enn.imitation.behaviour_cloning import DESK_CLONING
-from enn.imitation.dagger import DaggerSettings, DisturbanceSettings, Disturbed, record
+from enn.imitation.dagger import DaggerSettings, DisturbanceSettings, Disturbed, dagger, record
 from enn.imitation.distillation import distil
 from enn.imitation.images.egocentric import VIEW_SIZE
 from enn.imitation.perturbed_controller import PerturbedController
-from enn.imitation.sequence_cloning import AdvisedEpisode
 from enn.trajectory import Trajectory
 from tests.enn.imitation.drawn_point import DrawnPoint, expert
-from tests.enn.imitation.straight_wire import CLONING, advised, policy_on, untrained
+from tests.enn.imitation.straight_wire import advised, policy_on, untrained
 
 QUICK = replace(DESK_CLONING, fit=EpisodeFitSettings(epochs=6, batch_size=32, learning_rate=3e-3))
+
+
+def test_rounds_aggregate_and_the_student_improves() -> None:
+    environment = DrawnPoint()
+    first = [record(environment, expert, seed=seed, keys=("image",)) for seed in range(4)]
+    settings = DaggerSettings(rounds=3, episodes=12, expert_share=0.5)
+    student, rounds, everything = dagger(DrawnPoint, expert, first, settings, QUICK)
+    assert [told.episodes for told in rounds] == [16, 28, 40]
+    assert len(everything) == 40
+    assert rounds[-1].disagreement < rounds[0].disagreement
+    reached = [record(environment, student.controller(), seed=500 + k, keys=()).terminated for k in range(20)]
+    assert np.mean(reached) >= 0.9
 
 
 def test_disturbance_is_seeded_and_spells_push() -> None:
@@ -49,35 +60,6 @@ def test_teacher_and_policy_steer_and_the_teacher_advises() -> None:
         np.testing.assert_allclose(one.actions[:, 0], np.clip(5 * one.hints[:, 0], -1, 1))  # advice, without noise
         assert one.features.shape == (len(one.hints), VIEW_SIZE)
         assert one.target == "dot"
-
-
-def test_rounds_aggregate_and_go_on_where_they_stopped() -> None:
-    perception = untrained()
-    asked: list[tuple[int, float, float]] = []
-
-    def rounds(numbers: range, episodes: list[AdvisedEpisode]) -> list[int]:
-        policy = policy_on(perception)
-
-        def play(number: int, teacher_share: float, noise: float) -> list[AdvisedEpisode]:
-            asked.append((number, teacher_share, noise))
-            return advised(policy, perception, 1.0, number, 2)
-
-        passes: dict[int, int] = {}
-        found = advised_rounds(
-            policy, episodes, play, replace(CLONING, epochs=2), rounds=numbers, seed_of=lambda number: number,
-            progress=lambda number, epoch, loss: passes.update({number: epoch}),
-        )  # fmt: skip
-        assert [len(one.new) for one in found] == [2] * len(numbers)
-        return list(passes.values())
-
-    episodes: list[AdvisedEpisode] = []
-    assert rounds(range(3), episodes) == [2, 2, 4]  # the last round has twice as many epochs
-    assert len(episodes) == 6
-    assert asked == [(0, 1.0, FIRST_NOISE), (1, TEACHER_SHARE, NOISE), (2, TEACHER_SHARE, NOISE)]
-    asked.clear()
-    rounds(range(1), episodes[:2])  # with something learnt before, the policy steers from the start
-    rounds(range(2, 3), episodes[:4])
-    assert asked == [(0, TEACHER_SHARE, NOISE), (2, TEACHER_SHARE, NOISE)]
 
 
 DISTILLATION_QUICK = replace(DESK_CLONING, fit=EpisodeFitSettings(epochs=1, batch_size=32))
