@@ -214,3 +214,57 @@ def _in_other_order(data: bytes, points: int) -> bytes:
             end,
         )
     return swapped
+
+
+@pytest.mark.parametrize("kind", ["off", "ply", "binary ply"])
+@pytest.mark.parametrize(("faces", "answer"), [(5, "refused"), (-5, "noted"), (-COUNT // 2, "refused")])
+def test_a_head_that_promises_other_faces_than_there_are(kind: str, faces: int, answer: str, tmp_path: Path):
+    content = SPHERE.export(file_type=kind[-3:], **({"encoding": "ascii"} if kind == "ply" else {}))
+    content = content.encode() if isinstance(content, str) else content
+    path = tmp_path / f"a.{kind[-3:]}"
+    path.write_bytes(content)
+    assert (read_parts(path).faces, read_parts(path).notes) == (COUNT, ())
+    before, after = (
+        f"{len(SPHERE.vertices)} {n} 0" if kind == "off" else f"face {n}\n" for n in (COUNT, COUNT + faces)
+    )
+    path.write_bytes(content.replace(before.encode(), after.encode(), 1))
+    if answer == "refused":
+        with pytest.raises(MeshRefusedError, match=r"it promises|expected a triangle mesh in PLY"):
+            read_parts(path)
+        return
+    surface = read_parts(path)
+    assert surface.faces == COUNT + faces
+    assert surface.notes[0].endswith("are left out")
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".ply"])
+def test_points_that_are_no_numbers(suffix: str, tmp_path: Path):
+    points = np.array(SPHERE.vertices)
+    points[0] = np.nan
+    trimesh.Trimesh(points, SPHERE.faces, process=False).export(tmp_path / f"a{suffix}")
+    surface = read_parts(tmp_path / f"a{suffix}")
+    assert surface.notes == (f"5 of its {COUNT} faces lack finite coordinates and are left out",)
+    points[: len(points) // 5] = np.nan
+    trimesh.Trimesh(points, SPHERE.faces, process=False).export(tmp_path / f"a{suffix}")
+    with pytest.raises(MeshRefusedError, match="holds no surface with finite coordinates"):
+        read_parts(tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize("change", ["fan", "sparse", "points"])
+def test_a_scene_of_other_things_than_plain_triangles(change: str, tmp_path: Path):
+    path, _ = _gltf(tmp_path)
+    tree = json.loads(path.read_text())
+    (part,) = tree["meshes"][0]["primitives"]
+    if change == "points":
+        tree["meshes"].append({"primitives": [{"attributes": {"POSITION": part["attributes"]["POSITION"]}, "mode": 0}]})
+        tree["nodes"].append({"mesh": 1, "name": "landmarks"})
+        tree["scenes"][0]["nodes"].append(len(tree["nodes"]) - 1)
+        path.write_text(json.dumps(tree))
+        assert read_parts(path).notes == ("1 nodes without triangles are left out: landmarks",)
+        return
+    part["mode"] = 6 if change == "fan" else 4
+    if change == "sparse":
+        tree["accessors"][part["attributes"]["POSITION"]]["sparse"] = {"count": 1}
+    path.write_text(json.dumps(tree))
+    with pytest.raises(MeshRefusedError, match="fans of triangles, or sparse or normalized numbers"):
+        read_parts(path)

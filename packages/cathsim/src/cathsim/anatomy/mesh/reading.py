@@ -41,6 +41,7 @@ _OWN: dict[str, Callable[[bytes], list[tuple[str, SurfaceFile]]]] = {
 }
 MOST_FACES = 400_000  # above this a mesh is thinned out
 _STRAY, _MOST_STRAY = 0.5, 10.0  # % of vertices at either side, and how many times further than the others they may lie
+_MOST_LOST = 0.2  # of a surface's faces that may be missing
 _WELD = 1e-5  # of the largest extent: vertices nearer than this are one
 _CLUSTERS = 500  # cells along the largest extent when a mesh is thinned out
 
@@ -169,16 +170,19 @@ def read_surfaces(path: Path) -> list[NamedSurface]:
     except UnreadableFileError as error:
         raise MeshRefusedError(str(error)) from None
     except Exception as error:  # the readers of several formats raise what they like on damaged files
-        own = suffix in _OWN and type(error) is ValueError
+        own = type(error) is ValueError and (suffix in _OWN or str(error).startswith("it promises"))
         raise MeshRefusedError(
             f"{path.name} cannot be read as a mesh: {f'{error}; export it again' if own else _expected(path)}."
         ) from error
     if not found:
         raise MeshRefusedError(f"{path.name} holds no surface: {_expected(path)}.")
-    return [
-        NamedSurface(name, checked_triangles(one.vertices, one.faces, path), one.space, one.notes)
-        for name, one in found
-    ]
+    surfaces = []
+    for name, one in found:
+        mesh = checked_triangles(one.vertices, one.faces, path)
+        lost = len(one.faces) - len(mesh.faces)
+        notes = (f"{lost} of its {len(one.faces)} faces lack finite coordinates and are left out",) if lost else ()
+        surfaces.append(NamedSurface(name, mesh, one.space, (*one.notes, *notes)))
+    return surfaces
 
 
 def read_triangles(path: Path) -> Triangles:
@@ -191,7 +195,7 @@ def _expected(path: Path) -> str:
 
 
 def checked_triangles(vertices: Array, faces: Indices, path: Path) -> Triangles:
-    """Triangles of a file, without those of infinite coordinates and vertices that no triangle uses.
+    """Triangles of a file, without the few of infinite coordinates and vertices that no triangle uses.
 
     Raises:
         MeshRefusedError: there is no surface, or vertices lie far off.
@@ -206,8 +210,12 @@ def checked_triangles(vertices: Array, faces: Indices, path: Path) -> Triangles:
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise MeshRefusedError(f"{path.name} has faces of vertices that it does not have: {expected}.")
     finite: NDArray[np.bool_] = np.isfinite(vertices).min(axis=1)
-    faces = faces[finite[faces].min(axis=1)]
-    if len(faces) < 4 or np.ptp(vertices[faces].reshape(-1, 3), axis=0).max() <= 0:
+    count, faces = len(faces), faces[finite[faces].min(axis=1)]
+    if (
+        len(faces) < (1 - _MOST_LOST) * count
+        or len(faces) < 4
+        or np.ptp(vertices[faces].reshape(-1, 3), axis=0).max() <= 0
+    ):
         raise MeshRefusedError(f"{path.name} holds no surface with finite coordinates: {expected}.")
     mesh = Triangles(vertices, faces).compact()
     low, high = np.percentile(mesh.vertices, [_STRAY, 100 - _STRAY], axis=0)

@@ -23,6 +23,7 @@ from cathsim.anatomy.mesh.files.surface import (
 from cathsim.guarded_reading import UnreadableFileError, open_regular, referenced_file
 
 _PACKED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression")
+_FAN = 6  # a primitive's mode
 
 
 _ORDERS = {b"binary_little_endian": "little", b"binary_big_endian": "big"}
@@ -59,7 +60,31 @@ def read_mesh(path: Path) -> list[tuple[str, SurfaceFile]]:
         if kind != "ply":
             raise
         return [("", read_polygons(content))]
+    notes += [note] if (note := _rows_beyond(content, kind)) else []
     return [("", _surface(loaded, space, tuple(notes)))]
+
+
+def _rows_beyond(content: bytes, kind: str) -> str:
+    """A note on rows behind those that the head of a text file promises; empty where there are none.
+
+    Raises:
+        ValueError: there are less, or so many more that the head is wrong.
+    """
+    rows = [row for row in content.splitlines() if row.strip() and not (kind == "off" and row.lstrip()[:1] == b"#")]
+    if kind == "off":
+        head = re.match(rb"\s*(?:[A-Z4n]*OFF)?\s*(\d+)\s+(\d+)", b"\n".join(rows[:2]))
+        counts = [int(number) for number in head.groups()] if head else []
+        rows = rows[head.group().count(b"\n") + 1 :] if head else []
+    elif kind == "ply" and re.search(rb"^format +ascii", content, re.MULTILINE):
+        end = next(k for k, row in enumerate(rows) if row.strip() == b"end_header")
+        counts = [int(row.split()[2]) for row in rows[:end] if row.startswith(b"element ")]
+        rows = rows[end + 1 :]
+    else:
+        return ""
+    more = len(rows) - sum(counts)
+    if more < 0 or more > 0.2 * sum(counts):
+        raise ValueError(f"it promises {sum(counts)} rows and holds {len(rows)}")
+    return f"{more} rows behind those that it promises are left out" if more else ""
 
 
 def _surface(loaded: Any, space: str, notes: tuple[str, ...] = ()) -> SurfaceFile:
@@ -89,8 +114,11 @@ def read_scene(path: Path) -> list[tuple[str, SurfaceFile]]:
         raise UnreadableFileError(
             f"{path.name} has {total} triangles in {len(meshes)} nodes, at most {MOST_TRIANGLES} are read; simplify it."
         )
+    taken = {name for name, _, _ in meshes}
+    bare = [name for name, _, _ in nodes if name not in taken]
+    notes = (f"{len(bare)} nodes without triangles are left out: {', '.join(bare[:4])}",) if bare else ()
     return [
-        (name, SurfaceFile(trimesh.transform_points(mesh.vertices, pose), np.asarray(mesh.faces, dtype=np.int64)))
+        (name, SurfaceFile(trimesh.transform_points(mesh.vertices, pose), np.asarray(mesh.faces, np.int64), "", notes))
         for name, pose, mesh in meshes
     ]
 
@@ -113,12 +141,20 @@ def _references(path: Path) -> list[str]:
     try:
         tree = json.loads(content)
         uris = [buffer.get("uri", "data:") for buffer in tree.get("buffers", [])]
+        parts = [part for mesh in tree.get("meshes", []) for part in mesh["primitives"]]
+        used = {part.get("indices") for part in parts} | {part["attributes"].get("POSITION") for part in parts}
+        odd = [k for k in used - {None} if {"sparse", "normalized"} & set(tree["accessors"][k])]
         nodes, packed = len(tree.get("nodes", [])), set(tree.get("extensionsRequired", [])) & set(_PACKED)
     except Exception as error:  # of a damaged file
         raise UnreadableFileError(f"{path.name} cannot be read as a glTF scene ({error}); export it again.") from error
     if nodes > MOST_NODES:
         raise UnreadableFileError(
             f"{path.name} has {nodes} nodes, at most {MOST_NODES} are read; export the vessels alone."
+        )
+    if odd or any(part.get("mode") == _FAN for part in parts):
+        raise UnreadableFileError(
+            f"{path.name} has fans of triangles, or sparse or normalized numbers, which are not read; export it again "
+            "as plain triangles."
         )
     if packed:
         raise UnreadableFileError(f"{path.name} is compressed ({', '.join(packed)}); export it without compression.")
@@ -136,6 +172,7 @@ def read_polygons(content: bytes) -> SurfaceFile:
     order = _ORDERS[next(words[1] for words in lines if words[:1] == [b"format"])]
     sign = "<" if order == "little" else ">"
     vertices, corners, ends, at = np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.int64), 0
+    notes: tuple[str, ...] = ()
     for number, words in enumerate(lines):
         if words[:1] != [b"element"]:
             continue
@@ -146,18 +183,24 @@ def read_polygons(content: bytes) -> SurfaceFile:
                 break
             fields += [line[1:]] if line[:1] == [b"property"] else []
         if words[1] == b"face":
-            corners, ends = _polygons(data, at, count, fields, order)
-            break  # what comes behind the faces is not needed
+            corners, ends, at = _polygons(data, at, count, fields, order)
+            more = 0 if any(words[:1] == [b"element"] for words in lines[number + 1 :]) else len(data) - at
+            notes = (f"{more} bytes behind its {count} faces are left out",) if more else ()
+            if more > 0.2 * len(data):
+                raise ValueError("its head promises less faces than it holds")
+            break  # other elements behind the faces are not needed
         kind = np.dtype([(field[1].decode(), sign + _TYPES[field[0]]) for field in fields])
         if words[1] == b"vertex":
             found = np.frombuffer(data, kind, count, at)
             vertices = np.stack([found[axis].astype(np.float64) for axis in "xyz"], axis=1)
         at += count * kind.itemsize
-    return SurfaceFile(vertices, triangles_of_cells(corners, ends, strips=False), space_of_comment(content))
+    return SurfaceFile(vertices, triangles_of_cells(corners, ends, strips=False), space_of_comment(content), notes)
 
 
-def _polygons(data: bytes, at: int, count: int, fields: list[list[bytes]], order: str) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of one face after the other, and where each face ends among them."""
+def _polygons(
+    data: bytes, at: int, count: int, fields: list[list[bytes]], order: str
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Corners of one face after the other, where each face ends among them, and where all end in the data."""
     (place,) = (k for k, field in enumerate(fields) if field[0] == b"list")
     before, after = (
         sum(np.dtype(_TYPES[field[0]]).itemsize for field in part) for part in (fields[:place], fields[place + 1 :])
@@ -180,4 +223,4 @@ def _polygons(data: bytes, at: int, count: int, fields: list[list[bytes]], order
     shift = np.array(starts, np.int64) - corner.itemsize * (ends - sizes)
     places = np.repeat(shift, sizes) + corner.itemsize * np.arange(ends[-1] if count else 0)
     octets = np.frombuffer(data, np.uint8)[places[:, None] + np.arange(corner.itemsize)]
-    return octets.view(corner)[:, 0], ends
+    return octets.view(corner)[:, 0], ends, at

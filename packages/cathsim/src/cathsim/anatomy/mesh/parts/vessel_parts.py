@@ -129,7 +129,7 @@ def _read_parts(path: Path) -> Surface:
         ]
     else:
         named = read_surfaces(path)
-    notes = tuple(note for one in named for note in one.notes)
+    notes = tuple(dict.fromkeys(note for one in named for note in one.notes))
     known = [(vessel_name(one.name), one) for one in named]
     if any(vessel for vessel, _ in known):
         if not any(vessel == AORTA for vessel, _ in known):
