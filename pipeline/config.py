@@ -160,6 +160,9 @@ def settings_beside(key: str, chosen: Mapping[str, str]) -> list[str]:
     owner, stage = key.rpartition(".")[0], chosen.get("stage", "")
     if owner.rpartition(".")[2] in ("task", "arch_task"):
         return [f"{owner}.{item.name}" for item in dataclasses.fields(Task)]
+    kinds_of: dict[str, Any] = {item.name: item.default_factory for item in dataclasses.fields(RunConfig)}
+    if dataclasses.is_dataclass(settings := kinds_of.get(owner)):
+        return [f"{owner}.{item.name}" for item in dataclasses.fields(settings)]
     if not key.startswith(("stage.", "engine.")):
         return [*(item.name for item in dataclasses.fields(RunConfig)), "experiment", "stage.KEY"]
     group = key.partition(".")[0]

@@ -70,6 +70,9 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
     if "You must specify 'stage'" in text:
         return f"no stage given: add stage=…, one of {', '.join(available_stages())}"
     full = [found[1] for one in (cause, error) if (found := re.search(r"full_key: ([\w.\[\]]+)", str(one)))]
+    if full and "is not a subclass of" in f"{text} {cause}":  # a value instead of a group of settings
+        names = settings_beside(f"{full[0]}.", {})
+        return f"{full[0]} has several settings: give {', '.join(f'{name}=…' for name in names)} one by one"
     key = _KEY.search(text)
     if key or "is not in struct" in f"{text} {cause}" or "not in '" in f"{text} {cause}":
         return _unknown_key((full or [(key and (key[1] or key[2])) or "?"])[0], overrides)

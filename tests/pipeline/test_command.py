@@ -215,6 +215,8 @@ WRONG = {
     "experiment": (("stage=phantoms", "experiment=nothing"), ["'nothing'", "demo"]),
     "launcher": (("stage=phantoms", "hydra/launcher=cloud"), ["'cloud'", "joblib", "submitit_local"]),
     "phantom": (("stage=phantoms", "stage.phantoms=[type_9]"), ["'type_9'", "type_1", "bovine"]),
+    "phantom by name": (("stage=phantoms", "phantom=type_99"), ["phantom has several settings: give phantom.name=…"]),
+    "phantom's key": (("stage=phantoms", "phantom.nam=type_1"), ["did you mean phantom.name?"]),
     "key": (("stage=phantoms", "sed=3"), ["'sed'", "did you mean seed?", "budget"]),
     "added key": (("stage=phantoms", "+sed=3"), ["'sed'", "budget"]),
     "number of a stage": (("stage=5",), ["unknown stage '5'", "choose one of phantoms"]),
