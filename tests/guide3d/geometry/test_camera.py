@@ -79,6 +79,8 @@ def test_yaml_files_go_to_opencv_and_back(camera, tmp_path):
         ("translation\r\n6.5", "translation\r\nsix", r"expected 3 x 1 numbers under 'translation', found 'six"),
         ("1024,1000", "1024", "expected 1 x 2 numbers under 'image size', found '1024'"),
         ("0,0,1\r\n", "0,0,2\r\n", "K should be upper triangular"),
+        ("1024,1000", "1024.5,1000", r"camera\.txt: width must be a valid integer"),
+        ("1024,1000", "1000000000,1000", r"camera\.txt: width must be less than or equal to 8192, got 1000000000"),
     ],
 )
 def test_a_malformed_file_is_named_with_what_was_expected(camera, tmp_path, old, new, message):
@@ -120,6 +122,34 @@ def test_missing_binary_and_distorted_files_are_refused(camera, tmp_path):
         read_opencv_yaml(tmp_path / "lens.yaml")
     (tmp_path / "lens.yaml").write_text(text.replace("translation_vector", "somewhere"))
     with pytest.raises(ValueError, match="expected an !!opencv-matrix translation_vector"):
+        read_opencv_yaml(tmp_path / "lens.yaml")
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale"),
+    [("world_unit: 'cm'", 10), ("world_unit: cm  # centimetres", 10), ("unit: cm", 10), ('Units: "M"', 1000), ("", 1)],
+)
+def test_the_unit_of_yaml_is_read_as_yaml_does(camera, tmp_path, unit, scale):
+    write_opencv_yaml(camera, tmp_path / "camera.yaml")
+    text = (tmp_path / "camera.yaml").read_text().replace('world_unit: "mm"', unit)
+    (tmp_path / "camera.yaml").write_text(text)
+    assert np.allclose(read_opencv_yaml(tmp_path / "camera.yaml").t_mm, camera.t_mm * scale)
+    (tmp_path / "camera.yaml").write_text(text + "unit: inch\n" if not unit else text.replace(unit, "unit: inch"))
+    with pytest.raises(ValueError, match=r"camera\.yaml: expected a unit among mm, cm, m, found 'inch'"):
+        read_opencv_yaml(tmp_path / "camera.yaml")
+
+
+@pytest.mark.parametrize("key", ["dist_coeffs", "distCoeffs", "distortion", "D1", "D", "Distortion_Coefficients", "k1"])
+@pytest.mark.parametrize(
+    "value", ["!!opencv-matrix\n   rows: 1\n   cols: 2\n   dt: d\n   data: [ {}, 0. ]", "[{}]", "{}"]
+)
+def test_lens_distortion_is_refused_under_any_key(camera, tmp_path, key, value):
+    write_opencv_yaml(camera, tmp_path / "lens.yaml")
+    text = (tmp_path / "lens.yaml").read_text() + "source_distance: 1000\ndistortion_model: rational8\n"
+    (tmp_path / "lens.yaml").write_text(f"{text}{key}: {value.format('0.')}\n")
+    assert np.allclose(read_opencv_yaml(tmp_path / "lens.yaml").P, camera.P)
+    (tmp_path / "lens.yaml").write_text(f"{text}{key}: {value.format('-0.4')}\nlast: 1\n")
+    with pytest.raises(ValueError, match=rf"expected no lens distortion, found {key} \[-0.4"):
         read_opencv_yaml(tmp_path / "lens.yaml")
 
 

@@ -1,6 +1,7 @@
 """Two images to a wire in space: drawn views of synthetic scenes, whose wire is known."""
 
 import functools
+import re
 
 import numpy as np
 import pytest
@@ -94,6 +95,17 @@ def test_raw_images_are_undistorted_and_undistorted_ones_are_recognised() -> Non
         residuals[frame] = reading.residual_px
     wrong = read_pair(*raw, scene.cameras, distortions=maps, frame="undistorted", reader=DarkLineReader())
     assert wrong.residual_px > 2.0 * residuals["raw"]
+
+
+def test_a_wire_that_one_image_hardly_shows_is_refused() -> None:
+    scene = SCENES[0]
+    pictures = _pictures(scene)
+    READER.drawn.append(maps_of(scene.points[1], weak=((200, 5000, 0.4),)))
+    reading = read_pair(pictures[0], picture(READER.drawn[-1]), scene.cameras, reader=READER)
+    assert reading.residual_px < 2.0
+    assert not reading.accepted
+    assert re.fullmatch(r"\d\d% of the curve in image B is guessed, more than 33%: .*", reading.refusal)
+    assert reading.refusal in reading.messages
 
 
 def test_bad_input_is_one_sentence(arch: tuple[SyntheticScene, list[np.ndarray], list]) -> None:

@@ -68,16 +68,17 @@ def settings(cls: Any = None, /, *, eq: bool = True) -> Any:
         try:
             construct(self, *args, **kwargs)
         except ValidationError as error:
-            raise ValueError(_sentence(error)) from None
+            raise ValueError(_sentence(error, [field.name for field in dataclasses.fields(made)])) from None
 
     made.__init__ = init
     return made
 
 
-def _sentence(error: ValidationError) -> str:
+def _sentence(error: ValidationError, fields: list[str]) -> str:
     first = error.errors(include_url=False)[0]
     if first["type"] == "value_error":  # of a check in the class itself, which has a sentence of its own
         return str(first["ctx"]["error"])
-    name = ".".join(map(str, first["loc"]))
+    at, *inner = first["loc"]  # a number of what is given without its name
+    name = ".".join(map(str, [fields[at] if isinstance(at, int) and at < len(fields) else at, *inner]))
     sentence = f"{name} {first['msg']}".replace(f"{name} Input should", f"{name} must")
     return f"{sentence}, got {first['input']!r}"

@@ -191,9 +191,10 @@ _YAML_NAMES = {
     "R": ("rotation_matrix", "R", "rotation"),
     "t": ("translation_vector", "t", "T", "translation", "tvec"),
     "size": ("image_width", "image_height"),
-    "distortion": ("distortion_coefficients", "D", "Distortion_Coefficients"),
     "covariance": ("covariance",),
 }
+_LENS = re.compile(r"^((?:(?!\w*distance)\w*(?i:dist)\w*|D\d*|k\d|kc)):((?:.*\n?)(?:(?:[ \t-].*)?\n)*)", re.MULTILINE)
+_TEXT = r"""\s*(["']?)([^"'#\n]*?)\1\s*(?:#.*)?$"""
 
 
 def read_opencv_yaml(path: str | Path, unit: str | None = None) -> Camera:
@@ -208,12 +209,12 @@ def read_opencv_yaml(path: str | Path, unit: str | None = None) -> Camera:
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: An entry is missing or malformed, or the file holds lens distortion (this camera has none).
+        ValueError: An entry is missing or malformed, the unit is unknown, or there is lens distortion.
     """
     path = Path(path)
     text = read_text(path, "camera file")
 
-    def matrix(kind: str, shape: tuple[int, int] | None) -> np.ndarray | None:
+    def matrix(kind: str, shape: tuple[int, int]) -> np.ndarray | None:
         for name in _YAML_NAMES[kind]:
             pattern = rf"^{name}:\s*!!opencv-matrix\s*rows:\s*(\d+)\s*cols:\s*(\d+)\s*dt:\s*\S+\s*data:\s*\[([^\]]*)\]"
             found = re.search(pattern, text, re.MULTILINE)
@@ -221,17 +222,14 @@ def read_opencv_yaml(path: str | Path, unit: str | None = None) -> Camera:
                 continue
             rows, columns = int(found[1]), int(found[2])
             cells = found[3].split(",")
-            expected = shape or (rows, columns)
             try:
                 values = np.array([float(cell) for cell in cells])
             except ValueError:
                 values = np.empty(0)
-            if values.size != rows * columns or values.size != expected[0] * expected[1]:
+            if values.size != rows * columns or values.size != shape[0] * shape[1]:
                 found_text = f"{rows} x {columns} declared, {found[3].strip()[:60]!r} written"
-                raise ValueError(
-                    f"{path}: expected {expected[0]} x {expected[1]} numbers in {name}, found {found_text}"
-                )
-            return values.reshape(expected)
+                raise ValueError(f"{path}: expected {shape[0]} x {shape[1]} numbers in {name}, found {found_text}")
+            return values.reshape(shape)
         return None
 
     K, R, t = matrix("K", (3, 3)), matrix("R", (3, 3)), matrix("t", (3, 1))
@@ -242,18 +240,22 @@ def read_opencv_yaml(path: str | Path, unit: str | None = None) -> Camera:
         raise ValueError(f"{path}: expected an !!opencv-matrix {first} (or {', '.join(others)}), found none")
     if sizes[0] is None or sizes[1] is None:
         raise ValueError(f"{path}: expected image_width and image_height as whole numbers, found at most one of them")
-    distortion = matrix("distortion", None)
-    if distortion is not None and np.abs(distortion).max(initial=0.0) > 0:
-        raise ValueError(
-            f"{path}: expected no lens distortion, found {distortion.ravel().tolist()}; "
-            "undistort the points first (guide3d.geometry.distortion)"
-        )
+    for key, value in _LENS.findall(text + "\n"):
+        coefficients = numbers_in(" ".join(re.findall(r"[^\s,\[\]]*\d[^\s,\[\]]*", value.rpartition("[")[2]))) or [0.0]
+        if any(coefficients):
+            raise ValueError(
+                f"{path}: expected no lens distortion, found {key} {coefficients}; "
+                "undistort the points first (guide3d.geometry.distortion)"
+            )
     text_of = {
-        key: found[1]
-        for key in ("world_unit", "camera_name")
-        if (found := re.search(rf'^{key}:\s*"?([\w.\- ]+?)"?\s*$', text, re.MULTILINE))
+        key: found[2]
+        for key, pattern in (("world_unit", "(?i:world_?)?(?i:units?)"), ("camera_name", "camera_name"))
+        if (found := re.search(f"^{pattern}:{_TEXT}", text, re.MULTILINE))
     }
-    scale = _scale_mm(unit or text_of.get("world_unit", "mm"))
+    try:
+        scale = _scale_mm(unit or text_of.get("world_unit", "mm").lower())
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
     size = np.array([float(sizes[0][1]), float(sizes[1][1])])
     name = text_of.get("camera_name", path.stem)
     return _built(path, K, R, t[:, 0] * scale, size, name, matrix("covariance", (11, 11)))
@@ -310,7 +312,8 @@ def _built(
     name: str,
     covariance: np.ndarray | None = None,
 ) -> Camera:
+    width, height = size.tolist()
     try:
-        return Camera(K, R, t_mm, int(size[0]), int(size[1]), name, covariance)
-    except (ValueError, OverflowError) as error:
+        return Camera(K, R, t_mm, width=width, height=height, name=name, covariance=covariance)
+    except ValueError as error:
         raise ValueError(f"{path}: {error}") from None

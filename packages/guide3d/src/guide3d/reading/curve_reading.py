@@ -29,6 +29,7 @@ from guide3d.setting_kinds import PixelDistance, Share, Weight, settings
 
 _COARSE = 8  # distances from the border are measured on a map this much smaller
 _LEAVING_PX = 8.0
+UNSURE = 0.5  # confidence below which a point counts as guessed
 _TIPS = 6  # peaks of the tip map that are tried
 
 
@@ -88,6 +89,11 @@ class ImageCurve:
     def length_px(self) -> float:
         """Length."""
         return float(arc_length(self.points_px)[-1])
+
+    @property
+    def guessed(self) -> float:
+        """Share of the points that are guessed: in gaps, where the wire is faint, or on the way to the border."""
+        return float((self.confidence < UNSURE).mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,6 +178,7 @@ def read_curves(
         if len(candidates) == chosen.search.candidates:
             break
     candidates.sort(key=lambda curve: -curve.score)
+    candidates = [curve for curve in candidates if curve.guessed <= chosen.search.guessed] or candidates
     return CurvesOfImage(candidates, _others(scene, worth, links, (start, stop), paths[0], chosen))
 
 

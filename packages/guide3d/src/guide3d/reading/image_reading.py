@@ -11,11 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from guide3d.geometry.polyline import Array, arc_length, distances_to
-from guide3d.reading.curve_reading import CurveReadingSettings, CurvesOfImage, ImageCurve, Prior, read_curves
+from guide3d.reading.curve_reading import (
+    UNSURE,
+    CurveReadingSettings,
+    CurvesOfImage,
+    ImageCurve,
+    Prior,
+    read_curves,
+)
 from guide3d.reading.grey_image import READ_PX, SMALLEST_PX, GreyImage, grey_image
 from guide3d.reading.ridges import Map
 
-_UNSURE = 0.5  # confidence below which a point counts as guessed
 _GUESSED = 0.15  # share of guessed points worth a message
 _TIP_UNSURE = 0.3
 _CERTAIN_SHARE = 0.25  # of the image's side: certain wire in its negative or at a smaller scale; short lines are common
@@ -86,6 +92,11 @@ class ImageReading:
     def overall_confidence(self) -> float:
         """Mean confidence along the curve, 0 without one."""
         return float(self.confidence.mean()) if self.found else 0.0
+
+    @property
+    def guessed(self) -> float:
+        """Share of guessed points, 0 without a curve."""
+        return float((self.confidence < UNSURE).mean()) if self.found else 0.0
 
     def with_candidate(self, number: int) -> ImageReading:
         """The same image read as its candidate of a number, counted from 0."""
@@ -200,7 +211,7 @@ def _is_whole(grey: GreyImage, curves: CurvesOfImage) -> bool:
 
 def _is_seen(curve: ImageCurve) -> bool:
     """Whether a curve has a tip and is hardly guessed."""
-    return bool(curve.tip_confidence >= _TIP_UNSURE and (curve.confidence < _UNSURE).mean() <= _GUESSED)
+    return bool(curve.tip_confidence >= _TIP_UNSURE and curve.guessed <= _GUESSED)
 
 
 def _at_border(grey: GreyImage, point: Array) -> bool:
@@ -241,9 +252,8 @@ def _remarks(reading: ImageReading) -> list[str]:
     if reading.others:
         count = 1 + len(reading.others)
         remarks.append(f"there are {count} wires: the most certain one is the curve, the others are given too")
-    guessed = float((reading.confidence < _UNSURE).mean())
-    if guessed > _GUESSED:
-        remarks.append(f"{guessed:.0%} of the curve is guessed across gaps")
+    if reading.guessed > _GUESSED:
+        remarks.append(f"{reading.guessed:.0%} of the curve is guessed across gaps")
     if reading.tip_confidence < _TIP_UNSURE:
         remarks.append("the tip is uncertain: nothing at the first point looks like one")
     return remarks

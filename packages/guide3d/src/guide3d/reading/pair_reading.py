@@ -185,11 +185,20 @@ def combine(
     read_as = (views[0].with_candidate(a), views[1].with_candidate(b))
     of_views = [f"image {name}: {text}" for name, view in zip(VIEWS, read_as, strict=True) for text in view.messages]
     messages = of_views + messages
+    most = (chosen.reading or CurveReadingSettings()).search.guessed
+    unseen = [
+        f"{view.guessed:.0%} of the curve in image {name} is guessed, more than {most:.0%}: a curve in space needs a "
+        "wire that both images show"
+        for name, view in zip(VIEWS, read_as, strict=True)
+        if view.guessed > most
+    ]
     covariance = wire.covariance_mm2 + _reading_covariance(cameras, wire, points, read_as, chosen)
     refusal = doubt
     if accepted:  # otherwise the reconstruction's warnings say the same once more
         messages += wire.warnings
         refusal = "" if wire.accepted else "; ".join(wire.warnings)
+    messages += unseen
+    refusal = "; ".join([*([refusal] if refusal else []), *unseen])
     return PairReading(wire.curve_mm, covariance, read_as, points, wire, best.residual_px, refusal, messages)
 
 
