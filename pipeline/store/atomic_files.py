@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import stat
 from collections.abc import Iterator, Mapping
+from io import BufferedReader
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -54,10 +56,18 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         np.savez(stream, **arrays)  # type: ignore[arg-type]
 
 
+def open_file(path: Path) -> BufferedReader:
+    """Opens a file of a run's folder; a ValueError where it is none, such as a pipe, which would be waited for."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise ValueError(f"{path} is no regular file")
+    return path.open("rb")
+
+
 def read_json(path: Path) -> Any:
     """Reads a JSON file; a ValueError where it is none, or nested deeper than anything that is written here."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        with open_file(path) as file:
+            return json.loads(file.read().decode("utf-8"))
     except RecursionError as error:
         raise ValueError(f"{path} is nested too deeply") from error
 

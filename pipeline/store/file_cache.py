@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.store.atomic_files import write_text
+from pipeline.store.atomic_files import open_file, write_text
 from pipeline.store.provenance import hash_file
 
 CACHE = ".cache"  # below the run's folder; it may be deleted
@@ -33,10 +33,11 @@ class FileCache:
         self._changed = False
         if store is not None:
             try:
-                check, _, text = store.read_text(encoding="utf-8").partition("\n")
+                with open_file(store) as file:
+                    check, _, text = file.read().decode("utf-8").partition("\n")
                 if check == _check(text, version):
                     self._known = json.loads(text)
-            except (OSError, UnicodeDecodeError):
+            except (OSError, ValueError):
                 pass
 
     def recall(self, file: Path) -> Any | None:

@@ -12,6 +12,8 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+from pipeline.store.atomic_files import open_file
+
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 _REPORTED_DISTRIBUTIONS = ("numpy", "scipy", "mujoco", "gymnasium", "dm_control", "scikit-image", "trimesh", "torch",
                            "stable-baselines3", "mcap", "hydra-core")  # fmt: skip
@@ -30,7 +32,7 @@ def hash_value(value: Any) -> str:
 
 def hash_file(path: Path) -> str:
     """SHA-256 of a file's content, in hex."""
-    with path.open("rb") as stream:
+    with open_file(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from pipeline.store.atomic_files import open_file
+
 _WRITING = os.O_WRONLY | os.O_RDWR
 _LONGEST_PART = 255  # bytes that a file system takes
 _state: dict[str, _Notes | None] = {"notes": None}
@@ -25,6 +27,8 @@ class _Notes:
     def __init__(self, folder: Path, journal: Path) -> None:
         self._roots = {os.path.abspath(folder) + os.sep, os.path.realpath(folder) + os.sep}
         journal.parent.mkdir(parents=True, exist_ok=True)
+        if not journal.is_file():  # a pipe would be waited for
+            journal.unlink(missing_ok=True)
         self._descriptor = os.open(journal, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         self._seen: set[str] = set()
 
@@ -86,8 +90,9 @@ def is_inside(name: str) -> bool:
 def read_journal(journal: Path) -> list[str]:
     """Paths below its folder in the order in which they were first written; none without a journal."""
     try:
-        lines = journal.read_bytes().split(b"\n")
-    except FileNotFoundError:
+        with open_file(journal) as file:
+            lines = file.read().split(b"\n")
+    except (FileNotFoundError, ValueError):
         return []
     # What follows the last line's end was cut off by a kill: that file was not opened yet.
     return list(filter(is_inside, dict.fromkeys(map(os.fsdecode, lines[:-1]))))

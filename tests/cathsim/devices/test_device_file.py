@@ -80,6 +80,26 @@ def test_a_wire_of_ones_own_is_loaded(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("diameter_mm: 35", "diameter_mm must be from 0.1 to 5, got 35"),
+        ("diameter_mm: 0.035", "diameter_mm must be from 0.1 to 5, got 0.035"),
+        ("density_kg_m3: 6.5", "density_kg_m3 must be from 500 to 25000, got 6.5"),
+        ("shaft_stiffness_nmm2: 1e9", "shaft_stiffness_nmm2 must be from 0.001 to 1e+06, got 1000000000.0"),
+        ("torsional_stiffness_nmm2: 1e-9", "torsional_stiffness_nmm2 must be from 0.001 to 1e+06, got 1e-09"),
+        ("tip_stiffness_nmm2: 9000", "tip_stiffness_nmm2 must be at most 10 times shaft_stiffness_nmm2, 400, got 9000"),
+        ("tip_angle_deg: 400", "tip_angle_deg must be from -360 to 360, got 400"),
+        ("tip_length_mm: 500", "tip_length_mm must be at most the length of the links, 264, got 500"),
+        ("tip_length_mm: -1", "tip_length_mm must be from 0 to 5000, got -1"),
+    ],
+)
+def test_what_no_device_has_is_refused_in_the_units_of_the_file(text: str, message: str, tmp_path: Path) -> None:
+    path = written(tmp_path, f"kind: guidewire\nbased_on: default\n{text}\n")
+    with pytest.raises(ValueError, match=re.escape(f"{path}: {message}")):
+        load_guidewire(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
         ("kind: catheter\nlenght_mm: 900\n", "has no 'lenght_mm'; its keys are .*length_mm"),
         ("kind: catheter\ndiameter_mm: 900\n", "a catheter has no 'diameter_mm'"),
         ("kind: guidewire\n", "describes a guidewire, but a catheter is expected"),
@@ -97,7 +117,7 @@ def test_a_wire_of_ones_own_is_loaded(tmp_path: Path) -> None:
         ("kind: catheter\nfriction: " + "x" * 9000 + "\n", "friction must be a number, got 'xxx"),
         ("kind: catheter\nshape: [{from_mm: 0, to_mm: 10, angle_deg: 9, radius_mm: 3}]\n", "a bend is given as"),
         ("kind: catheter\nshape: [{from_mm: 0, to_mm: 2, angle_deg: 90}]\n", "has a radius of"),
-        ("kind: catheter\nouter_diameter_mm: 1.67e6\n", "outer_diameter must lie in 0 .* m, got 1670.0"),
+        ("kind: catheter\nouter_diameter_mm: 1.67e6\n", "outer_diameter_mm must be from 0.1 to 10, got 1670000.0"),
         ("kind: catheter\nlength_mm: 1" + "0" * 400 + "\n", "length_mm must be a finite number, got inf"),
         ("kind: catheter\nbased_on: simmons9\n", "based_on must be a preset of a catheter, .*simmons1.*'simmons9'"),
         ("kind: catheter\nsource: {shape: 3}\n", "the source of shape must be a text, got 3"),

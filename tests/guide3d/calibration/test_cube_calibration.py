@@ -1,6 +1,7 @@
 """From a folder of images to cameras: a drawn one, damaged ones, and the real one."""
 
 import os
+import re
 import shutil
 from pathlib import Path
 
@@ -151,6 +152,29 @@ def test_all_beads_are_read_in_every_layout(tmp_path, layout, header, mark):
         lines.insert(0, header.format(separator))
     (tmp_path / "Framespec_CM.CSV").write_bytes("\r\n".join(lines).encode(mark))
     assert np.allclose(read_beads(tmp_path / "Framespec_CM.CSV"), 10 * beads)
+
+
+@pytest.mark.parametrize(
+    ("header", "last", "said"),
+    [
+        ("x (mm),y (mm),z (mm)", "1,2,3", "line 1: the header is in mm, the file's name says cm: make both the same"),
+        ("x_cm,y_cm,z_mm", "1,2,3", "line 1: the header is in cm, mm, the file's name says cm"),
+        ("x [cm],y [cm],z [cm]", "4,0,1.5", "line 11: the bead at '4,0,1.5' is there twice"),
+        ("x axis,y axis,z axis", "1e300,0,0", "line 11: expected at most 10000 mm, found '1e300,0,0' cm"),
+    ],
+)
+def test_beads_that_contradict_each_other_are_refused(tmp_path, header, last, said):
+    rows = [header, *(f"{k},0,1.5" for k in range(9)), last]
+    (tmp_path / "framespec_cm.csv").write_text("\n".join(rows))
+    with pytest.raises(ValueError, match=re.escape(said)):
+        read_beads(tmp_path / "framespec_cm.csv")
+
+
+@pytest.mark.parametrize("text", ["1 circle\n1 cross", "1 circle\n2 CIRCLE"])
+def test_a_bead_or_a_mark_that_is_there_twice_is_refused(tmp_path, text):
+    (tmp_path / "marks.ref").write_text(text)
+    with pytest.raises(ValueError, match="line 2: expected one bead for each mark, found"):
+        read_references(tmp_path / "marks.ref", 64)
 
 
 def test_names_in_capitals_are_found_and_doubled_ones_refused(folder, tmp_path):

@@ -116,9 +116,11 @@ def test_what_is_missing_is_named(field: str, name: str, run: XrayRun) -> None:
     [
         ("source_isocentre_mm", [1200.0], "isocentre between source and detector"),
         ("source_detector_mm", [0.0], "isocentre between source and detector"),
+        ("source_detector_mm", [100.0], "the detector 100 mm: are the distances in millimetres"),
+        ("source_detector_mm", [1.0], "these 300 to 3000 mm apart"),
         ("primary_deg", [181.0], "primary angle from -180 to 180"),
         ("secondary_deg", [-91.0], "secondary one from -90 to 90"),
-        ("source_detector_mm", [1e300], "at most 10000 mm apart"),
+        ("source_detector_mm", [1e300], "300 to 3000 mm apart"),
         ("pixel_mm", [[0.2, 0.0]], "pixel spacing from 0.001 to 100 mm"),
         ("pixel_mm", [[1e-300, 1e-300]], "pixel spacing from 0.001 to 100 mm"),
         ("pixel_mm", [[0.2, 1e300]], "pixel spacing from 0.001 to 100 mm"),

@@ -286,6 +286,24 @@ def test_files_without_a_preamble_are_read(meta: bool, implicit: bool, tmp_path:
     assert np.allclose(run.primary_deg, 30)
 
 
+@pytest.mark.parametrize(
+    ("changed", "said", "last_ms"),
+    [
+        ({"FrameTime": "0.04"}, "its FrameTime is 0.04 ms, which is taken as not known", None),
+        ({"FrameTime": "1e30", "CineRate": "20"}, "its FrameTime is 1e+30 ms, which is taken as not known", 100),
+        ({"FrameTime": "40", "CineRate": "15"}, "its FrameTime is 40 ms, but its CineRate 15 frames/s", 80),
+        ({"FrameTime": "40", "FrameTimeVector": ["0", "30"]}, "its FrameTimeVector has 2 values for 3 frames", 80),
+        ({"Modality": "CT"}, "its Modality is another one than XA or RF", None),
+        ({"RescaleSlope": "-1", "RescaleIntercept": "255"}, "its RescaleSlope is below 0, which is not applied", None),
+    ],
+)
+def test_what_contradicts_an_x_ray_run_is_said(changed: dict, said: str, last_ms: float | None, tmp_path: Path) -> None:
+    run = read_xray(write(xray_dataset(frames_of(3), **changed), tmp_path / "run.dcm"))
+    assert len(run.warnings) == 1
+    assert run.warnings[0].startswith(said)
+    assert run.times_ms is None if last_ms is None else run.times_ms[-1] == pytest.approx(last_ms)
+
+
 def test_a_mask_is_not_subtracted_and_that_is_said(tmp_path: Path) -> None:
     frames = frames_of(3)
     mask = Sequence([item(MaskOperation="AVG_SUB", MaskFrameNumbers=[1, 2], ApplicableFrameRange=[1, 3])])

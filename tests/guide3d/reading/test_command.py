@@ -1,7 +1,9 @@
 """The command that reads images: tables, pictures, films, refusals."""
 
 import csv
+import errno
 import json
+import os
 import re
 from pathlib import Path
 from xml.etree import ElementTree
@@ -14,6 +16,7 @@ from guide3d.image_file import read_grey_levels, write_png
 from guide3d.opencv import cv2
 from guide3d.reading import command
 from guide3d.reading.image_reading import read
+from guide3d.reading.output.curve_files import write_text
 from guide3d.reading.output.overlay import confidence_colour, draw_reading, space_page
 from guide3d.reading.pair_reading import PairReading, read_pair
 from guide3d.reconstruction.synthetic_scene import scenes
@@ -130,6 +133,33 @@ def test_a_sequence_has_a_row_a_frame(data: Path, tmp_path: Path) -> None:
     assert (tmp_path / "out" / "view.html").is_file()
     assert command.main([str(tmp_path / "a"), "--video", "--output", str(tmp_path / "one")]) == 0
     assert not (tmp_path / "one" / "view.html").exists()
+
+
+def test_results_of_an_earlier_reading_of_another_kind_go(data: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    (tmp_path / "frames").mkdir()
+    for number, size in enumerate((1024, 900)):
+        write_png(picture(maps_of(SCENE.points[0]))[:size, :size], tmp_path / "frames" / f"{number}.png")
+    out.mkdir()
+    (out / "view.html").write_text("mine")
+    (out / "notes.csv").write_text("mine")
+    assert command.main([str(tmp_path / "frames"), "--video", "--output", str(out)]) == 0
+    said = capsys.readouterr().err
+    assert "1.png has 900 x 900 px, the first picture of its folder 1024 x 1024 px" in said
+    assert {file.name for file in out.iterdir()} == {"frames.csv", "frames.json", "view.html", "notes.csv"}
+    assert command.main([str(data / "a.png"), "--output", str(out)]) == 0
+    assert "earlier reading were removed: frames.csv, frames.json, view.html" in capsys.readouterr().err
+    assert {file.name for file in out.iterdir()} == {*command._ONE, "notes.csv"}
+
+
+def test_a_full_disk_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_text("curve", tmp_path / "out" / "today" / "curve.csv")
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_film_is_a_sequence(data: Path, tmp_path: Path) -> None:

@@ -129,6 +129,30 @@ def test_an_unreadable_manifest_counts_as_not_run(folder: RunFolder, content: st
     assert not folder.is_up_to_date()
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["manifest.json", ".progress/item-*.json", ".progress/files-*.txt", "../.cache/digests/phantoms.json", "a.txt"],
+)
+def test_a_pipe_in_place_of_a_file_is_not_waited_for(folder: RunFolder, name: str) -> None:
+    build(folder)
+    if name.startswith(".progress"):
+        folder.journal("a").write_text("")
+    else:
+        finish(folder)
+        assert folder.is_up_to_date()
+    for file in list(folder.path.glob(name)) or [folder.path / name]:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.unlink(missing_ok=True)
+        os.mkfifo(file)
+    again = RunFolder(folder.path, folder.identity)
+    assert again.is_up_to_date() == name.startswith("../")
+    build(again)
+    with again.noted("a"):
+        pass
+    finish(again)
+    assert again.is_up_to_date()
+
+
 def build_until_interrupted(folder: RunFolder, at: str) -> None:
     folder.prepare()
     for name in folder.resumable(list("abc")):

@@ -6,7 +6,7 @@ import os
 import re
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import IO
@@ -50,6 +50,7 @@ def whole_file(path: str | Path, mode: str = "wb") -> Iterator[IO]:
         OSError: The folder cannot be written; nothing is left behind.
     """
     path = Path(path)
+    missing = [folder for folder in path.parents if not folder.exists()]
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent)
     text = {} if "b" in mode else {"encoding": "utf-8", "newline": ""}
@@ -64,6 +65,9 @@ def whole_file(path: str | Path, mode: str = "wb") -> Iterator[IO]:
         os.replace(name, path)
     except BaseException as error:
         Path(name).unlink(missing_ok=True)
+        with suppress(OSError):  # not empty
+            for folder in missing:
+                folder.rmdir()
         if isinstance(error, OSError) and error.filename is None:  # a full disk names no file
             error.filename = str(path)
         raise

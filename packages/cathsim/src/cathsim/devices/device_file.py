@@ -58,6 +58,23 @@ KEYS: dict[str, dict[str, str]] = {
 _ABOUT = ("kind", "description", "based_on", "source")
 _SIZES, _SIZE = "sizes_french", "default_french"  # of a catheter only
 _MOST = {"links": 2000, "shape": 100, "taper_mm": 2}  # entries of a list, as the settings classes have them
+# least and most that any device has, in the unit of the key; the settings classes check what is not listed
+_STIFFNESS = (0.001, 1e6)
+_RANGES: dict[str, tuple[float, float]] = {
+    "diameter_mm": (0.1, 5.0),
+    "outer_diameter_mm": (0.1, 10.0),
+    "inner_diameter_mm": (0.05, 10.0),
+    "density_kg_m3": (500.0, 25_000.0),
+    "shaft_stiffness_nmm2": _STIFFNESS,
+    "tip_stiffness_nmm2": _STIFFNESS,
+    "torsional_stiffness_nmm2": _STIFFNESS,
+    "tip_angle_deg": (-360.0, 360.0),
+    "motor_angle_deg": (0.0, 360.0),
+    "angle_deg": (-360.0, 360.0),
+    "plane_deg": (-360.0, 360.0),
+    **dict.fromkeys(("tip_length_mm", "taper_mm", "length_mm", "working_length_mm", "marker_length_mm"), (0.0, 5000.0)),
+}
+_STIFFER = 10.0  # than its shaft is the tip of no device
 _EXPONENT = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+")  # a number, which YAML 1.1 takes for a text
 _BEND = ("from_mm", "to_mm", "angle_deg", "plane_deg")
 
@@ -138,6 +155,8 @@ def read_device(path: str | Path, kind: str) -> DeviceFile:
         sizes = {french: {**base.fields, **row, **own} for french, row in rows.items()}
     else:
         sizes = {french: {**fields, **own} for french, fields in base.sizes.items()}
+    for fields in ({**base.fields, **own}, *sizes.values()):
+        _check_tip(fields, path)
     default = content.get(_SIZE, base.default_french)
     if sizes and (isinstance(default, bool) or not isinstance(default, int) or default not in sizes):
         raise ValueError(
@@ -152,6 +171,21 @@ def read_device(path: str | Path, kind: str) -> DeviceFile:
         _text(content.get("description", base.description), f"{path}: description"),
         {**base.source, **_source(content.get("source", {}), path)},
     )
+
+
+def _check_tip(fields: Mapping[str, Any], path: Path) -> None:
+    """Refuses a tip that is longer than its wire, or far stiffer than its shaft."""
+    length, tip = sum(fields.get("links", ())) or math.inf, fields.get("tip_length", 0.0)
+    if tip > length:
+        raise ValueError(
+            f"{path}: tip_length_mm must be at most the length of the links, {1e3 * length:g}, got {1e3 * tip:g}"
+        )
+    shaft, tip = fields.get("shaft_stiffness_nmm2", math.inf), fields.get("tip_stiffness_nmm2", 0.0)
+    if tip > _STIFFER * shaft:
+        raise ValueError(
+            f"{path}: tip_stiffness_nmm2 must be at most {_STIFFER:g} times shaft_stiffness_nmm2, {shaft:g}, "
+            f"got {tip:g}"
+        )
 
 
 @functools.cache
@@ -320,6 +354,9 @@ def _quantity(key: str, value: Any, path: Path) -> float:
         number = math.inf
     if not math.isfinite(number):
         raise ValueError(f"{path}: {key} must be a finite number, got {number}")
+    least, most = _RANGES.get(key, (-math.inf, math.inf))
+    if not least <= number <= most:
+        raise ValueError(f"{path}: {key} must be from {least:g} to {most:g}, got {_shown(value)}")
     if key.endswith("_mm"):
         return float(Decimal(repr(value)).scaleb(-3))
     return float(np.radians(number)) if key.endswith("_deg") else number

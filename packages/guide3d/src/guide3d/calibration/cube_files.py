@@ -15,6 +15,7 @@ from guide3d.text_file import cells_of, numbers_in, read_text
 
 _SHEET = "undistort"
 _AXES = "xyz"
+_FARTHEST_MM = 10_000.0  # of a bead from the frame's origin
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ def read_beads(path: str | Path) -> np.ndarray:
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: Malformed rows or a unit that is not known.
+        ValueError: Malformed rows, a bead that is there twice, or a unit that is not known or not that of the header.
     """
     path = Path(path)
     unit = path.stem.rsplit("_", 1)[-1].lower()
@@ -114,10 +115,24 @@ def read_beads(path: str | Path) -> np.ndarray:
             continue
         if not rows and not any(map(numbers_in, cells)):
             order = [cell.lower()[:1] for cell in cells]  # a header: "x", "X (cm)"
+            named = {
+                found[1].lower() for cell in cells if (found := re.fullmatch(r"[^(\[_]*[(\[_ ](\w+)[)\]]?\s*", cell))
+            }
+            if named & UNITS_MM.keys() and named != {unit}:
+                raise ValueError(
+                    f"{path}, line {number}: the header is in {', '.join(sorted(named))}, the file's name says {unit}: "
+                    "make both the same"
+                )
             continue
         row = numbers_in(line) or []
         if len(row) != 3 or not np.isfinite(row).all():
             raise ValueError(f"{path}, line {number}: expected three numbers x,y,z, found {line.strip()!r}")
+        if np.abs(row).max() * UNITS_MM[unit] > _FARTHEST_MM:
+            raise ValueError(
+                f"{path}, line {number}: expected at most {_FARTHEST_MM:g} mm, found {line.strip()!r} {unit}"
+            )
+        if row in rows:
+            raise ValueError(f"{path}, line {number}: the bead at {line.strip()!r} is there twice: leave one out")
         rows.append(row)
     if len(rows) < 8:
         raise ValueError(f"{path}: expected the coordinates of 8 beads or more, found {len(rows)}")
@@ -134,10 +149,10 @@ def read_references(path: str | Path, beads: int) -> dict[str, int]:
 
     Raises:
         FileNotFoundError: There is no such file.
-        ValueError: A malformed line, or a bead that does not exist.
+        ValueError: A malformed line, a bead that does not exist, or a bead or a mark that is there twice.
     """
     path = Path(path)
-    marked = {}
+    marked: dict[str, int] = {}
     for number, line in enumerate(read_text(path, "reference file").splitlines(), 1):
         cells = cells_of(line)
         if not cells:
@@ -146,7 +161,10 @@ def read_references(path: str | Path, beads: int) -> dict[str, int]:
             raise ValueError(
                 f"{path}, line {number}: expected a bead from 1 to {beads} and its mark, found {line.strip()!r}"
             )
-        marked[cells[1].lower()] = int(cells[0]) - 1
+        mark, bead = cells[1].lower(), int(cells[0]) - 1
+        if mark in marked or bead in marked.values():
+            raise ValueError(f"{path}, line {number}: expected one bead for each mark, found {line.strip()!r} again")
+        marked[mark] = bead
     return marked
 
 

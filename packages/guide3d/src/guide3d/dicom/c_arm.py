@@ -20,7 +20,7 @@ from guide3d.geometry.camera import Camera
 from guide3d.geometry.polyline import Array
 
 _SIDES = {"L": (1, 0, 0), "R": (-1, 0, 0), "P": (0, 1, 0), "A": (0, -1, 0), "H": (0, 0, 1), "F": (0, 0, -1)}
-_FARTHEST_MM = 10_000.0
+_DETECTOR_MM = (300.0, 3000.0)  # from the source; 900 to 1300 mm in a C-arm
 _PIXEL_MM = (0.001, 100.0)  # any detector's; what lies beyond is a damaged number
 _AGAINST = -0.3  # cosine between where a row runs and where the file says it does
 
@@ -61,10 +61,11 @@ def camera_of(run: XrayRun, frame: int = 0) -> Camera:
     if missing:
         raise ValueError(f"{run.path}: a camera needs {', '.join(missing)}, which the file does not have")
     primary, secondary, detector, isocentre, _ = (float(value) for value in needed.values())
-    if not 0 < isocentre < detector <= _FARTHEST_MM:
+    if not 0 < isocentre < detector or not _DETECTOR_MM[0] <= detector <= _DETECTOR_MM[1]:
         raise ValueError(
-            f"{run.path}: expected the isocentre between source and detector, at most {_FARTHEST_MM:g} mm apart, found "
-            f"it {isocentre:g} mm from the source and the detector {detector:g} mm"
+            f"{run.path}: expected the isocentre between source and detector, these {_DETECTOR_MM[0]:g} to "
+            f"{_DETECTOR_MM[1]:g} mm apart, found it {isocentre:g} mm from the source and the detector {detector:g} "
+            "mm: are the distances in millimetres?"
         )
     if abs(primary) > 180 or abs(secondary) > 90:
         raise ValueError(

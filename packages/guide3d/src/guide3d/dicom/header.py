@@ -42,9 +42,9 @@ ORDER_ATTRIBUTES = (
     "SeriesInstanceUID", "SeriesNumber", "InstanceNumber", "AcquisitionDateTime", "AcquisitionDate", "AcquisitionTime",
     "ContentDate", "ContentTime",
 )  # fmt: skip
-_WANTED = ("SOPClassUID", "BurnedInAnnotation", "MaskSubtractionSequence", "RecommendedViewingMode", _SHARED,
-           _PER_FRAME, *PIXEL_ATTRIBUTES, *GREY_ATTRIBUTES, *TIME_ATTRIBUTES, *GEOMETRY_ATTRIBUTES,
-           *ORDER_ATTRIBUTES)  # fmt: skip
+_WANTED = ("SOPClassUID", "Modality", "RescaleSlope", "PixelValueTransformationSequence", "BurnedInAnnotation",
+           "MaskSubtractionSequence", "RecommendedViewingMode", _SHARED, _PER_FRAME, *PIXEL_ATTRIBUTES,
+           *GREY_ATTRIBUTES, *TIME_ATTRIBUTES, *GEOMETRY_ATTRIBUTES, *ORDER_ATTRIBUTES)  # fmt: skip
 _LARGEST = 4 << 30  # bytes of a file
 _FIRST_GROUPS = (b"\x02\0", b"\x08\0")  # of a file without a preamble
 

@@ -13,6 +13,8 @@ from guide3d.dicom.header import Header, silent
 from guide3d.dicom.stored_pixels import grey_tables, has_empty_window, stored_frames
 from guide3d.geometry.polyline import Array
 
+_STEP_MS = (1.0, 60_000.0)  # from frame to frame
+_RATES_APART = 0.1  # of two statements of one frame rate, as a share
 _CONSTANT_DEG = 0.05  # angles that differ by less are the same: systems write them to a tenth
 
 
@@ -95,6 +97,10 @@ def run_of(header: Header) -> XrayRun:
     grey, said = grey_tables(header, frames)
     warnings += [said] if said else []
     warnings += _subtraction(header)
+    if any(header.number("RescaleSlope", frame) < 0 for frame in range(n)):
+        warnings.append("its RescaleSlope is below 0, which is not applied: are its pictures a negative?")
+    if header.word("Modality") not in ("", "XA", "RF"):
+        warnings.append("its Modality is another one than XA or RF: are its pictures X-rays?")
     times = _times(header, n, warnings)
     tilt = header.numbers("DetectorPrimaryAngle"), header.numbers("DetectorSecondaryAngle")
     words = header.find("PatientOrientation")
@@ -200,9 +206,14 @@ def _times(header: Header, n: int, warnings: list[str]) -> Array | None:
         raise ValueError(f"{header.path}: expected frames in the order of their times, found steps below 0 ms")
     if len(steps) == n > 1 and (steps[1:] > 0).any():
         return np.asarray(np.cumsum(steps) - steps[0], dtype=np.float64)
-    if step == 0 and n > 1:
-        warnings.append("its FrameTime is 0 ms, which is taken as not known")
+    if len(steps) not in (0, n):
+        warnings.append(f"its FrameTimeVector has {len(steps)} values for {n} frames and is left out")
+    if n > 1 and not np.isnan(step) and not _STEP_MS[0] <= step <= _STEP_MS[1]:
+        warnings.append(f"its FrameTime is {step:g} ms, which is taken as not known")
         step = np.nan
+    if n > 1 and abs(step * header.number("CineRate") / 1e3 - 1.0) > _RATES_APART:
+        said = f"its FrameTime is {step:g} ms, but its CineRate {header.number('CineRate'):g} frames/s"
+        warnings.append(f"{said}: the FrameTime is taken")
     for keyword in ("CineRate", "RecommendedDisplayFrameRate"):
         rate = header.number(keyword)
         if np.isnan(step) and rate > 0:

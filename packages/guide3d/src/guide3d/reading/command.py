@@ -61,6 +61,9 @@ from guide3d.reading.pair_reading import (
 from guide3d.reconstruction.matching import clearly_better
 
 _TOLD_EVERY_S = 5.0
+_ONE = ("curve.csv", "curve.json", "overlay.png")
+_PAIR = ("curve.csv", "curve.json", "curve.mrk.json", "curve.vtp", "overlay_a.png", "overlay_b.png", "view.html")
+_SEQUENCE = ("frames.csv", "frames.json")
 _PROGRAM = "python -m guide3d.read"
 
 
@@ -105,6 +108,7 @@ def _run(given: argparse.Namespace) -> None:
         raise ValueError("--cameras needs two images: python -m guide3d.read A B --cameras FOLDER")
     if given.output.exists() and not given.output.is_dir():
         raise ValueError(f"{given.output} is a file: --output needs a folder")
+    given.earlier = any((given.output / record).is_file() for record in ("curve.json", "frames.json"))
     source_a = Source(given.a)
     if given.b is None:
         if given.video:
@@ -173,6 +177,7 @@ def _one(given: argparse.Namespace, source: Source) -> None:
     write_text(curve_table(reading), given.output / "curve.csv")
     write_record(image_record(reading), given.output / "curve.json")
     write_png(draw_reading(image, reading), given.output / "overlay.png")
+    _remove_earlier(given, _ONE)
     _say(reading.messages)
     x, y = reading.points_px[0]
     sys.stdout.write(
@@ -191,6 +196,7 @@ def _write_pair(given: argparse.Namespace, images: Sequence[Image], reading: Pai
     for letter, picture in zip("ab", pictures, strict=True):
         write_png(picture, given.output / f"overlay_{letter}.png")
     write_text(page, given.output / "view.html")
+    _remove_earlier(given, _PAIR)
     _say(reading.messages)
     x, y, z = reading.curve_mm[0]
     sys.stdout.write(
@@ -218,7 +224,19 @@ def _write_sequence(given: argparse.Namespace, frames: list[FrameReading], a: So
     write_record(records, given.output / "frames.json")
     if page is not None:
         write_text(page, given.output / "view.html")
+    _remove_earlier(given, (*_SEQUENCE, *(["view.html"] if page is not None else [])))
     sys.stdout.write(f"{given.output}: {len(frames)} frames, a wire in {len(with_wire)} of them\n")
+
+
+def _remove_earlier(given: argparse.Namespace, written: Sequence[str]) -> None:
+    """Removes what an earlier reading wrote and this one did not: its record tells that there was one."""
+    names = sorted({*_ONE, *_PAIR, *_SEQUENCE} - set(written)) if given.earlier else []
+    kept = [one.resolve() for one in (given.a, given.b) if one is not None]
+    stale = [file for name in names if (file := given.output / name).is_file() and file.resolve() not in kept]
+    for file in stale:
+        file.unlink()
+    if stale:
+        _say([f"results of an earlier reading were removed: {', '.join(file.name for file in stale)}"])
 
 
 def _views(reading: PairReading | None) -> tuple[ImageReading, ImageReading]:

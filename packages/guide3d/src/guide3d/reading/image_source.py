@@ -77,8 +77,14 @@ class Source:
             runs = files_in(self.path, *(f"*{ending}" for ending in DICOM))
             if runs:
                 self._note(f"{self.path.name}: its pictures were read, its {len(runs)} DICOM files were not")
+            first: tuple[int, ...] = ()
             for file in self._pictures[:most]:
-                yield read_picture(file)
+                picture = read_picture(file)
+                first = first or picture.shape[1::-1]
+                if picture.shape[1::-1] != first:
+                    sizes = [" x ".join(map(str, size)) for size in (picture.shape[1::-1], first)]
+                    self._note(f"{file} has {sizes[0]} px, the first picture of its folder {sizes[1]} px")
+                yield picture
         elif self.path.suffix.lower() in FILMS or is_tiff(self.path):
             if not self.path.exists():
                 raise ImageError(f"{'image' if is_tiff(self.path) else 'film'} {self.path} is missing")
