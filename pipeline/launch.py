@@ -34,6 +34,7 @@ from pipeline.settings.quoting import advice, with_quoted_paths
 from pipeline.stages import available_stages
 from pipeline.store.errors import PipelineError, system_error, system_sentence
 from pipeline.store.interruption import EXIT_INTERRUPTED, INTERRUPTED, interrupted, let_ctrl_c_interrupt
+from pipeline.store.run_folder import LOCK
 from pipeline.store.variants import variant_of
 from pipeline.task import PARTS, TASK
 
@@ -155,18 +156,18 @@ def task(composed: DictConfig) -> None:
     except (PipelineError, OSError, ValidationError) as error:
         _LOGGER.debug("where it failed", exc_info=True)  # shown with hydra.verbose=true
         if not in_sweep:
-            if not isinstance(error, OSError):
-                _remove_record(Path(hydra.runtime.output_dir))
+            _remove_record(Path(hydra.runtime.output_dir))
             raise _Stop(error) from error
         _LOGGER.error("%s failed: %s", variant_of(overrides) or composed.stage.name, one_line(error, overrides))
         raise
 
 
 def _remove_record(folder: Path) -> None:
-    """Removes what Hydra wrote, ``RUN/.hydra/STAGE``, where the run was refused before its stage had any folder."""
+    """Removes what Hydra wrote, ``RUN/.hydra/STAGE``, where the run was refused and no stage folder has a lock."""
     record, run = folder.parents[:2]
-    if not any(run.glob(folder.name)) and not any(run.glob(f"{folder.name}@*")):
-        shutil.rmtree(folder)
+    places = (*run.glob(folder.name), *run.glob(f"{folder.name}@*"))
+    if not any((place / LOCK).is_file() for place in places):
+        shutil.rmtree(folder, ignore_errors=True)
         with contextlib.suppress(OSError):  # not empty
             record.rmdir()
             run.rmdir()

@@ -58,7 +58,7 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 def open_file(path: Path) -> BufferedReader:
     """Opens a file of a run's folder; a ValueError where it is none, such as a pipe, which would be waited for."""
-    if not stat.S_ISREG(path.stat().st_mode):
+    if not stat.S_ISREG(mode := path.stat().st_mode) and not stat.S_ISDIR(mode):  # a folder is an OSError
         raise ValueError(f"{path} is no regular file")
     return path.open("rb")
 

@@ -68,7 +68,7 @@ def progress_line(label: str, done: int, total: int, elapsed_s: float, done_now:
     return f"{label} {done}/{total}, {elapsed_s:.0f} s{rest}"
 
 
-_LOCK = ".lock"
+LOCK = ".lock"
 _COMMITS, _COMMIT = "commits.txt", re.compile(r"\w{1,40}\+?")
 OLD = ".old"  # below the run
 
@@ -84,7 +84,7 @@ class RunFolder(FinishedItems):
     def locked(self) -> Iterator[None]:
         """Holds the folder for this process."""
         self.path.mkdir(parents=True, exist_ok=True)
-        place = self.path / _LOCK
+        place = self.path / LOCK
         if place.is_symlink() or (place.exists() and not place.is_file()):
             raise StageError(f"{place} is no file of this project: remove it")
         if any(self.path.iterdir()) and not place.exists():
@@ -148,7 +148,7 @@ class RunFolder(FinishedItems):
         # A kill at any point leaves no item and no manifest to trust here, and no file is lost.
         self._revoke()
         for entry in sorted(self.path.iterdir(), key=lambda entry: entry.name != MANIFEST):
-            if entry.name == _LOCK:
+            if entry.name == LOCK:
                 continue
             if results:
                 aside.mkdir(parents=True, exist_ok=True)
@@ -218,6 +218,6 @@ class RunFolder(FinishedItems):
         write_json(self.path / MANIFEST, asdict(manifest))
         self._digests.save()
         for entry in self.path.iterdir():
-            if entry.name.startswith(".") and entry.name != _LOCK and entry.is_dir():
+            if entry.name.startswith(".") and entry.name != LOCK and entry.is_dir():
                 shutil.rmtree(entry, ignore_errors=True)
         return manifest

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keyword
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,6 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not name.isidentifier() or name != name.lower() or keyword.iskeyword(name):
         parser.error(f"{name!r} is no Python name in small letters, such as my_{given.kind}")
     folder = PROJECT_ROOT if given.kind == "stage" else Path.cwd()
+    shown = Path() if folder == Path.cwd() else folder  # paths are of the present folder, or absolute
     registry = folder / _REGISTRY
     if given.kind == "stage" and not (folder / "tests").is_dir():
         parser.error("a stage is a part of the project: call this in a clone that is installed with pip install -e")
@@ -59,10 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for template, path in files.items():
         content = Path(__file__).with_name(f"{template}.txt").read_text(encoding="utf-8")
         write_text(path, content.replace("TITLE", title).replace("NAME", name))
-        say(str(path.relative_to(folder)))
+        say(str(shown / path.relative_to(folder)))
     if given.kind == "stage":
         line = f'    "{name}": ("{name}", "{name}:{title}Settings"),\n'
         write_text(registry, text.replace(_REPORT, line + _REPORT))
-        say(f"{_REGISTRY}: the stage is registered before the report")
-    say(f"run it: {kind.run.replace('NAME', name)}\ntest it: {kind.test.replace('NAME', name)}")
+        say(f"{shown / _REGISTRY}: the stage is registered before the report")
+    place = f"cd {shlex.quote(str(folder))} && " if shown == folder else ""
+    say(f"run it: {place}{kind.run.replace('NAME', name)}\ntest it: {place}{kind.test.replace('NAME', name)}")
     return 0

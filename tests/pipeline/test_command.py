@@ -90,6 +90,23 @@ def test_a_training_is_a_stage_after_those_that_it_reads(monkeypatch: pytest.Mon
     assert command.main(["train", "user_study"]) == 2
 
 
+def test_a_new_stage_is_named_by_absolute_paths_from_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clone, here = tmp_path / "my clone", tmp_path / "here"
+    for folder in (clone / "tests", clone / "pipeline" / "stages", here):
+        folder.mkdir(parents=True)
+    (clone / "pipeline" / "stages" / "__init__.py").write_text('    "report": (\n')
+    monkeypatch.setattr("pipeline.templates.PROJECT_ROOT", clone)
+    for place, name, shown in ((here, "mine", f"{clone}/"), (clone, "other", "")):
+        monkeypatch.chdir(place)
+        assert command.main(["new", "stage", name]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[0] == f"{shown}conf/stage/{name}.yaml"
+        assert lines[3].startswith(f"{shown}pipeline/stages/__init__.py: ")
+        assert (f"cd '{clone}' && python" in lines[4]) == bool(shown)
+
+
 @pytest.mark.parametrize("kind", ["policy", "phantom"])
 def test_a_new_policy_and_a_new_phantom_pass_their_tests(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

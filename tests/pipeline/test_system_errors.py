@@ -67,6 +67,16 @@ def test_what_lies_in_the_way_is_one_sentence(tmp_path: Path, run_python: Callab
         assert words in sentence
 
 
+def test_a_refused_run_leaves_no_record(tmp_path: Path, run_python: Callable[[str], str]) -> None:
+    for number, place in enumerate(("report/.lock/x", "report/mine.txt", "report")):
+        path = tmp_path / str(number) / "desk" / place
+        path.parent.mkdir(parents=True)
+        path.touch()
+    commands = [["stage=report", f"runs_dir={tmp_path / str(number)}"] for number in range(3)]
+    assert all(len(lines) == 1 and code for lines, code in ended(run_python, commands))
+    assert not list(tmp_path.rglob(".hydra"))
+
+
 def test_folders_that_cannot_be_made_are_one_sentence(run_python: Callable[[str], str]) -> None:
     commands = [["stage=report", f"runs_dir={runs}"] for runs in REFUSED_RUNS]
     for (lines, code), words in zip(ended(run_python, commands), REFUSED_RUNS.values(), strict=True):

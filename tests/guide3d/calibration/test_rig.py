@@ -17,7 +17,7 @@ from guide3d.calibration.pinhole_fit import (
 )
 from guide3d.calibration.rig import Sighting, calibrate_rig
 from guide3d.calibration.wire_marks import WireMark, find_marks
-from guide3d.geometry.camera import Camera, write_opencv_yaml
+from guide3d.geometry.camera import Camera, write_camera, write_opencv_yaml
 from guide3d.geometry.distortion import swirl_pattern
 from guide3d.reconstruction.synthetic_scene import scenes
 from tests.guide3d.calibration.drawn_cube import (
@@ -224,6 +224,17 @@ def test_one_set_is_found(tmp_path: Path, names: tuple[str, str], name: str, bel
     for camera, read, expected in zip(rig.cameras, cameras, FOLDER_CAMERAS, strict=True):
         assert np.allclose(camera.P, expected.P)
         assert np.array_equal(camera.P, read.P)
+
+
+@pytest.mark.parametrize(("ending", "unit", "away"), [("txt", "mm", r"\d+e\+0\d|\d{4}"), ("yaml", "cm", r"\d\d\.\d+")])
+def test_cameras_in_another_unit_are_refused(tmp_path: Path, ending: str, unit: str, away: str) -> None:
+    for camera, detector in zip(FOLDER_CAMERAS, (16710, 16709), strict=True):
+        path = tmp_path / f"cam_{detector}.{ending}"
+        (write_camera if ending == "txt" else write_opencv_yaml)(camera, path, unit)
+        if ending == "yaml":
+            path.write_text(path.read_text().replace("world_unit", "made_in"))
+    with pytest.raises(ValueError, match=rf"cam_16709\.{ending}: the views meet ({away}) mm from the X-ray sources"):
+        rigs_in(tmp_path)
 
 
 def test_several_sets_are_listed_or_refused(tmp_path: Path) -> None:

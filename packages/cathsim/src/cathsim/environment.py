@@ -344,7 +344,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
                 thread.
         """
         if self.ended:
-            raise RuntimeError("the episode has ended: call reset() before step()")
+            said = "the episode has ended" if self.steps else "no episode was started"
+            raise RuntimeError(f"{said}: call reset() before step()")
         action = self.feeders.checked(action)
         simulation, task = self.simulation, self.task
         before = simulation.tip
