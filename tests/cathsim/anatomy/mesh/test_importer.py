@@ -196,7 +196,7 @@ REFUSED = {
         "falls into 2 parts that do not hang together",
     ),
     "plate": (trimesh.creation.box((60, 60, 0.5)), "mm", "the lumen is too narrow for a wire"),
-    "wire": (trimesh.creation.cylinder(1.5, 80), "mm", "the lumen is too narrow for a wire"),
+    "wire": (trimesh.creation.cylinder(0.5, 80), "mm", "the lumen is too narrow for a wire"),
     "huge": (trimesh.creation.cylinder(120, 2500), "mm", "this surface is too large"),
 }
 
