@@ -1,4 +1,4 @@
-"""The command `endonav evaluate`: measures claims of the protocol and writes a file of results for each."""
+"""The command `endonav evaluate`: measures claims, a file of results for each, or a row of the board."""
 
 from __future__ import annotations
 
@@ -26,8 +26,14 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--protocol", type=Path, metavar="FILE", help="instead of the project's")
     parser.add_argument("--pages", action="store_true", help="make the documents' tables from the results and leave")
     parser.add_argument("--list", action="store_true", help="print the claims and leave")
+    parser.add_argument("--policy", type=Path, metavar="FILE", help="play this policy in the whole of a published task")
+    parser.add_argument("--board", default="arch_variety", metavar="TASK", help="or dual_device_nav (arch_variety)")
+    parser.add_argument("--episodes", type=int, metavar="N", help="of the task, the first ones, instead of all")
+    parser.add_argument("--row", type=Path, default=Path("row.json"), metavar="FILE", help="of its figures (row.json)")
     given = parser.parse_args(arguments)
     try:
+        if given.policy is not None:
+            return _row(given)
         protocol = read_protocol(given.protocol)
         protocol.require(given.claims)
         if min(given.seeds, given.workers) < 1:
@@ -55,6 +61,15 @@ def main(arguments: list[str]) -> int:
             error=True,
         )
         raise
+    return _FINE
+
+
+def _row(given: argparse.Namespace) -> int:
+    from pipeline.protocol.board import measure_row, write_row
+
+    if given.claims or (given.episodes is not None and given.episodes < 1):
+        raise ConfigurationError("--policy plays in a task: leave claims out, and --episodes is 1 at least")
+    say(write_row(measure_row(given.policy, given.board, given.episodes, _tell), given.row))
     return _FINE
 
 

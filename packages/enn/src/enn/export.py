@@ -1,17 +1,23 @@
-"""Export of a policy to ONNX: from its observations to the deterministic action, to be run without torch."""
+"""Policies as ONNX, from observations to the deterministic action: written to run without torch, and read to steer."""
 
 from __future__ import annotations
 
 import importlib.util
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import gymnasium
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from enn.model_file import write_whole
-from enn.policy import Policy
+from enn.policy import Observation, Policy
+
+_ONE = "observation"  # name of the input where a policy sees one array
+_REPEAT = "action_repeat"
 
 
 class _Actions(nn.Module):
@@ -39,7 +45,7 @@ def export_onnx(policy: Policy, path: Path | str) -> Path:
     _require("onnx", "onnxscript")
     space: Any = policy.observation_space
     spaces = {key: space[key] for key in policy.keys} if isinstance(space, gymnasium.spaces.Dict) else {
-        "observation": space
+        _ONE: space
     }  # fmt: skip
     inputs = tuple(torch.as_tensor(one.sample()[None]).to(policy.module.device) for one in spaces.values())
     program = torch.onnx.export(
@@ -47,10 +53,74 @@ def export_onnx(policy: Policy, path: Path | str) -> Path:
     )
     assert program is not None
     model = program.model_proto
-    model.metadata_props.add(key="action_repeat", value=str(policy.action_repeat))
+    model.metadata_props.add(key=_REPEAT, value=str(policy.action_repeat))
     file = Path(path).with_suffix(".onnx")
     write_whole(file, model.SerializeToString())
     return file
+
+
+class OnnxPolicy:
+    """A policy in an ONNX file, from whatever program: inputs are observations by name, or one, `observation`.
+
+    Attributes:
+        keys: names of the observations that it sees; () where it sees one array.
+        action_repeat: environment steps that each action is meant for, of the file's metadata; 1 without.
+
+    Raises:
+        ModuleNotFoundError: the extra `endonav-enn[onnx]` is not installed.
+        ValueError: the file is damaged, or has more outputs than the actions.
+    """
+
+    def __init__(self, file: Path) -> None:
+        _require("onnxruntime")
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        try:
+            self._session = onnxruntime.InferenceSession(file.read_bytes(), options, ["CPUExecutionProvider"])
+        except Exception as error:  # the runtime's own, which have no common base
+            raise ValueError(f"{file} is no ONNX model that can be run: {str(error).splitlines()[0]}") from error
+        self._inputs = [one.name for one in self._session.get_inputs()]
+        if len(self._session.get_outputs()) != 1:
+            raise ValueError(f"{file} must have one output, the actions, got {len(self._session.get_outputs())}")
+        self.keys = () if self._inputs == [_ONE] else tuple(self._inputs)
+        self.action_repeat = int(self._session.get_modelmeta().custom_metadata_map.get(_REPEAT, 1))
+
+    def act(self, observation: Observation) -> NDArray[np.float32]:
+        """The action for one observation, cut to -1 and 1. Shape (actions,).
+
+        Raises:
+            ValueError: the observations have other shapes or types than the model's inputs.
+        """
+        seen = observation if isinstance(observation, Mapping) else dict.fromkeys(self._inputs, observation)
+        try:
+            [action] = self._session.run(None, {name: seen[name][None] for name in self._inputs})
+        except Exception as error:  # as above
+            raise ValueError(f"the ONNX model does not take these observations: {error}") from error
+        return np.asarray(action, np.float32).reshape(-1).clip(-1.0, 1.0)
+
+    def controller(self) -> OnnxController:
+        """The policy over episodes."""
+        return OnnxController(self)
+
+
+class OnnxController:
+    """Holds each action of an ONNX policy for its action repeat; call `reset()` at the start of each episode."""
+
+    def __init__(self, policy: OnnxPolicy) -> None:
+        self.policy, self._left = policy, 0
+
+    def reset(self) -> None:
+        """Starts an episode: the next call decides again."""
+        self._left = 0
+
+    def __call__(self, observation: Observation, info: Mapping[str, Any] | None = None) -> NDArray[np.float32]:
+        """The action of this step. Shape (actions,)."""
+        if self._left == 0:
+            self._action, self._left = self.policy.act(observation), self.policy.action_repeat
+        self._left -= 1
+        return self._action
 
 
 def _require(*modules: str) -> None:
