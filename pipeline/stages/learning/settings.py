@@ -112,7 +112,8 @@ class ImitationSettings(PolicySettings):
     expert: kinds.FolderName = EnnSettings.expert  # row of the stage enn whose episodes are learnt from
     observations: _StudentObservations = field(default_factory=lambda: ["image"])  # that the student sees
     episodes: kinds.RisingEpisodes = field(default_factory=lambda: [10, 100])  # expert's; the last is the table's
-    disturbed_episodes: kinds.EpisodesOrNone = 60  # further ones, with the expert's actions disturbed: a row of its own
+    # further ones, with disturbed actions, that the default student learns from; 0: the plain one alone
+    disturbed_episodes: kinds.EpisodesOrNone = 60
     dagger_rounds: kinds.CountOrNone = 3  # 0: no DAgger
     dagger_episodes: kinds.Episodes = 10  # a round
     feature_matching: kinds.Weight = 0.1  # weight of the distance to the expert's features

@@ -12,7 +12,7 @@ import pytest
 from enn.fitting import EpisodeFitSettings
 from enn.imitation.behaviour_cloning import DESK_CLONING
 from enn.imitation.dagger import DaggerSettings, DisturbanceSettings, Disturbed, dagger, record
-from enn.imitation.distillation import distil
+from enn.imitation.distillation import DISTURBED_SEEDS, distil
 from enn.imitation.images.egocentric import VIEW_SIZE
 from enn.imitation.perturbed_controller import PerturbedController
 from enn.trajectory import Trajectory
@@ -102,10 +102,18 @@ def test_disturbed_episodes_and_rounds_add_to_what_is_learnt_from(episodes: list
     assert told[2][1] == "DAgger round 2, epoch 1"
 
 
+def test_disturbed_episodes_are_the_default_and_can_be_left_out(episodes: list[Trajectory]) -> None:
+    usual = distil(PlaceExpert(), episodes, DISTILLATION_QUICK, make_environment)
+    plain = distil(PlaceExpert(), episodes, DISTILLATION_QUICK, make_environment, disturbed_seeds=())
+    assert (usual.episodes, plain.episodes) == (3 + len(DISTURBED_SEEDS), 3)
+
+
 def test_features_are_matched_only_where_the_expert_could_see(episodes: list[Trajectory]) -> None:
     alone = [replace(one, observations={"image": one.observations["image"]}) for one in episodes]
     sizes = [
-        distil(PlaceExpert(), given, settings, make_environment).student.network.settings.expert_features
+        distil(
+            PlaceExpert(), given, settings, make_environment, disturbed_seeds=()
+        ).student.network.settings.expert_features
         for given, settings in (
             (episodes, DISTILLATION_QUICK),
             (alone, DISTILLATION_QUICK),

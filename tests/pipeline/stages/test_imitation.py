@@ -13,6 +13,7 @@ from pipeline.episodes import EpisodeReader
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import MODES
+from pipeline.report.headlines import headline_specs
 from pipeline.seeds import held_out_seeds
 from pipeline.stages import imitation
 from pipeline.stages.imitation import imitate
@@ -68,6 +69,17 @@ def test_a_run_leaves_students_logs_tables_and_a_figure(enn: Path, monkeypatch: 
             assert log.info.configuration["stage"] == "imitation"
         evaluated = {mode: len(list((student / "evaluation" / mode).iterdir())) for mode in MODES}
         assert evaluated == {"deterministic": 2, "stochastic": 1}
+
+
+def test_the_default_student_learns_from_disturbed_episodes_and_a_plain_one_stands_beside_it(enn: Path) -> None:
+    jobs = imitation.plan(
+        ImitationSettings(phantoms=["type_1"], targets=["bca"], task=TASK.task), context(enn.parent, "x")
+    )
+    rows = {job.given.origin.row: job.given.disturbed_episodes for job in jobs}
+    assert rows[imitation.DISTURBED] == 60
+    assert rows[imitation.CLONED] == 0
+    shown = {tuple(spec.measured or ()) for spec in headline_specs() if spec.table == "imitation"}
+    assert shown == {("imitation", f"{target}/{imitation.DISTURBED}", "success_pct") for target in ("bca", "lcca")}
 
 
 def test_a_finished_student_is_not_fitted_again(enn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

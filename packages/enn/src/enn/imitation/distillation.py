@@ -18,6 +18,8 @@ from enn.imitation.dagger import Act, DaggerRound, DaggerSettings, Disturbed, da
 from enn.policy import Policy
 from enn.trajectory import Trajectory
 
+DISTURBED_SEEDS = range(60)  # starts of episodes with disturbed actions, without which a student cannot recover
+
 MakeEnvironment = Callable[[Sequence[str]], gymnasium.Env[Any, Any]]  # names of observations -> environment
 
 
@@ -38,20 +40,20 @@ def distil(
     settings: BehaviourCloningSettings,
     make_environment: MakeEnvironment,
     *,
-    disturbed_seeds: Sequence[int] = (),
+    disturbed_seeds: Sequence[int] = DISTURBED_SEEDS,
     rounds: DaggerSettings | None = None,
     seed: int = 0,
     folder: Path | str | None = None,
     progress: Callable[[float, str], None] | None = None,
     device: torch.device | str = "cpu",
 ) -> Distilled:
-    """Fits a student to an expert's episodes, with further ones where they are asked for.
+    """Fits a student to an expert's episodes and to further ones in which the expert's actions were disturbed.
 
     The expert's features are matched where the settings say so and every episode has the observations for them.
 
     Args:
         make_environment: makes an environment for disturbed episodes and DAgger.
-        disturbed_seeds: starts of further episodes with disturbed actions, one each.
+        disturbed_seeds: starts of the episodes with disturbed actions, one each; (): the expert's episodes alone.
         rounds: of DAgger; None: none.
         progress: called after every epoch with the share done, 0 to 1, and a few words.
 
