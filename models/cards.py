@@ -1,7 +1,8 @@
 """Index of the shipped models and facts in their cards: ``python models/cards.py`` writes them from the files.
 
 A model is ``packages/<package>/src/<package>/weights/<name>.pt`` and its card ``<name>.md``. A card is written by hand
-but for its table: file, size, SHA-256 and format. ``models/README.md`` lists all; its table is written here, too.
+but for its table (file, size, SHA-256 and format) and the YAML at its head, which says the same and more to programs.
+``models/README.md`` lists all; its table is written here, too.
 """
 
 from __future__ import annotations
@@ -9,10 +10,12 @@ from __future__ import annotations
 import hashlib
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import yaml
 
 PROJECT_ROOT = Path(__file__).resolve().parents[1]
 LEARNING_PACKAGES = ("enn", "guide3d", "splineformer")
@@ -20,6 +23,7 @@ INDEX = "models/README.md"
 LIMIT_BYTES = 25_000_000  # of all together: they lie in the repository for ever
 SECTIONS = ("What it sees", "Trained on", "Command", "Figures", "Limits")  # of every card, bold, in this order
 _FACTS = re.compile(r"^\| file \|.*?(?=^$)", re.DOTALL | re.MULTILINE)
+_HEAD = re.compile(r"\A---\n.*?\n---\n\n", re.DOTALL)
 _ROWS = re.compile(r"^\| name \|.*?(?=^$)", re.DOTALL | re.MULTILINE)
 
 
@@ -50,12 +54,25 @@ class ShippedModel:
         """Of the file, in words."""
         return f"{self.path.stat().st_size / 1e6:.2f} MB"
 
-    def form(self) -> str:
-        """The format that the file says that it has; a ValueError where it is damaged."""
+    def content(self) -> dict[str, Any]:
+        """What the file holds; a ValueError where it is damaged."""
         from guide3d.learning.model_file import read_content
 
-        content: dict[str, Any] = read_content(self.path)
-        return str(content["format"])
+        found: dict[str, Any] = read_content(self.path)
+        return found
+
+    def form(self) -> str:
+        """The format that the file says that it has."""
+        return str(self.content()["format"])
+
+    def head(self) -> str:
+        """YAML for programs: what a card says at its head."""
+        content = self.content()
+        numbers = sum(array.numel() for array in _arrays(content))
+        sees = list(content.get("network", {}).get("keys", ())) or ["image"]
+        facts = {"license": "mit", "library_name": self.package, "model_name": self.path.stem, "observations": sees}
+        facts |= {"format": str(content["format"]), "numbers": numbers, "bytes": self.path.stat().st_size}
+        return f"---\n{yaml.safe_dump(facts | {'sha256': self.sha256}, sort_keys=False)}---\n\n"
 
     def facts(self) -> str:
         """The table of the card, with its last line end."""
@@ -64,7 +81,8 @@ class ShippedModel:
 
     def row(self) -> tuple[str, ...]:
         """Its cells in the index."""
-        sentence = " ".join(self.card.read_text(encoding="utf-8").split("\n\n")[1].split())
+        words = _HEAD.sub("", self.card.read_text(encoding="utf-8"), count=1)
+        sentence = " ".join(words.split("\n\n")[1].split())
         link = f"[card](../{self.card.relative_to(self.root).as_posix()})"
         return f"`{self.package}` `{self.path.stem}`", sentence, self.size, f"`{self.sha256[:12]}`", link
 
@@ -85,11 +103,11 @@ def written(root: Path = PROJECT_ROOT) -> dict[Path, str]:
     for model in models:
         if not model.card.is_file():
             raise ValueError(f"{model.path} has no card: write {model.card}")
-        text = model.card.read_text(encoding="utf-8")
+        text = _HEAD.sub("", model.card.read_text(encoding="utf-8"), count=1)
         places = [text.find(f"**{section}.**") for section in SECTIONS]
         if -1 in places or places != sorted(places) or not _FACTS.search(text):
             raise ValueError(f"{model.card}: expected a table of the file, then {', '.join(SECTIONS)}, each as **X.**")
-        texts[model.card] = _FACTS.sub(lambda _, model=model: model.facts(), text, count=1)  # type: ignore[misc]
+        texts[model.card] = model.head() + _FACTS.sub(lambda _, model=model: model.facts(), text, count=1)  # type: ignore[misc]
     index = root / INDEX
     head = "| name | what it does | size | SHA-256 begins | |\n|---|---|---|---|---|\n"
     table = head + "".join(_row(model.row()) + "\n" for model in models)
@@ -107,6 +125,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for path, text in texts.items():
         path.write_text(text, encoding="utf-8")
     return 0
+
+
+def _arrays(content: Any) -> Iterator[Any]:
+    """Every array of numbers in it."""
+    if hasattr(content, "numel"):
+        yield content
+    for part in content.values() if isinstance(content, dict) else ():
+        yield from _arrays(part)
 
 
 def _row(cells: Sequence[str]) -> str:

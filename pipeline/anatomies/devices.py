@@ -58,7 +58,7 @@ def fitted_steps(task: Task, phantom: Phantom, target: Any) -> Task:
     return replace(task, max_steps=steps)
 
 
-# mm; a policy of the wire alone reached most targets below it, and few of those far beyond (docs/results/generalist.md)
+# mm; a policy of the wire alone reached most targets below it, few of those far beyond (docs/results/steep_arches.md)
 STEEP_MM = 13.0
 CATHETER = "jb2"  # that reaches further
 WITH_POLICIES = (CATHETER, "simmons2")  # catheters over the wire that shipped policies steer, the better ones first

@@ -1,7 +1,8 @@
 """Tables of results in documents: made between two marks from the files of results, and compared with them.
 
 A mark names claims: `<!-- results: random_roadmap -->`, and `<!-- end of results -->` ends its table. One claim gets
-all its figures, several get a row each.
+all its figures, several get a row each. `<!-- navigation: ... -->` gives each claim of navigation a row with its
+targets, `<!-- variations: ... -->` each variation of them.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from pipeline.store.atomic_files import read_json, write_text
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import PROJECT_ROOT, hash_value
 
-_MARKED = re.compile(r"(<!-- results: ([\w ]+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
+_MARKED = re.compile(r"(<!-- (results|navigation|variations): ([\w ]+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
 _WORDS = {
     "success_pct": "success, %",
     "straight_pct": "tip within 8 mm in a straight line, %",
@@ -71,8 +72,9 @@ def rendered(text: str, results: Path) -> str:
     """
 
     def table(found: re.Match[str]) -> str:
-        read = [_read(results / f"{name}.json") for name in found[2].split()]
-        return f"{found[1]}\n{_figures(read[0]) if len(read) == 1 else _rows(read)}\n\n{found[3]}"
+        read = [_read(results / f"{name}.json") for name in found[3].split()]
+        form = {"navigation": _targets, "variations": _variations}.get(found[2], _rows if len(read) > 1 else _figures)
+        return f"{found[1]}\n{form(read)}\n\n{found[4]}"
 
     return _MARKED.sub(table, text)
 
@@ -105,8 +107,9 @@ def _read(path: Path) -> Any:
     return read_json(path)
 
 
-def _figures(result: dict[str, Any]) -> str:
+def _figures(read: Sequence[dict[str, Any]]) -> str:
     """All figures of a claim, then how they were made and what limits them."""
+    (result,) = read
     summary, claim = result["summary"], result["declared"]
     words = _WORDS | _SUCCESS.get(claim["kind"], {})
     rows = [
@@ -116,11 +119,71 @@ def _figures(result: dict[str, Any]) -> str:
     ]
     if "force_max_n" in summary:
         rows.append(("largest force, N", f"{summary['force_max_n']:g}", ""))
-    made = f"`endonav evaluate {result['claim']}{_seeds(result)}`, commit `{result['made_by']['commit'][:12]}`"
     return (
         f"{claim['title']}: {_number(summary)}.\n\n{_table(('', 'mean', '95 % interval'), rows)}\n\n"
-        f"{made}, version {result['protocol']} of the protocol. {claim['limits']}"
+        f"{_made(read)} {claim['limits']}"
     )
+
+
+def _made(read: Sequence[dict[str, Any]]) -> str:
+    """How figures were made: the commands, with commits and versions of the protocol."""
+    of_origin: dict[tuple[str, str, int], list[str]] = {}
+    for result in read:
+        origin = (_seeds(result), result["made_by"]["commit"][:12], result["protocol"])
+        of_origin.setdefault(origin, []).append(result["claim"])
+    return " ".join(
+        f"`endonav evaluate {' '.join(names)}{seeds}`, commit `{commit}`, version {version} of the protocol."
+        for (seeds, commit, version), names in of_origin.items()
+    )
+
+
+def _targets(read: Sequence[dict[str, Any]]) -> str:
+    """A row for each claim of navigation, with its targets, depth and forces, then what limits each."""
+    rows = []
+    for result in read:
+        summary, declared = result["summary"], result["declared"]
+        targets = ", ".join(
+            f"{name} {summary[key]['mean']:g}"
+            for name in declared["targets"]
+            if (key := f"success_{name}_pct") in summary
+        )
+        depth, force = (summary.get(key, {"mean": "-"})["mean"] for key in ("depth_mm_mean", "force_p95_n_mean"))
+        rows.append(
+            (
+                declared["title"],
+                f"{_number(summary, short=True)}",
+                f"**{_percent(summary['success_pct'])}**",
+                targets,
+                f"{summary['straight_pct']['mean']:g}",
+                f"{depth}",
+                f"{force}; {summary.get('force_max_n', '-')}",
+            )
+        )
+    head = ("what", "cases; anatomies", "success, %", "by target, %", "8 mm straight, %", "depth, mm", "force, N")
+    return f"{_table(head, rows)}\n\n{_made(read)}\n{_limits(read)}"
+
+
+def _variations(read: Sequence[dict[str, Any]]) -> str:
+    """A row for each variation, with each claim's share of successes."""
+    names = dict.fromkeys(name for result in read for name in result["declared"]["variations"])
+    shares = [
+        [
+            _percent(result["summary"][key]) if (key := f"success_{name}_pct") in result["summary"] else ""
+            for result in read
+        ]
+        for name in names
+    ]
+    head = ("success, %", *(f"{result['declared']['title']}: {_number(result['summary'])}" for result in read))
+    rows = [(name, *share) for name, share in zip(names, shares, strict=True)]
+    return f"{_table(head, rows)}\n\n{_made(read)}\n{_limits(read)}"
+
+
+def _percent(figure: dict[str, float]) -> str:
+    return f"{figure['mean']:g} ({figure['low']:g} to {figure['high']:g})"
+
+
+def _limits(read: Sequence[dict[str, Any]]) -> str:
+    return "".join(f"\n- {result['declared']['title']}: {result['declared']['limits']}" for result in read)
 
 
 def _rows(read: Sequence[dict[str, Any]]) -> str:
@@ -140,7 +203,9 @@ def _count(result: dict[str, Any], key: str) -> int:
     return sum(key.rsplit("_", 1)[0] in case for case in result["cases"])
 
 
-def _number(summary: dict[str, Any]) -> str:
+def _number(summary: dict[str, Any], *, short: bool = False) -> str:
+    if short:
+        return f"{summary['cases']}; {summary['anatomies']}"
     return f"{summary['cases']} cases in {summary['anatomies']} anatomies or scenes"
 
 

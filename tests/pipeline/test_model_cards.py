@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
 import enn
 import guide3d
@@ -56,6 +57,8 @@ def test_tables_are_written_from_the_file(root: Path) -> None:
     (model,) = shipped_models(root)
     card, index = model.card.read_text(), (root / INDEX).read_text()
     assert f"| `a.pt` | {model.size} | `{model.sha256}` | `guide3d-network-1` |\n\n**What it sees.**" in card
+    head = yaml.safe_load(card.split("---")[1])
+    assert (head["library_name"], head["model_name"], head["sha256"]) == ("guide3d", "a", model.sha256)
     assert "| `guide3d` `a` | Does this. |" in index
     assert model.sha256[:12] in index
     assert index.endswith("\n\nEnd.\n")

@@ -29,6 +29,21 @@ def test_results_are_of_the_present_policies_data_and_protocol(path: Path) -> No
     assert not outdated(json.loads(path.read_text(encoding="utf-8")), read_protocol())
 
 
+def test_targets_and_variations_have_tables_of_their_own(tmp_path: Path) -> None:
+    figure = {"mean": 50.0, "low": 10.0, "high": 90.0}
+    summary = {"cases": 4, "anatomies": 2, "success_pct": figure, "straight_pct": figure, "force_max_n": 1.5}
+    summary |= {"success_bca_pct": figure, "success_still_pct": figure, "success_moving_pct": figure | {"mean": 25.0}}
+    declared = {"title": "Steer", "limits": "Drawn.", "targets": ["bca"], "variations": {"still": {}, "moving": {}}}
+    made = {"seeds": 3, "protocol": 3, "made_by": {"commit": "abc"}, "claim": "steer"}
+    (tmp_path / "steer.json").write_text(json.dumps(made | {"summary": summary, "declared": declared}))
+    text = "<!-- navigation: steer -->\n<!-- end of results -->\n<!-- variations: steer -->\n<!-- end of results -->\n"
+    text = rendered(text, tmp_path)
+    assert "| Steer | 4; 2 | **50 (10 to 90)** | bca 50 | 50 | - | -; 1.5 |" in text
+    assert "| moving | 25 (10 to 90) |" in text
+    assert text.count("`endonav evaluate steer --seeds 3`, commit `abc`, version 3 of the protocol.") == 2
+    assert "- Steer: Drawn." in text
+
+
 def test_a_table_is_made_from_results_and_a_change_of_them_is_seen(tmp_path: Path) -> None:
     protocol, results = tmp_path / "protocol.yaml", tmp_path / "results"
     protocol.write_text(SCENES)
