@@ -29,6 +29,7 @@ class Variation:
         shift_mm, turn_deg: of the scan that the roadmap shows, along and about directions that each case draws.
         stiffness, friction: of the wire, times the usual ones.
         breathing_mm: amplitude of the vessel's motion towards the feet, every four seconds.
+        wall_n_mm: stiffness of the wall at each contact, N/mm; None: rigid but for the solver's own give.
     """
 
     shift_mm: Share = 0.0
@@ -36,6 +37,7 @@ class Variation:
     stiffness: Annotated[float, Field(gt=0)] = 1.0
     friction: Annotated[float, Field(gt=0)] = 1.0
     breathing_mm: Annotated[float, Field(ge=0, le=20)] = 0.0
+    wall_n_mm: Annotated[float, Field(ge=0.1, le=1)] | None = None
 
 
 @checked(frozen=True, kw_only=True, config=_STRICT)

@@ -182,14 +182,15 @@ def _scene(claim: Navigation, name: str, place: Any, case: dict[str, Any]) -> tu
     varied = claim.variations[case.get("variation", "")]
     task = _VariedTask((case["target"],), rules, arches=claim.arches or "random", varied=varied)
     breathing = Breathing(amplitude=1e-3 * varied.breathing_mm) if varied.breathing_mm else None
+    physics = {"breathing": breathing, "wall_stiffness": varied.wall_n_mm}
     if isinstance(policy, ImagePolicy):
-        bare = task.test_environment(place, case["target"], rules.wire, ("goal_image",), breathing=breathing)
+        bare = task.test_environment(place, case["target"], rules.wire, ("goal_image",), **physics)
         return policy, XrayEnvironment(bare, rules.image_size_px, **policy.imaging), rules.success_radius
     scan = None
     if varied.shift_mm or varied.turn_deg:
         along, about = (way / np.linalg.norm(way) for way in np.random.default_rng(case["seed"]).normal(size=(2, 3)))
         scan = Scan(load_anatomy(place), 1e-3 * varied.shift_mm * along, math.radians(varied.turn_deg) * about)
-    environment = task.test_environment(place, case["target"], rules.wire, policy.keys, scan=scan, breathing=breathing)
+    environment = task.test_environment(place, case["target"], rules.wire, policy.keys, scan=scan, **physics)
     return policy, environment, rules.success_radius
 
 

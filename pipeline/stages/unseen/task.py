@@ -16,7 +16,6 @@ from pipeline.task import DESCENDING, Task
 
 if TYPE_CHECKING:
     from cathsim import Guidewire, NavigateEnv
-    from cathsim.contact.breathing import Breathing
     from cathsim.many_anatomies import NavigateManyEnv
     from cathsim.observations.scan import Scan
 
@@ -111,9 +110,9 @@ class UnseenTask:
         registration_noise: float = 0.0,
         entry: str = DESCENDING,
         scan: Scan | None = None,
-        breathing: Breathing | None = None,
+        **physics: Any,
     ) -> NavigateEnv:
-        """An environment of a test."""
+        """An environment of a test; `physics` as of `NavigateEnv`: `breathing`, `wall_stiffness`."""
         from cathsim import NavigateEnv
 
         if isinstance(phantom, int):
@@ -133,7 +132,7 @@ class UnseenTask:
             reward=REWARD_OF_EVALUATION,
             registration_noise=registration_noise,
             scan=scan,
-            breathing=breathing,
+            **physics,
             **tried.task.rules(),
         )
 

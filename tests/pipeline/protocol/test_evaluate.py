@@ -193,7 +193,8 @@ def test_shipped_policies_steer_in_a_drawn_arch(protocol: Path) -> None:
     protocol.write_text(
         "version: 1\nclaims: {steer: {kind: navigation, title: T, limits: L, arches: random, first: 690000, count: 1, "
         "targets: [bca], policies: [generalist, generalist_jb2], "
-        "variations: {bad day: {shift_mm: 2, turn_deg: 3, stiffness: 1.5, friction: 0.5, breathing_mm: 3}}}}"
+        "variations: {bad day: {shift_mm: 2, turn_deg: 3, stiffness: 1.5, friction: 0.5, breathing_mm: 3, wall_n_mm: 1}"
+        "}}}"
     )
     assert _evaluate(protocol) == 0
     (case,) = json.loads((protocol.parent / "results" / "steer.json").read_text())["cases"]
