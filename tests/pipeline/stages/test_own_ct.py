@@ -51,7 +51,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 def test_the_stage_phantoms_draws_the_contrast_run_in_the_ct(scan: dict[str, Any], tmp_path: Path) -> None:
     stage = tmp_path / "phantoms"
-    run_phantoms(PhantomsSettings(**scan, resolution_mm=2.0), context(tmp_path, "phantoms")).write(stage)
+    run_phantoms(PhantomsSettings(**scan), context(tmp_path, "phantoms")).write(stage)
     shown = json.loads((stage / "figures.json").read_text())
     assert "arch/radiograph.png" in json.dumps(shown)
     picture = np.asarray(Image.open(stage / "arch" / "radiograph.png"), float)
@@ -126,7 +126,7 @@ def test_the_ct_of_somebody_else_is_refused_before_the_work(scan: dict[str, Any]
     away = own.affine.copy()
     away[:3, 3] += 400.0  # mm
     nibabel.save(nibabel.Nifti1Image(np.asarray(own.dataobj), away), tmp_path / "other.nii.gz")
-    given = (f"phantom.file='{scan['file']}'", "phantom.unit=m", f"phantom.ct='{tmp_path / 'other.nii.gz'}'")
+    given = (f"phantom.file='{scan['file']}'", f"phantom.ct='{tmp_path / 'other.nii.gz'}'")
     settings = composed("stage=expert", "budget=smoke", *given, "target=bca").stage
     with pytest.raises(ConfigurationError, match=r"other\.nii\.gz"):
         load_stage("expert").prepare(settings)
