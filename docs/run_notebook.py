@@ -18,6 +18,7 @@ import matplotlib.pyplot as plt
 
 NOTEBOOK = Path(__file__).parent / "tutorial.ipynb"
 DPI = 90
+INSTALL = "install"  # the cell that brings the project to Colab, of which no kernel is here
 
 
 def run_cell(source: str, names: dict[str, Any]) -> list[dict[str, Any]]:
@@ -54,7 +55,7 @@ def run_notebook(notebook: dict[str, Any]) -> None:
     """Run every cell and put its outputs beside it."""
     show, plt.show = plt.show, lambda *_, **__: None
     names: dict[str, Any] = {"__name__": "notebook"}
-    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code" and cell["id"] != INSTALL]
     for count, cell in enumerate(cells, 1):
         cell["outputs"] = run_cell("".join(cell["source"]), names)
         cell["execution_count"] = count

@@ -33,6 +33,7 @@ endonav COMMAND [ARGUMENTS]
   new KIND NAME            a stage, a policy or a phantom that runs, with its test, to be changed to your own
   data list|fetch|add      real vessels with a public address that claims are measured in
   evaluate [CLAIM ...]     measure what is claimed, as the protocol says: a file of results for each claim
+  hub upload|download      policies and data sets to and from the Hugging Face Hub
   console                  steer the wire yourself, in the browser (needs endonav-cathsim[console])
   info                     what a report of a problem needs: versions, processor, rendering, GPUs, caches
   --version
@@ -164,7 +165,7 @@ _COMMANDS: dict[str, Callable[[list[str]], int] | str] = {
     "stages": "pipeline.launch", "chain": "pipeline.chain", "episodes": "pipeline.episodes.__main__",
     "models": _models, "demo": "pipeline.demo.__main__", "list": _list, "import": _import,
     "read": _read, "train": _train, "new": "pipeline.templates",
-    "evaluate": "pipeline.protocol.command", "data": "pipeline.data.command",
+    "evaluate": "pipeline.protocol.command", "data": "pipeline.data.command", "hub": "pipeline.hub",
     "console": "pipeline.console", "info": _info,
 }  # fmt: skip
 

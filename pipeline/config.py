@@ -11,11 +11,12 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING, DictConfig, OmegaConf
 
+from enn.curves import LOGGERS
 from pipeline.jobs.engines.settings import LOCAL, SETTINGS
 from pipeline.settings import kinds
 from pipeline.stages import available_stages, settings_of
@@ -80,6 +81,8 @@ class RunConfig:
     seed: kinds.Seed = 0
     engine: Any = None  # where jobs run: settings of pipeline.jobs.engines.settings; null: on this machine
     force: bool = False  # run even when the results are up to date
+    logger: Annotated[str, kinds.one_of(*LOGGERS)] = LOGGERS[0]  # that takes the curves of trainings
+    films: kinds.CountOrNone = 0  # evaluations of a policy's training from one film of an episode to the next; 0: none
 
     @property
     def budget_name(self) -> str:

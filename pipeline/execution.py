@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import enum
+import importlib.util
 import logging
+import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from enn import curves
 from enn.reinforcement.free_memory import available_bytes
 from pipeline.config import RunConfig, anatomy_not_taken
 from pipeline.jobs.engines.cluster import end_earlier_jobs
 from pipeline.jobs.engines.settings import LOCAL
 from pipeline.jobs.machine import CPU, check_device
 from pipeline.jobs.pool import chosen_engine
+from pipeline.recording import training_films
 from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages import Stage, StageContext, load_stage, missing_module
 from pipeline.store.costs import OWN_PROCESS, CostMeter, keep_cost
-from pipeline.store.errors import StageError
+from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.manifest import Identity, read_manifest
 from pipeline.store.provenance import hash_value, present_commit
 from pipeline.store.run_folder import RunFolder
@@ -43,6 +48,8 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
     stage.check(config.stage)
     if unused := anatomy_not_taken(config):
         _LOGGER.warning("%s is not for the stage %s: it has anatomies of its own", ", ".join(unused), stage.name)
+    if config.logger == "wandb" and importlib.util.find_spec("wandb") is None:
+        raise ConfigurationError("logger=wandb needs the module wandb: pip install 'endonav[wandb]'")
     if config.engine is None or config.engine.name == LOCAL:
         check_device(getattr(config.stage, "device", CPU))  # every stage with networks has one
     run_path = Path(config.runs_dir) / config.name
@@ -61,7 +68,7 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
         started, meter = time.monotonic(), CostMeter()
         context = _context(config, folder, run_path, {name: path for name, (path, _) in inputs.items()})
         try:
-            with chosen_engine(config.engine, available_bytes):
+            with chosen_engine(config.engine, available_bytes), _observed(config):
                 results = stage.run(config.stage, context)
             if results is not None:
                 results.write(folder.path)
@@ -76,6 +83,22 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
         )  # fmt: skip
         _LOGGER.info("%s: done in %.1f s, %d files", stage.name, manifest.wall_time_s, len(manifest.outputs))
     return Outcome.DONE
+
+
+@contextlib.contextmanager
+def _observed(config: RunConfig) -> Iterator[None]:
+    """Tells trainings, in this process and in jobs', how they are observed, which their results do not depend on."""
+    told = {curves.CHOICE: config.logger, training_films.CHOICE: str(config.films)}
+    before = {name: os.environ.get(name) for name in told}
+    os.environ.update(told)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 def _identity(stage: Stage, config: RunConfig, run_path: Path, input_hashes: dict[str, str]) -> Identity:

@@ -113,12 +113,16 @@ def _figures(read: Sequence[dict[str, Any]]) -> str:
     summary, claim = result["summary"], result["declared"]
     words = _WORDS | _SUCCESS.get(claim["kind"], {})
     rows = [
-        (words.get(key, f"success, {key[8:-4]}, %"), f"{value['mean']:g}", f"{value['low']:g} to {value['high']:g}")
+        (
+            words.get(key, f"success, {key[8:-4]}, %"),
+            _short(value["mean"]),
+            f"{_short(value['low'])} to {_short(value['high'])}",
+        )
         for key, value in summary.items()
         if isinstance(value, dict)
     ]
     if "force_max_n" in summary:
-        rows.append(("largest force, N", f"{summary['force_max_n']:g}", ""))
+        rows.append(("largest force, N", _short(summary["force_max_n"]), ""))
     return (
         f"{claim['title']}: {_number(summary)}.\n\n{_table(('', 'mean', '95 % interval'), rows)}\n\n"
         f"{_made(read)} {claim['limits']}"
@@ -147,16 +151,18 @@ def _targets(read: Sequence[dict[str, Any]]) -> str:
             for name in declared["targets"]
             if (key := f"success_{name}_pct") in summary
         )
-        depth, force = (summary.get(key, {"mean": "-"})["mean"] for key in ("depth_mm_mean", "force_p95_n_mean"))
+        keys = ("depth_mm_mean", "force_p95_n_mean")
+        depth, force = (_short(summary[key]["mean"]) if key in summary else "-" for key in keys)
+        largest = _short(summary["force_max_n"]) if "force_max_n" in summary else "-"
         rows.append(
             (
                 declared["title"],
                 f"{_number(summary, short=True)}",
                 f"**{_percent(summary['success_pct'])}**",
                 targets,
-                f"{summary['straight_pct']['mean']:g}",
-                f"{depth}",
-                f"{force}; {summary.get('force_max_n', '-')}",
+                _short(summary["straight_pct"]["mean"]),
+                depth,
+                f"{force}; {largest}",
             )
         )
     head = ("what", "cases; anatomies", "success, %", "by target, %", "8 mm straight, %", "depth, mm", "force, N")
@@ -179,7 +185,12 @@ def _variations(read: Sequence[dict[str, Any]]) -> str:
 
 
 def _percent(figure: dict[str, float]) -> str:
-    return f"{figure['mean']:g} ({figure['low']:g} to {figure['high']:g})"
+    return f"{_short(figure['mean'])} ({_short(figure['low'])} to {_short(figure['high'])})"
+
+
+def _short(number: float) -> str:
+    """Three digits, or all before the point."""
+    return f"{number:.3g}" if abs(number) < 1000 else f"{number:.0f}"
 
 
 def _limits(read: Sequence[dict[str, Any]]) -> str:
@@ -192,8 +203,8 @@ def _rows(read: Sequence[dict[str, Any]]) -> str:
     for result in read:
         key = next(key for key in _HEADLINES if key in result["summary"])
         figure = result["summary"][key]
-        interval = f"({figure['low']:g} to {figure['high']:g})"
-        value = f"{figure['mean']:g} {_HEADLINES[key]} {interval}, {_count(result, key)} cases"
+        interval = f"({_short(figure['low'])} to {_short(figure['high'])})"
+        value = f"{_short(figure['mean'])} {_HEADLINES[key]} {interval}, {_count(result, key)} cases"
         rows.append((result["declared"]["title"], value, result["declared"]["limits"]))
     return _table(("what", "95 % interval", "limit"), rows)
 

@@ -46,7 +46,7 @@ class Headline:
     interval: str  # 95 % interval of the measured value in words; empty where its samples are unknown or fewer than two
     samples: int | None  # behind the measured value
     differs: str  # from the thesis, in words
-    # "better", "equal", "worse", "open" for a mean of a single sample, "unlike" where another thing was measured; or ""
+    # "better", "equal", "worse", "open" for a single sample, "unlike" where another thing was measured; or ""
     verdict: str
     # how many of them the run had, where the value, its interval and the verdict are over seeds; otherwise 0
     seeds: int = 0
@@ -116,6 +116,8 @@ def compare(
 
     Source: Newcombe 1998, "Interval estimation for the difference between independent proportions", method 10.
     """
+    if samples == 1:
+        return OPEN
     sign = 1.0 if higher_is_better else -1.0
     difference = mean_of(here) - mean_of(thesis)
     if level is not None:
@@ -123,8 +125,6 @@ def compare(
         return EQUAL if not sides else BETTER if sides > 0 else WORSE
     if share and samples:
         low, high = difference_of_shares(mean_of(here), samples, mean_of(thesis), thesis_samples)
-    elif isinstance(here, list) and samples == 1:
-        return OPEN
     elif isinstance(here, list) and samples:
         low, high = difference_of_means(here, samples, thesis, thesis_samples)
     else:

@@ -9,6 +9,7 @@ from pathlib import Path
 import jinja2
 
 from pipeline.plots.words import place_in_thesis, row_words
+from pipeline.report.comparison import comparisons
 from pipeline.report.figures import ShownFigure
 from pipeline.report.headlines import headlines
 from pipeline.report.tables import NOT_RUN, ReportTable, format_over_seeds
@@ -181,7 +182,8 @@ def render_page(
         run=run, budget=budget, seeds=", ".join(map(str, seeds)), written=written, records=records,
         is_smoke="smoke" in budget.split("+"), not_run=NOT_RUN, commit=commit, versions=versions, machine=machine,
         remarks=dict(remarks or {}), made=dict(made or {}), style=_STYLE.read_text(encoding="utf-8"), film=film,
-        compared=[one for one in compared if one.here], open_headlines=[one for one in compared if not one.here],
+        beside=comparisons(), compared=[one for one in compared if one.here],
+        open_headlines=[one for one in compared if not one.here],
         chapters=arrange(tables, [figure for figure in figures if figure is not film]),
     )  # fmt: skip
 

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from enn.curves import Curves
+from enn.curves import Curves, chosen_logger
 from pipeline.anatomies.settings import settle
 from pipeline.evaluations.tables import log_summary
 from pipeline.jobs.pool import Job
@@ -135,7 +135,7 @@ def training_settings(settings: BaselinesSettings, algorithm: str, observation: 
     if settings.variant == THESIS:
         preset = thesis_baseline(algorithm, observation)
     decisions = settings.ppo_decisions if ppo else settings.decisions
-    sized = preset.sized(decisions, settings.evaluation_episodes, tensorboard=True)
+    sized = preset.sized(decisions, settings.evaluation_episodes, logger=chosen_logger())
     return with_hyperparameters(sized, settings.training)
 
 

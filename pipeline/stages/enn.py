@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from enn.curves import chosen_logger
 from pipeline.anatomies.settings import settle
 from pipeline.evaluations.tables import log_summary
 from pipeline.settings.kinds import require_modalities
@@ -102,7 +103,7 @@ def training_settings(settings: EnnSettings, decisions: int, keys: tuple[str, ..
     preset: TrainingSettings = thesis if settings.variant == THESIS else desk
     if settings.variant != THESIS and settings.task.two_devices:
         preset = replace(preset, evaluation_episodes=EVALUATIONS_OF_TWO_DEVICES)
-    sized = preset.sized(decisions, settings.evaluation_episodes, tensorboard=True, keys=keys)
+    sized = preset.sized(decisions, settings.evaluation_episodes, logger=chosen_logger(), keys=keys)
     return with_hyperparameters(sized, settings.training)
 
 

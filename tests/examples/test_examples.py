@@ -39,7 +39,7 @@ def test_an_arch_of_own_measures_and_a_mesh_are_entered(
 ) -> None:
     assert example.main(steps=20)["insertion"] == pytest.approx(0.04, abs=0.002)
     mesh = tmp_path / "arch.stl"
-    load_phantom("low_tortuosity", resolution=2e-3).lumen_mesh.export(mesh)
+    load_phantom("type_1", resolution=2e-3).lumen_mesh.export(mesh)
     assert example.main(str(mesh), steps=5)["insertion"] == pytest.approx(0.01, abs=0.002)
 
 

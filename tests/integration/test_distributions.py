@@ -1,7 +1,6 @@
 """Distributions are complete: built and used with what they declare alone, not from this tree; all is pinned."""
 
 import importlib.metadata
-import json
 import os
 import re
 import shutil
@@ -15,7 +14,7 @@ from pathlib import Path
 import numpy
 import pytest
 from packaging.requirements import Requirement
-from packaging.utils import canonicalize_name
+from packaging.utils import canonicalize_name, parse_wheel_filename
 
 from pipeline.config import BUDGETS
 from pipeline.installation import CUDA_DISTRIBUTIONS
@@ -83,6 +82,7 @@ def environment_of(folder: Path, distributions: Iterable[importlib.metadata.Dist
 
 def run(command: list, cwd: Path, **variables: str) -> str:
     """Runs a command outside this tree and gives what it printed."""
+    variables["PYTHONDONTWRITEBYTECODE"] = ""  # the next start need not compile again
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | variables
     done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
@@ -154,30 +154,40 @@ def run_installed(installed: Path, cwd: Path, *arguments: str) -> str:
     return run([sys.executable, "-S", *arguments], cwd, PYTHONPATH=paths, CATHSIM_CACHE=str(cwd / "cache"))
 
 
+# Ends once all is resolved, and names the files: pip would download gigabytes of them.
+PIP = """
+import os
+from pip._internal.cli.main import main
+from pip._internal.operations.prepare import RequirementPreparer
+def named(preparer, requirements, **_):
+    print(*(one.link.filename for one in requirements), flush=True)
+    os._exit(0)
+RequirementPreparer.prepare_linked_requirements_more = named
+raise SystemExit(main())
+"""
+
+
 @pytest.mark.slow
 def test_a_plainly_configured_pip_resolves_torch_and_what_the_project_pins(tmp_path: Path) -> None:
-    python, _ = environment_of(tmp_path / "environment", ())
     environment = {k: v for k, v in os.environ.items() if not k.startswith("PIP_") or k in ("PIP_CERT", "PIP_PROXY")}
     environment |= {"PIP_CONFIG_FILE": os.devnull, "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
-    pip = [sys.executable, "-m", "pip", "--python", python]
-    reached = subprocess.run(
-        [*pip, "--retries", "0", "--timeout", "15", "download", "-q", "--no-deps", "-d", tmp_path, "annotated-types"],
-        env=environment, capture_output=True, timeout=120, check=False,
-    )  # fmt: skip
-    if reached.returncode:
+
+    def pip(*words: str | Path) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", PIP, *words]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+
+    if pip("--retries=0", "--timeout=15", "download", "--no-deps", "-d", tmp_path, "annotated-types").returncode:
         pytest.skip("no index is reachable with pip as it comes")
-    report = tmp_path / "report.json"
-    command = [*pip, "install", "-q", "--dry-run", "--report", report, "-c", PROJECT_ROOT / "constraints.txt"]
-    done = subprocess.run(
-        [*command, "./packages/guide3d", "./packages/splineformer"], cwd=PROJECT_ROOT, env=environment,
-        capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
+    wanted = [one for name in ("guide3d", "splineformer") for one in declared(name)["project"]["dependencies"]]
+    wanted = [one for one in wanted if not one.startswith("endonav-")]
+    how = ("--use-feature=fast-deps", "--dry-run", "--ignore-installed", "-c", PROJECT_ROOT / "constraints.txt")
+    done = pip("install", *how, *wanted)
     assert done.returncode == 0, done.stderr[-2000:]
-    found = {one["metadata"]["name"]: one["metadata"]["version"] for one in json.loads(report.read_text())["install"]}
-    assert {"endonav-guide3d", "endonav-splineformer", "torch"} <= found.keys()
+    found = dict(map(str, parse_wheel_filename(one)[:2]) for one in done.stdout.splitlines()[-1].split())
+    assert "torch" in found
     pins = (PROJECT_ROOT / "constraints.txt").read_text().lower().replace("_", "-")
-    named = [name for name in found if not name.startswith(("endonav-", *CUDA_DISTRIBUTIONS))]
-    assert not [name for name in named if f"\n{name}=={found[name]}\n".lower().replace("_", "-") not in pins]
+    named = {f"{name}=={version}" for name, version in found.items() if not name.startswith(CUDA_DISTRIBUTIONS)}
+    assert not named - {*pins.splitlines()}
 
 
 @pytest.mark.slow

@@ -6,8 +6,10 @@ import importlib.util
 import json
 import os
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlparse
 
 import numpy as np
 import pytest
@@ -17,7 +19,8 @@ from pipeline.evaluations.tables import tables_from_logs
 from tests.guide3d.learning.drawn_data import draw
 from tests.pipeline.stages.small_expert import write_expert
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
 NOTEBOOK = DOCS / "tutorial.ipynb"
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 # The first records a log, which the report reads; training leaves a policy, which imitation reads on the same page.
@@ -36,7 +39,20 @@ def notebook() -> dict[str, Any]:
 
 
 def code_cells(notebook: dict[str, Any]) -> list[dict[str, Any]]:
-    return [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    """All but the first, which installs the project where it is missing."""
+    install, *cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert install["id"] == "install"
+    return cells
+
+
+def test_in_colab_it_installs_this_repository_s_packages(notebook: dict[str, Any]) -> None:
+    address = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["urls"]["Repository"]
+    text = "".join(notebook["cells"][0]["source"])
+    assert f"(https://colab.research.google.com/github{urlparse(address).path}/blob/main/docs/tutorial.ipynb)" in text
+    install = "".join(notebook["cells"][1]["source"])
+    assert f"git clone --quiet --depth 1 {address}\n" in install
+    named = re.findall(r'"(\w+)(?:\[\w+\])?"', install.partition("folders = ")[2].partition("]\n")[0])
+    assert set(named) == {path.name for path in (ROOT / "packages").iterdir() if (path / "pyproject.toml").is_file()}
 
 
 def test_the_script_that_runs_it_keeps_what_a_kernel_shows(tmp_path: Path) -> None:

@@ -90,6 +90,7 @@ USES = [
     ("guide3d[learning]", "torch", "import guide3d.modeling.unet"),
     ("guide3d[learning]", "torch", "import guide3d.reading.maps"),
     ("enn[onnx]", "onnx", "from enn.export import _require; _require('onnx')"),
+    ("enn[wandb]", "wandb", "from pathlib import Path; from enn.curves import open_writer as o; o(Path('f'), 'wandb')"),
     ("splineformer[onnx]", "onnx", "from splineformer.export import _require; _require('onnx')"),
 ]
 FILES = ("labels.mha", "labels.nii.gz", "labels.nrrd", "run.dcm")

@@ -52,7 +52,9 @@ def test_imitation(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     cloned = devices_of(monkeypatch, enn.imitation.distillation, "clone")
     refined = devices_of(monkeypatch, enn.imitation.distillation, "dagger")
     place = context(tmp_path, "imitation")
-    imitation.run_imitation(imitation_tests.settings(episodes=[1], evaluation_episodes=1), place).write(place.path)
+    imitation.run_imitation(
+        imitation_tests.settings(episodes=[1], evaluation_episodes=1, disturbed_episodes=0), place
+    ).write(place.path)
     assert set(cloned) == set(refined) == {there}
     assert "bc_architecture" in json.loads((place.path / "results.json").read_text())
 

@@ -43,7 +43,7 @@ def test_an_unknown_command_is_one_sentence(capsys: pytest.CaptureFixture[str]) 
     assert command.main(["stage"]) == 2
     assert capsys.readouterr().err == (
         "endonav has no command 'stage': choose from stages, chain, episodes, models, demo, list, import, read, train, "
-        "new, evaluate, data, console, info\n"
+        "new, evaluate, data, hub, console, info\n"
     )
 
 

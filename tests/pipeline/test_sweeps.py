@@ -45,7 +45,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> PipelineProcess:
     process = PipelineProcess(tmp_path_factory.mktemp("sweep"))
     done = process.run_here("stage=phantoms", "stage.phantoms=[type_1]", "stage.picture=false", *COMMON)
     assert done.returncode == 0, done.stderr
-    done = process.run("-m", "seed=0,1", *EXPERT, timeout_s=600)
+    done = process.run_here("-m", "seed=0,1", *EXPERT)
     assert done.returncode == 0, done.stderr
     return process
 
@@ -70,7 +70,7 @@ def test_variants_of_different_jobs_differ() -> None:
 
 @pytest.mark.slow
 def test_each_seed_of_a_sweep_reads_what_its_own_left(recorded: PipelineProcess) -> None:
-    done = recorded.run("-m", "seed=0,1", *VALIDATE, timeout_s=600)
+    done = recorded.run_here("-m", "seed=0,1", *VALIDATE)
     assert done.returncode == 0, done.stdout + done.stderr
     alone = recorded.run_here("seed=1", *VALIDATE)
     assert alone.returncode == 0, alone.stderr

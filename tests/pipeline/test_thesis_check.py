@@ -20,7 +20,10 @@ pytestmark = pytest.mark.slow
 
 # The stages that are run, without the rows that have the network of another one; others are composed alone.
 RUN = ("phantoms", "expert", "baselines", "enn")
-FEWER_ROWS = ("stage@baselines.observations=[sequential]", "stage@enn.modalities=[]")
+FEWER_ROWS = (
+    "stage@phantoms.phantoms=[type_1]", "stage@phantoms.picture=false", "stage@baselines.observations=[sequential]",
+    "stage@enn.modalities=[]",
+)  # fmt: skip
 
 
 def finish(run: Path, stage: str, *jobs: str) -> None:

@@ -151,7 +151,7 @@ def end_earlier_jobs(stage: Path) -> None:
 _SECONDS_FOR_LAST_WORDS = 5.0  # until what a job wrote can be seen here, after its scheduler says that it has ended
 _STOPPED = "it was stopped"
 # Variables that jobs are given beside those of their machine.
-_CARRIED = ("CATHSIM_", "MUJOCO_GL", "PYTHONPATH", "XDG_CACHE_HOME")
+_CARRIED = ("CATHSIM_", "ENDONAV_FILMS", "ENN_LOGGER", "MUJOCO_GL", "PYTHONPATH", "WANDB_", "XDG_CACHE_HOME")
 
 
 @dataclass(frozen=True)

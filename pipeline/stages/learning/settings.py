@@ -165,7 +165,7 @@ _ELSEWHERE = (
     "passthrough",
     "decisions",
     "device",
-    "tensorboard",
+    "logger",
     "reset_bank_cases",
 )
 

@@ -3,7 +3,7 @@
 A training's folder, ``<phantom>/<target>/<row>/seed<k>/``, holds::
 
     policy.pt  training.csv  training.json        what was trained, and how it went
-    tensorboard/                                  its curves
+    tensorboard/ or wandb/  films/                its curves, by logger=…; with films=N an episode every N evaluations
     evaluation/{deterministic,stochastic}/NNN.mcap
     expert/NNN.mcap                               with images: what imitation learns from
     checkpoint/                                   until the training is finished
@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.anatomies.settings import check_anatomies
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import OPTIMISER, Report
+from pipeline.recording.training_films import training_films
 from pipeline.recording.trials import MODES, Controller, Origin, controllers, run_trials, summary
 from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.stages import StageContext
@@ -123,6 +124,8 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
     for leftover in job.folder.glob(".*.tmp"):  # of a killed training
         leftover.unlink()
     trained = job.settings.decisions * _SECONDS_A_DECISION / max(job.weight, 1e-9)  # share of the job, by time
+    # a policy may get stuck in accurate physics alone: those choose the best one
+    validation = replace(job.task, accuracy=ACCURACY_OF_TESTS).factory(job.keys, job.settings.action_repeat)
     training = Training(
         replace(job.settings, device=report.device),
         job.task.factory(job.keys, job.settings.action_repeat),
@@ -136,8 +139,8 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
             "target": job.task.target,
             TASK: asdict(job.task.task),
         },
-        # a policy may get stuck in accurate physics alone: those choose the best one
-        make_validation_env=replace(job.task, accuracy=ACCURACY_OF_TESTS).factory(job.keys, job.settings.action_repeat),
+        make_validation_env=validation,
+        after_evaluation=training_films(job.folder, validation, job.origin.training_seed),
     )
     with stopping_the_stage(CheckpointError):
         result = training.run(lambda progress: report(trained * progress.decisions / progress.total, words(progress)))

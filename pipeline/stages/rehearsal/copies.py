@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from enn.curves import chosen_logger
 from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.jobs.engines.local import available_workers
 from pipeline.jobs.worker import OPTIMISER
@@ -130,7 +131,7 @@ def training_settings(
         n_envs=settings.environments,
         threads=threads_of(settings),
         evaluation_episodes=settings.validation_copies + 1,
-        tensorboard=True,
+        logger=chosen_logger(),
         device=device,
     )
     return with_hyperparameters(training, settings.training)

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.jobs.worker import Report, map_simulations
+from pipeline.recording.training_films import training_films
 from pipeline.recording.trials import POLICY
 from pipeline.seeds import rehearsal_demonstration_seed, validation_copies
 from pipeline.stages.learning.training import words
@@ -260,6 +261,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
                 folder=job.own_folder / folder,
                 seed=seed,
                 metadata={**job.origin.configuration("training"), TASK: asdict(job.task)},
+                after_evaluation=training_films(job.own_folder / folder, partial(environment, validated), seed),
                 progress=tell,
                 **given,
             )

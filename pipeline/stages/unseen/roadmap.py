@@ -23,7 +23,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from enn.curves import chosen_logger
 from pipeline.jobs.worker import OPTIMISER, Report, map_simulations
+from pipeline.recording.training_films import training_films
 from pipeline.recording.trials import POLICY, Controller
 from pipeline.seeds import arch_demonstration_seed
 from pipeline.stages.learning.settings import with_hyperparameters
@@ -206,7 +208,7 @@ def training_settings(
         reset_bank_cases=anatomies * len(settings.learnt_targets()),
         evaluate_every=max(decisions // evaluations, 1),
         evaluation_episodes=settings.validation_episodes,
-        tensorboard=True,
+        logger=chosen_logger(),
     )
     if start is not None:
         training = starting_from(training, start, _ACTS_FIRST)
@@ -310,15 +312,18 @@ def _trained(job: RoadmapJob, settings: TrainingSettings, report: Report) -> tup
         leftover.unlink()
     environment = partial(job.task.training_environment, observation=ROADMAP_KEYS, observe_every=settings.action_repeat)
     SHELF.capacity = max(SHELF.capacity, len(job.anatomies) + len(job.validated))  # all take turns
+    make = partial(environment, job.anatomies)
+    make_validation_env = partial(environment, job.validated, accuracy="accurate") if job.validated else None
     training = Training(
         replace(settings, device=report.device),
-        partial(environment, job.anatomies),
+        make,
         job.own_folder,
         seed=job.seed,
         demonstrations=read_demonstrations(job.folder / DEMONSTRATIONS, job.anatomies) if job.demonstrated else [],
         metadata={**job.origin.configuration("training"), TASK: asdict(job.task.task)},
         starts=read_starts(job.folder / STARTS, job.anatomies, job.task.targets) if job.laid else [],
-        make_validation_env=partial(environment, job.validated, accuracy="accurate") if job.validated else None,
+        make_validation_env=make_validation_env,
+        after_evaluation=training_films(job.own_folder, make_validation_env or make, job.seed),
         initial=None if job.start is None else Policy.load(job.start, report.device),
     )
     with stopping_the_stage(CheckpointError, *([ValueError] if job.start is not None else [])):

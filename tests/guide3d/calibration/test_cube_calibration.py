@@ -14,6 +14,7 @@ from guide3d.calibration.cube_calibration import calibrate_folder
 from guide3d.calibration.cube_files import find_files, read_beads, read_references
 from guide3d.geometry.camera import read_camera, read_opencv_yaml
 from guide3d.geometry.distortion import Distortion
+from pipeline.protocol import calibration as calibration_claim
 from tests.guide3d.calibration.drawn_cube import CAMERAS, DETECTORS, POINTS_MM, among_holes, write_folder
 
 REAL = Path(__file__).parents[4] / "shared" / "real" / "xray_calibration"
@@ -192,9 +193,12 @@ def test_names_in_capitals_are_found_and_doubled_ones_refused(folder, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not REAL.is_dir(), reason="the real X-ray images are not beside the project")
-def test_the_real_images():
+def test_the_real_images(monkeypatch):
     calibration = calibrate_folder(REAL)
     numbers = figures(calibration)
+    monkeypatch.setattr(calibration_claim, "_figures", lambda: numbers)
+    found = [calibration_claim.play(None, case) for case in calibration_claim.cases(None, 0)]
+    assert [one["beads"] > 25 and one["mean_px"] < 0.6 and one["leave_out_px"] < 0.2 for one in found] == [True, True]
     assert calibration.warnings == []
     for detector, holes, beads in (("16709", 4945, 29), ("16710", 4700, 39)):
         own = numbers[detector]

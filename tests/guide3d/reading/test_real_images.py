@@ -32,9 +32,3 @@ def test_pairs_are_read_near_their_figures() -> None:
     assert found["tip_px_mean"]["mean"] < 8
     assert found["mean_mm_mean"]["mean"] < 1.0
     assert found["tip_mm_mean"]["mean"] < 3.0
-
-
-def test_cameras_are_calibrated_near_their_figures() -> None:
-    claim = read_protocol().claims["calibration"]
-    found = [KINDS[claim.kind].play(claim, case) for case in KINDS[claim.kind].cases(claim, 0)]
-    assert [one["beads"] > 25 and one["mean_px"] < 0.6 and one["leave_out_px"] < 0.2 for one in found] == [True, True]

@@ -57,11 +57,11 @@ def test_a_table_is_made_from_results_and_a_change_of_them_is_seen(tmp_path: Pat
     result = json.loads((results / "wires.json").read_text())
     text = page.read_text()
     mean = result["summary"]["mean_mm_mean"]
-    assert f"| distance along the wire, mm | {mean['mean']:g} | {mean['low']:g} to {mean['high']:g} |" in text
+    assert f"| distance along the wire, mm | {mean['mean']:.3g} | {mean['low']:.3g} to {mean['high']:.3g} |" in text
     assert "Wires: 6 cases in 6 anatomies or scenes." in text
     assert "`endonav evaluate wires`, commit `" in text
     assert text.endswith("\n\nmore\n")
-    assert f"| Wires | {mean['mean']:g} mm (" in (tmp_path / "README.md").read_text()
+    assert f"| Wires | {mean['mean']:.3g} mm (" in (tmp_path / "README.md").read_text()
     mean["mean"] += 1
     (results / "wires.json").write_text(json.dumps(result))
     assert rendered(text, results) != text

@@ -29,7 +29,7 @@ OWN_ROWS = {
 }  # fmt: skip
 FURTHER_ROWS = {
     "ablation": ["bca/sampling_expert", "bca/I+V+M safe 5", "lcca/sampling_expert"],
-    "imitation": ["bca/dagger", "bca/image_w_enn_disturbed", "lcca/dagger"],
+    "imitation": ["bca/dagger", "bca/image_w_enn_disturbed", "lcca/dagger", "lcca/image_w_enn_disturbed"],
     "cathsim_results": ["type_1/path_follower", "type_2/path_follower"],
     "force_prediction_mse": ["fpn_200", "untrained", "shape", "shape_errors"],
     "navigation": ["sampling_expert", "enn_expert", "splineformer_100", "splineformer_500", "splineformer_dagger"],

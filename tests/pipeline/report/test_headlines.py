@@ -27,6 +27,7 @@ def test_shares_are_compared_by_newcombe_s_interval() -> None:
     assert compare(60.0, 80.0, **shares, higher_is_better=False) == WORSE
     assert compare(60.0, 66.0, **shares) == EQUAL
     assert compare(100.0, 100.0, thesis_samples=30, samples=30, share=True) == EQUAL
+    assert compare(60.0, 100.0, thesis_samples=30, samples=1, share=True) == OPEN
 
 
 def test_means_are_compared_by_welch_s_interval() -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import pickle
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -61,6 +62,5 @@ def context(run: Path, stage: str, reads: Sequence[str] = ("enn",)) -> StageCont
 
 
 def in_this_process(folder: RunFolder, jobs: Sequence[Job], **_: Any) -> dict[str, Any]:
-    """Stands in for `run_jobs`: one after another, here."""
-    run: Callable[[Job], Any] = lambda job: job.run(job.given, Report())  # noqa: E731
-    return {job.key: run(job) for job in jobs}
+    """Stands in for `run_jobs`: one after another, here, with what a process of their own would be given."""
+    return {job.key: job.run(pickle.loads(pickle.dumps(job.given)), Report()) for job in jobs}

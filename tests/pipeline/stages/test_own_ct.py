@@ -51,7 +51,7 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 def test_the_stage_phantoms_draws_the_contrast_run_in_the_ct(scan: dict[str, Any], tmp_path: Path) -> None:
     stage = tmp_path / "phantoms"
-    run_phantoms(PhantomsSettings(**scan, resolution_mm=2.0), context(tmp_path, "phantoms")).write(stage)
+    run_phantoms(PhantomsSettings(**scan), context(tmp_path, "phantoms")).write(stage)
     shown = json.loads((stage / "figures.json").read_text())
     assert "arch/radiograph.png" in json.dumps(shown)
     picture = np.asarray(Image.open(stage / "arch" / "radiograph.png"), float)
@@ -126,7 +126,7 @@ def test_the_ct_of_somebody_else_is_refused_before_the_work(scan: dict[str, Any]
     away = own.affine.copy()
     away[:3, 3] += 400.0  # mm
     nibabel.save(nibabel.Nifti1Image(np.asarray(own.dataobj), away), tmp_path / "other.nii.gz")
-    given = (f"phantom.file='{scan['file']}'", "phantom.unit=m", f"phantom.ct='{tmp_path / 'other.nii.gz'}'")
+    given = (f"phantom.file='{scan['file']}'", f"phantom.ct='{tmp_path / 'other.nii.gz'}'")
     settings = composed("stage=expert", "budget=smoke", *given, "target=bca").stage
     with pytest.raises(ConfigurationError, match=r"other\.nii\.gz"):
         load_stage("expert").prepare(settings)
@@ -156,7 +156,7 @@ def hospital(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Path]
     monkeypatch.setenv("CATHSIM_CACHE", str(tmp_path / "cache"))
     labels, affine = rasterise(load_phantom("type_1", resolution=2e-3), spacing=(1.5e-3, 1.5e-3, 2.5e-3), ids=NUMBERS)
     write_segmentation(tmp_path / "vessels.dcm", labels, TO_LPS @ affine, dict(enumerate(NAMES, 1)))
-    phantom = AnatomyFile.of(str(tmp_path / "vessels.dcm")).load(2e-3)
+    phantom = AnatomyFile.of(str(tmp_path / "vessels.dcm")).load()
     image = nibabel.load(ct_of(phantom, tmp_path / "ct.nii.gz"))
     affine = TO_LPS @ image.affine
     affine[0, 3] += 5.0
@@ -170,7 +170,7 @@ def test_a_segmentation_and_its_series_are_built_and_drawn(
     hospital: dict[str, Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     given = [f"phantom.{key}='{path}'" for key, path in hospital.items()]
-    assert main(["stage=phantoms", *given, "stage.resolution_mm=2.0", f"runs_dir={tmp_path}/runs"]) == 0
+    assert main(["stage=phantoms", *given, f"runs_dir={tmp_path}/runs"]) == 0
     folder = tmp_path / "runs" / "desk" / "phantoms" / "vessels"
     assert set(json.loads((folder / "targets.json").read_text())["targets"]) >= {"bca", "lcca", "lsa", "rsa", "rcca"}
     assert np.asarray(Image.open(folder / "radiograph.png"), float).std() > 20

@@ -61,7 +61,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the pipeline with one more stage, which two files and a line make."""
     folder = tmp_path_factory.mktemp("project")
     source = Path(pipeline.__file__).parent
-    shutil.copytree(source, folder / "pipeline", ignore=shutil.ignore_patterns("__pycache__", "conf"))
+    shutil.copytree(source, folder / "pipeline", ignore=shutil.ignore_patterns("conf"))
     shutil.copytree(CONFIG_DIRECTORY, folder / "conf")
     shutil.copy(source.parent / "Makefile", folder)
     (folder / "tests" / "pipeline" / "stages").mkdir(parents=True)
@@ -82,7 +82,7 @@ def in_project(project: Path) -> Callable[..., subprocess.CompletedProcess[str]]
     """Runs a command in the copy."""
 
     def run(*words: str) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "PYTHONPATH": str(project)}
+        environment = {**os.environ, "PYTHONPATH": str(project), "PYTHONDONTWRITEBYTECODE": ""}
         return subprocess.run(words, cwd=project, env=environment, capture_output=True, text=True, check=False)
 
     return run

@@ -43,7 +43,7 @@ def branch(name: str, root: Branch, share: float, radius: float, beyond: float) 
 
 def imported(tree: VesselTree, path: Path) -> Phantom:
     lumen_surface(build_lumen(tree, resolution=1e-3, fillet_radius=3e-3)).export(path)
-    return import_mesh(path, unit="m", cache_dir=path.parent / "cache")
+    return import_mesh(path, unit="m", resolution=2e-3, cache_dir=path.parent / "cache")
 
 
 def test_a_stump_that_is_wider_than_the_aorta_is_no_end_of_it(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from cathsim.anatomy import Phantom, import_mesh
 from cathsim.anatomy.mesh.arches.arch_naming import name_vessels
 from cathsim.anatomy.mesh.branches import RoughVessel
 
-SPACING = 1e-3  # m
+SPACING = 1.5e-3  # m
 RADIUS = 3e-3  # m, of the vessel that closes the ring
 
 
@@ -49,7 +49,7 @@ def _in_import(points: np.ndarray, ring: Phantom) -> np.ndarray:
 def test_a_ring_is_told_and_nothing_closes_it(ring: Phantom, link: np.ndarray) -> None:
     assert any("a ring" in note for note in ring.imported.notes), ring.imported.notes
     assert {"bca", "lcca", "lsa", "rcca", "rsa"} <= set(ring.tree.names)
-    assert ring.grid.sample(_in_import(link, ring)).min() > RADIUS - 1e-3
+    assert ring.grid.sample(_in_import(link, ring)).min() > RADIUS - SPACING
     ends = {name for name in ring.targets if name.endswith("_end")}
     assert ends == {"lsa_end", "rsa_end"}, "where vessels of a ring meet there is no open end"
 

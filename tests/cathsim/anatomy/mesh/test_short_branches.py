@@ -121,7 +121,7 @@ def test_a_closed_aorta_is_refused(tmp_path: Path):
 @pytest.mark.skipif(not REAL.is_dir(), reason="../shared/real/aortas is not there")
 @pytest.mark.parametrize(("name", "unit"), [("patient1", "mm"), ("feelpp_aorta2", "cm")])
 def test_real_arches_with_short_branches(name: str, unit: str, tmp_path: Path):
-    found = import_mesh(REAL / f"{name}.stl", cache_dir=tmp_path)
+    found = import_mesh(REAL / f"{name}.stl", resolution=COARSE, cache_dir=tmp_path)
     assert found.imported.unit == unit
     assert found.imported.borders == 5
     assert found.tree.names == ("aorta", "bca", "lcca", "lsa")
@@ -129,5 +129,5 @@ def test_real_arches_with_short_branches(name: str, unit: str, tmp_path: Path):
     arcs = [found.tree[branch].parent_arc for branch in ("bca", "lcca", "lsa")]
     assert arcs == sorted(arcs, reverse=True)  # from the heart on
     for target in ("bca", "lcca", "lsa"):
-        assert found.grid.sample(found.targets[target].position) > 1.5e-3, target
+        assert found.grid.sample(found.targets[target].position) > 1e-3, target
         assert found.depths.place(found.targets[target].position).depth == pytest.approx(0.030, abs=1e-3)

@@ -98,7 +98,7 @@ def test_updates_beside_the_simulation_learn_and_do_not_depend_on_threads_and_pr
 
 def test_event_files_on_request(point_env: Any, tmp_path: Path) -> None:
     pytest.importorskip("tensorboard")
-    settings = dataclasses.replace(SMALL, decisions=240, evaluate_every=0, tensorboard=True)
+    settings = dataclasses.replace(SMALL, decisions=240, evaluate_every=0, logger="tensorboard")
     Training(settings, point_env, tmp_path).run()
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -107,6 +107,20 @@ def test_event_files_on_request(point_env: Any, tmp_path: Path) -> None:
     assert [event.step for event in events.Scalars("curve/reward")] == [104, 200, 240]
     assert events.Scalars("curve/episode_return")[-1].step == 240
     assert "train/critic_loss" in events.Tags()["scalars"]
+
+
+def test_what_is_called_after_evaluations_sees_them_and_changes_nothing(point_env: Any) -> None:
+    settings, seen = dataclasses.replace(SMALL, decisions=240, evaluate_every=100), []
+
+    def film(policy: Policy, decisions: int) -> None:
+        seen.append((decisions, policy.keys))
+
+    curves = [Training(settings, point_env, after_evaluation=each).run().curve for each in (film, None)]
+    assert [decisions for decisions, _ in seen] == [104, 200, 240]
+    same = [
+        [{name: value for name, value in row.items() if name not in ("wall_s", "cpu_s")} for row in c] for c in curves
+    ]
+    assert same[0] == same[1]
 
 
 def test_refusals_say_why() -> None:
@@ -176,8 +190,8 @@ def test_settings_that_contradict_each_other_are_refused() -> None:
 
 
 def test_a_smaller_budget_makes_smaller_what_has_no_room_in_it() -> None:
-    small = THESIS_SAC.sized(48, 2, tensorboard=True)
-    assert (small.decisions, small.buffer_size, small.learning_starts, small.tensorboard) == (48, 48, 12, True)
+    small = THESIS_SAC.sized(48, 2, logger="wandb")
+    assert (small.decisions, small.buffer_size, small.learning_starts, small.logger) == (48, 48, 12, "wandb")
     assert (small.evaluate_every, small.evaluation_episodes, small.curve_every) == (48, 2, 48)
     assert THESIS_PPO.sized(1024, 30).n_steps == 512
     assert THESIS_PPO.sized(1, 30).n_steps == 16

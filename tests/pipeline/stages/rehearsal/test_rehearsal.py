@@ -25,7 +25,7 @@ from pipeline.stages.rehearsal.training import train
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, TINY, job_of
-from tests.pipeline.stages.small_expert import context
+from tests.pipeline.stages.small_expert import context, in_this_process
 
 FIRST = ANATOMY_COPIES["test"].first
 
@@ -80,7 +80,9 @@ def test_it_starts_from_a_policy_and_goes_on_after_an_interruption(
         train(dataclasses.replace(job_of(tmp_path / "third"), start=acting), Report())
 
 
-def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path) -> None:
+def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("stage", "start"):
+        monkeypatch.setattr(f"pipeline.stages.rehearsal.{module}.run_jobs", in_this_process)
     settings = RehearsalSettings(**TINY | {"target": "bca", "workers": 1, "test_copies": 1, "choose_catheter": False})
     run_rehearsal(settings, context(tmp_path, "rehearsal")).write(tmp_path / "rehearsal")
     results = json.loads((tmp_path / "rehearsal/results.json").read_text())

@@ -98,7 +98,8 @@ def wall_surface(grid: SignedDistanceGrid, tree: VesselTree, thickness: float) -
         outer = _cut(outer, centre, normal, radius)
         inner = _cut(inner, centre, normal, radius)
     inner.invert()
-    rims = [_rim(inner, outer, centre, normal, radius) for centre, normal, radius in planes]
+    borders = _border(inner), _border(outer)
+    rims = [_rim(*borders, centre, normal, radius) for centre, normal, radius in planes]
     return _weld([outer, inner, *rims])
 
 
@@ -127,20 +128,24 @@ def _weld(pieces: list[trimesh.Trimesh]) -> trimesh.Trimesh:
     return joined
 
 
-def _rim(
-    inner: trimesh.Trimesh, outer: trimesh.Trimesh, centre: Array, normal: Array, radius: float
-) -> trimesh.Trimesh:
-    """Flat ring between the cut edges of the two surfaces, zipped up in order of angle."""
+def _border(mesh: trimesh.Trimesh) -> Array:
+    """Vertices (n, 3) of the edges that belong to one face alone."""
+    import trimesh
+
+    alone = trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)
+    vertices: Array = mesh.vertices[np.unique(mesh.edges_sorted[alone])]
+    return vertices
+
+
+def _rim(inner: Array, outer: Array, centre: Array, normal: Array, radius: float) -> trimesh.Trimesh:
+    """Flat ring between the cut edges (n, 3) of the two surfaces, zipped up in order of angle."""
     import trimesh
 
     first = np.cross(normal, [0.3, 0.5, 0.8])
     first /= np.linalg.norm(first)
     second = np.cross(normal, first)
 
-    def loop(mesh: trimesh.Trimesh) -> tuple[Array, Array]:
-        edges = mesh.edges_sorted
-        unique, count = np.unique(edges, axis=0, return_counts=True)
-        border = mesh.vertices[np.unique(unique[count == 1])]
+    def loop(border: Array) -> tuple[Array, Array]:
         offset = border - centre
         here = (np.abs(offset @ normal) < 1e-6) & (np.linalg.norm(offset, axis=1) < radius + 2e-3)
         border, offset = border[here], offset[here]

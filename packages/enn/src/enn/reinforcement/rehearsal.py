@@ -88,6 +88,7 @@ def rehearse(
     seed: int = 0,
     metadata: dict[str, Any] | None = None,
     first_result: EvaluationResult | None = None,
+    after_evaluation: Callable[[Policy, int], None] | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> TrainingResult:
     """Trains in the cases of an environment, from a policy or from nothing.
@@ -106,6 +107,7 @@ def rehearse(
             (`demonstrated`); their states are starts, too.
         folder: where it can go on after an interruption; None: only in memory.
         first_result: `first_evaluation` of the policy, where it was played already.
+        after_evaluation: as of `TrainingInputs`.
 
     Raises:
         ValueError: the policy has no critics, or sees or does something else than the environment.
@@ -130,6 +132,7 @@ def rehearse(
         make_validation_env=partial(_in_turn, make_validation_env or make_env),
         initial=policy,
         initial_result=first_result,
+        after_evaluation=after_evaluation,
     )
     return training.run(progress)
 

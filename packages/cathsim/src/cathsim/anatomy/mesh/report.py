@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cathsim.viewing.figure import new_figure, plain_text
 
 logger = logging.getLogger(__name__)
-_MOST_POINTS = 60_000
+_MOST_POINTS = 20_000
 
 Array = NDArray[np.float64]
 

@@ -44,6 +44,8 @@ class TrainingInputs:
         initial: a policy with critics to start from instead of fresh weights: it acts from the first decision on, is
             evaluated before the first update, and its normalisation stays. Learning begins after `learning_starts`.
         initial_result: of that evaluation, where it was played already and the latest policy is kept.
+        after_evaluation: called with the policy and the decisions so far, to film an episode, say; it must not change
+            the policy, nor draw from torch's or numpy's generators of the process.
     """
 
     settings: TrainingSettings
@@ -57,6 +59,7 @@ class TrainingInputs:
     make_validation_env: Callable[[], gymnasium.Env[Any, Any]] | None = None
     initial: Policy | None = None
     initial_result: EvaluationResult | None = None
+    after_evaluation: Callable[[Policy, int], None] | None = None
 
     def make_reset_bank(self, settings: TrainingSettings) -> ResetBank | None:
         """A reset bank of the demonstrations and starts, or None where no episode is to start from one."""

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from enn.curves import Writer
 from enn.policy import Policy
 
 COLUMNS = (
@@ -105,22 +106,7 @@ class TrainingLog:
         self.returns: deque[float] = deque(maxlen=EPISODE_WINDOW)  # of all episodes, also those from the reset bank
         self.spent = {"wall_s": 0.0, "cpu_s": 0.0, "simulation_s": 0.0, "update_s": 0.0, "evaluation_s": 0.0}
         self.began = time.perf_counter(), time.process_time()
-        self.writer: Any = None
-
-    def show_in_tensorboard(self, folder: Path, decisions: int) -> None:
-        """Writes every further row there, too; rows after so many decisions, of an interrupted run, are hidden.
-
-        Raises:
-            ModuleNotFoundError: TensorBoard is not installed.
-        """
-        try:
-            from torch.utils.tensorboard import SummaryWriter
-        except ModuleNotFoundError as error:
-            raise ModuleNotFoundError(
-                "TensorBoard's files are written with tensorboard: pip install tensorboard", name=error.name
-            ) from None
-
-        self.writer = SummaryWriter(str(folder), purge_step=decisions or None)
+        self.writer: Writer | None = None  # of the curves for a logger
 
     def observe(self, rewards: list[float], infos: list[dict[str, Any]]) -> None:
         """Takes a decision's rewards and infos, one for each environment."""

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Interval
 
+from enn.curves import Logger
 from enn.networks.network import NetworkSettings
 from enn.setting_kinds import Count, CountOrNone, LearningRate, Seconds, Share, Weight, settings
 
@@ -54,7 +55,7 @@ class TrainingSettings(NetworkSettings):
     stop_after: CountOrNone = 0
     curve_every: Count = 200  # decisions between rows of the curve
     checkpoint_seconds: Seconds = 60.0  # between checkpoints; 0: after every decision
-    tensorboard: bool = False  # writes event files into the folder
+    logger: Logger = "none"  # of the curves, as `enn.curves.open_writer`
     keep_critics: bool = False  # in the policy's file, so that a training can start from it (SAC; PPO keeps all)
     device: str = "cpu"  # of the networks: "cpu", "cuda", "cuda:1", or "auto", a GPU where there is one
 

@@ -16,6 +16,7 @@ import gymnasium
 import torch
 from stable_baselines3.common.utils import get_device
 
+from enn.curves import open_writer
 from enn.model_file import UNFIT
 from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointError, CheckpointFolder, random_states, restore_random_states
@@ -41,7 +42,7 @@ CHANGEABLE = {
     "stop_after",
     "curve_every",
     "checkpoint_seconds",
-    "tensorboard",
+    "logger",
     "device",
     "keep_critics",
 }
@@ -104,8 +105,8 @@ class TrainingRun:
         self.observations: Any = None
         self._go_on()
         self.saved = time.perf_counter()
-        if settings.tensorboard and self.folder is not None:
-            self.log.show_in_tensorboard(self.folder / "tensorboard", self.decisions)
+        if self.folder is not None:
+            self.log.writer = open_writer(self.folder, settings.logger, self.decisions)
 
     def _demonstrations(self) -> ReplayBuffer | None:
         """Those that take part in updates."""
@@ -203,6 +204,8 @@ class TrainingRun:
         self.log.evaluation = self.best_policy.evaluate(
             self.policy, self._evaluation_envs, self.decisions, self._tick, self.sampled.workers
         )
+        if self.inputs.after_evaluation is not None:
+            self.inputs.after_evaluation(self.policy, self.decisions)
         self.log.spent["evaluation_s"] += time.perf_counter() - clock
 
     def _tick(self) -> None:
