@@ -50,7 +50,7 @@ ARCHES = {
     "perception": SeedRange(20_000, 500, _RUNS, "arches for the SplineFormer"),
     "validation": SeedRange(32_000, 1_000, 1, "validation arches"),
     "test": SeedRange(40_000, 1_000, 1, "test arches"),
-    "protocol": SeedRange(600_000, 1_000, 100, "arches of the protocol"),
+    "protocol": SeedRange(600_000, 1_000, 120, "arches of the protocol"),
 }
 RETIRED_ARCHES = range(30_000, 32_000), range(33_000, 34_000)
 
@@ -68,7 +68,7 @@ EPISODES = {
     "rehearsal, demonstrations": SeedRange(400_000_000, 100_000, _TRAININGS, "demonstrations in copies"),
     "rehearsal, trials of devices": SeedRange(500_000_000, 1_000, _TRAININGS, "trials of devices in copies"),
     "test": SeedRange(5_000_000_000, 1_000, _TRAININGS, "test episodes"),
-    "protocol": SeedRange(7_000_000_000, 10, 100_000, "starts of the protocol"),  # a part for each arch
+    "protocol": SeedRange(7_000_000_000, 10, 120_000, "starts of the protocol"),  # a part for each arch
 }
 RETIRED_EPISODES = (range(1_000_000, 2_000_000),)
 

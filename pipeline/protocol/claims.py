@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,12 +28,14 @@ class Variation:
     Attributes:
         shift_mm, turn_deg: of the scan that the roadmap shows, along and about directions that each case draws.
         stiffness, friction: of the wire, times the usual ones.
+        breathing_mm: amplitude of the vessel's motion towards the feet, every four seconds.
     """
 
     shift_mm: Share = 0.0
     turn_deg: Share = 0.0
     stiffness: Annotated[float, Field(gt=0)] = 1.0
     friction: Annotated[float, Field(gt=0)] = 1.0
+    breathing_mm: Annotated[float, Field(ge=0, le=20)] = 0.0
 
 
 @checked(frozen=True, kw_only=True, config=_STRICT)
@@ -95,6 +97,7 @@ class Forces:
         first, count: seed of the first arch (of `pipeline.seeds`), and how many.
         accuracy: preset of the simulator that gives the truth; the estimate's own model is no simulation.
         noise_mm: of the curve.
+        pieces: into which each link of the wire that gives the truth is cut.
         members: estimates of which the interval is made.
     """
 
@@ -105,7 +108,27 @@ class Forces:
     count: Positive
     accuracy: Literal["accurate", "reference"]
     noise_mm: Share
+    pieces: Positive = 1
     members: Positive = 40
+
+
+@checked(frozen=True, kw_only=True, config=_STRICT)
+class Rehearsal:
+    """The stage rehearsal, in a drawn arch each, from choosing the devices to the tests in copies.
+
+    Attributes:
+        arches: kind of drawn arches.
+        first, count: seed of the first arch (of `pipeline.seeds`), and how many.
+        target: name.
+    """
+
+    kind: Literal["rehearsal"]
+    title: str
+    limits: str
+    arches: Literal["random", "random_steep", "random_trunk"]
+    first: First
+    count: Positive
+    target: str
 
 
 @checked(frozen=True, kw_only=True, config=_STRICT)
@@ -138,7 +161,10 @@ class Speed:
     steps: Positive
 
 
-Claim = Annotated[Navigation | Reconstruction | Forces | RealXray | Calibration | Speed, Field(discriminator="kind")]
+Claim = Annotated[
+    Navigation | Reconstruction | Forces | Rehearsal | RealXray | Calibration | Speed, Field(discriminator="kind")
+]
+_CLAIM: TypeAdapter[Claim] = TypeAdapter(Claim)
 
 
 def _block(first: int) -> int:
@@ -188,6 +214,6 @@ def read_protocol(path: Path | None = None) -> Protocol:
 
 
 def declared(claim: Claim, *, words: bool = True) -> dict[str, Any]:
-    """A claim's entry as plain numbers and text; without `words` only what its figures depend on."""
-    entry = asdict(claim)
+    """A claim's entry as plain numbers and text, defaults left out; without `words` only what its figures depend on."""
+    entry: dict[str, Any] = _CLAIM.dump_python(claim, mode="json", exclude_defaults=True)
     return entry if words else {key: value for key, value in entry.items() if key not in ("title", "limits")}

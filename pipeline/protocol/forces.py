@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,8 @@ def play(claim: Forces, case: dict[str, Any]) -> dict[str, Any]:
     from cathsim.statics.resting_contacts import resting_contacts
 
     phantom, wire = load_phantom(case["anatomy"]), Guidewire().scaled(0.36)
-    simulation = Simulation(phantom, wire, ACCURACY[claim.accuracy])
+    links = tuple(link / claim.pieces for link in wire.links for _ in range(claim.pieces))
+    simulation = Simulation(phantom, replace(wire, links=links), ACCURACY[claim.accuracy])
     generator = np.random.default_rng(case["seed"])
     resultant = 0.0
     while not (simulation.valid and resultant >= _LEAST_RESULTANT):

@@ -167,6 +167,7 @@ class _VariedTask(UnseenTask):
 
 def _scene(claim: Navigation, name: str, place: Any, case: dict[str, Any]) -> tuple[Any, Any, float]:
     """The policy, the environment that it sees, and the success radius, m."""
+    from cathsim.contact.breathing import Breathing
     from cathsim.observations.scan import Scan
     from cathsim.observations.xray import XrayEnvironment
     from enn.imitation.images.policy import ImagePolicy
@@ -180,14 +181,15 @@ def _scene(claim: Navigation, name: str, place: Any, case: dict[str, Any]) -> tu
     rules = replace(task_in_random_arches(), max_steps=steps, start_rotation_deg=180.0, **devices)
     varied = claim.variations[case.get("variation", "")]
     task = _VariedTask((case["target"],), rules, arches=claim.arches or "random", varied=varied)
+    breathing = Breathing(amplitude=1e-3 * varied.breathing_mm) if varied.breathing_mm else None
     if isinstance(policy, ImagePolicy):
-        bare = task.test_environment(place, case["target"], rules.wire, ("goal_image",))
+        bare = task.test_environment(place, case["target"], rules.wire, ("goal_image",), breathing=breathing)
         return policy, XrayEnvironment(bare, rules.image_size_px, **policy.imaging), rules.success_radius
     scan = None
     if varied.shift_mm or varied.turn_deg:
         along, about = (way / np.linalg.norm(way) for way in np.random.default_rng(case["seed"]).normal(size=(2, 3)))
         scan = Scan(load_anatomy(place), 1e-3 * varied.shift_mm * along, math.radians(varied.turn_deg) * about)
-    environment = task.test_environment(place, case["target"], rules.wire, policy.keys, scan=scan)
+    environment = task.test_environment(place, case["target"], rules.wire, policy.keys, scan=scan, breathing=breathing)
     return policy, environment, rules.success_radius
 
 

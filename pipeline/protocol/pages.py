@@ -21,6 +21,9 @@ _MARKED = re.compile(r"(<!-- results: ([\w ]+) -->\n).*?(<!-- end of results -->
 _WORDS = {
     "success_pct": "success, %",
     "straight_pct": "tip within 8 mm in a straight line, %",
+    "before_pct_mean": "copies reached before, %",
+    "after_pct_mean": "copies reached after, %",
+    "cpu_s_mean": "processor time of the training, s",
     "depth_mm_mean": "tip behind the ostium, mm",
     "force_p95_n_mean": "force, 95th percentile of an episode, N",
     "steps_mean": "steps",
@@ -38,12 +41,17 @@ _WORDS = {
     "resultant_error_pct_median": "error of the resultant, median, %",
     "sum_error_pct_median": "error of the sum of normal forces, median, %",
 }
+_SUCCESS = {
+    "forces": {"success_pct": "90 % interval holds the resultant, %"},
+    "rehearsal": {"success_pct": "arches with nine tenths of the copies reached, %"},
+}
 # the figure of a claim that a table of several shows: the first that it has, with its unit
 _HEADLINES = {
     "resultant_error_pct_median": "% median error",
     "mean_mm_mean": "mm",
     "steps_per_s_mean": "steps a second",
     "mean_px_mean": "px",
+    "after_pct_mean": "% of copies",
     "success_pct": "%",
 }
 
@@ -100,7 +108,7 @@ def _read(path: Path) -> Any:
 def _figures(result: dict[str, Any]) -> str:
     """All figures of a claim, then how they were made and what limits them."""
     summary, claim = result["summary"], result["declared"]
-    words = _WORDS | ({"success_pct": "90 % interval holds the resultant, %"} if claim["kind"] == "forces" else {})
+    words = _WORDS | _SUCCESS.get(claim["kind"], {})
     rows = [
         (words.get(key, f"success, {key[8:-4]}, %"), f"{value['mean']:g}", f"{value['low']:g} to {value['high']:g}")
         for key, value in summary.items()

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from cathsim.metrics.episodes import wilson_interval
-from pipeline.protocol import calibration, forces, navigation, reconstruction, speed, xray
-from pipeline.protocol.claims import Claim, Navigation, Protocol, RealXray, declared
+from pipeline.protocol import calibration, forces, navigation, reconstruction, rehearsal, speed, xray
+from pipeline.protocol.claims import Claim, Navigation, Protocol, RealXray, Rehearsal, declared
 from pipeline.store.atomic_files import atomic_path
 from pipeline.store.provenance import hash_file, hash_value, present_commit, software_versions, uncommitted_changes
 
@@ -21,12 +21,14 @@ KINDS: dict[str, Any] = {
     "navigation": navigation,
     "reconstruction": reconstruction,
     "forces": forces,
+    "rehearsal": rehearsal,
     "real_xray": xray,
     "calibration": calibration,
     "speed": speed,
 }
-_MEANS = ("depth_mm", "force_p95_n", "steps", "mean_mm", "max_mm", "tip_mm", "place_mm", "dice", "within_4px_pct",
-          "curve_mean_px", "tip_px", "leave_out_px", "mean_px", "steps_per_s")  # fmt: skip
+_MEANS = ("before_pct", "after_pct", "depth_mm", "force_p95_n", "steps", "mean_mm", "max_mm", "tip_mm", "place_mm",
+          "dice", "within_4px_pct", "curve_mean_px", "tip_px", "leave_out_px", "mean_px", "steps_per_s",
+          "cpu_s")  # fmt: skip
 _MEDIANS = ("resultant_error_pct", "sum_error_pct")
 _DRAWS = 4000  # of the bootstrap
 
@@ -155,10 +157,12 @@ def inputs(claim: Claim) -> dict[str, str]:
 
         with shipped_file("reader") as path:
             return {"reader": hash_file(path)}
-    if not isinstance(claim, Navigation):
+    if not isinstance(claim, (Navigation, Rehearsal)):
         return {}
     from enn.shipped import weight_files
 
+    if isinstance(claim, Rehearsal):  # it chooses among all
+        return {path.stem: hash_file(path) for path in weight_files()}
     return {path.stem: hash_file(path) for path in weight_files() if path.stem in claim.policies} | navigation.files(
         claim
     )

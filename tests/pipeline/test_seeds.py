@@ -42,7 +42,7 @@ def test_what_functions_give_lies_in_their_range() -> None:
         "perception": [seeds.perception_arches(run, 500)],
         "validation": [seeds.validation_arches(500)],
         "test": [seeds.unseen_arches(1_000)],
-        "protocol": [seeds.protocol_arches(600_000, 99, 1_000), seeds.protocol_arches(690_000, 2, 1_000)],
+        "protocol": [seeds.protocol_arches(600_000, 119, 1_000), seeds.protocol_arches(690_000, 2, 1_000)],
     }
     for name, several in given.items():
         assert all(set(one) <= set(seeds.ARCHES[name].all) for one in several)
@@ -66,7 +66,7 @@ def test_what_functions_give_lies_in_their_range() -> None:
             [seeds.rehearsal_demonstration_seed(training, *last) for last in ((0, 0), (49, 1_999))]
         ],
         "test": [seeds.held_out_seeds(training, 1_000)],
-        "protocol": [(seeds.protocol_start(600_000, 0), seeds.protocol_start(699_999, 9))],
+        "protocol": [(seeds.protocol_start(600_000, 0), seeds.protocol_start(719_999, 9))],
     }
     for name, several in episodes.items():
         whole = seeds.EPISODES[name].all

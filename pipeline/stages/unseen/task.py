@@ -16,6 +16,7 @@ from pipeline.task import DESCENDING, Task
 
 if TYPE_CHECKING:
     from cathsim import Guidewire, NavigateEnv
+    from cathsim.contact.breathing import Breathing
     from cathsim.many_anatomies import NavigateManyEnv
     from cathsim.observations.scan import Scan
 
@@ -110,6 +111,7 @@ class UnseenTask:
         registration_noise: float = 0.0,
         entry: str = DESCENDING,
         scan: Scan | None = None,
+        breathing: Breathing | None = None,
     ) -> NavigateEnv:
         """An environment of a test."""
         from cathsim import NavigateEnv
@@ -131,6 +133,7 @@ class UnseenTask:
             reward=REWARD_OF_EVALUATION,
             registration_noise=registration_noise,
             scan=scan,
+            breathing=breathing,
             **tried.task.rules(),
         )
 

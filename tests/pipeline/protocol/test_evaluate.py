@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.data.sources import Source, SourceFile, Sources
-from pipeline.protocol import navigation
-from pipeline.protocol.claims import read_protocol
+from pipeline.protocol import navigation, rehearsal
+from pipeline.protocol.claims import Rehearsal, read_protocol
 from pipeline.protocol.command import main
 from pipeline.protocol.run import summary
 from pipeline.store.errors import ConfigurationError
@@ -161,7 +161,7 @@ def _source(name: str) -> Source:
     ("entry", "figure", "low", "high"),
     [
         (
-            "forces, first: 690000, count: 1, accuracy: accurate, noise_mm: 0.5, members: 4",
+            "forces, first: 690000, count: 1, accuracy: accurate, noise_mm: 0.5, members: 4, pieces: 2",
             "resultant_error_pct_median",
             0,
             60,
@@ -177,11 +177,23 @@ def test_other_kinds_are_measured(protocol: Path, entry: str, figure: str, low: 
 
 
 @pytest.mark.slow
+def test_a_rehearsal_is_read_from_the_stages_tables() -> None:
+    claim = Rehearsal(kind="rehearsal", title="T", limits="L", arches="random", first=690000, count=1, target="bca")
+    (case,) = rehearsal.cases(claim, 0)
+    outcome = rehearsal.play(claim, case, budget="smoke")
+    assert outcome["success"] == (outcome["after_pct"] >= 90)
+    assert outcome["decisions"] > 0
+    refused = rehearsal.play(claim, case | {"arch": -1}, budget="smoke")
+    assert not refused["success"]
+    assert "seed" in refused["reason"]
+
+
+@pytest.mark.slow
 def test_shipped_policies_steer_in_a_drawn_arch(protocol: Path) -> None:
     protocol.write_text(
         "version: 1\nclaims: {steer: {kind: navigation, title: T, limits: L, arches: random, first: 690000, count: 1, "
         "targets: [bca], policies: [generalist, generalist_jb2], "
-        "variations: {bad registration and wire: {shift_mm: 2, turn_deg: 3, stiffness: 1.5, friction: 0.5}}}}"
+        "variations: {bad day: {shift_mm: 2, turn_deg: 3, stiffness: 1.5, friction: 0.5, breathing_mm: 3}}}}"
     )
     assert _evaluate(protocol) == 0
     (case,) = json.loads((protocol.parent / "results" / "steer.json").read_text())["cases"]

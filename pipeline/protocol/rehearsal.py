@@ -1,0 +1,48 @@
+"""Cases of a claim of rehearsal: the stage run in a drawn arch each, and its tables read."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from pipeline.protocol.claims import Rehearsal
+from pipeline.seeds import protocol_arches
+from pipeline.store.atomic_files import read_json
+
+
+def cases(claim: Rehearsal, seed: int) -> Iterator[dict[str, Any]]:
+    """Each case: the arch, its seed, and the seed of the run."""
+    for arch in protocol_arches(claim.first, seed, claim.count):
+        yield {"anatomy": f"{claim.arches}_{arch}", "arch": arch, "target": claim.target, "seed": seed}
+
+
+def play(claim: Rehearsal, case: dict[str, Any], *, budget: str = "desk") -> dict[str, Any]:
+    """Runs the stage by itself in one process.
+
+    Returns:
+        `success` (whether nine tenths of the copies of the test are reached after it), `before_pct` and `after_pct` of
+        the copies, `force_p95_n` and `force_max_n` after it, `cpu_s` of the training, its `decisions` and the devices.
+    """
+    with TemporaryDirectory(prefix="rehearsal-") as folder:
+        command = [sys.executable, "-m", "pipeline", "stage=rehearsal", f"budget={budget}", f"seed={case['seed']}"]
+        command += [f"phantom.name={claim.arches}", f"phantom.seed={case['arch']}", f"target={claim.target}"]
+        command += ["stage.film=false", "stage.workers=1", "stage.threads=1", f"runs_dir={folder}", "name=run"]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        left = list(Path(folder).glob("run/rehearsal*/results.json"))
+        if not left:
+            return {"success": False, "reason": (done.stderr.strip().splitlines() or ["it left no results"])[-1]}
+        tables = read_json(left[0])
+    rows, cost = tables["rehearsal"], tables["rehearsal_cost"][case["anatomy"]]
+    after = rows[f"{case['anatomy']}/after copies"]
+    return {
+        "success": after["success_pct"] >= 90,
+        "before_pct": rows.get(f"{case['anatomy']}/before copies", {"success_pct": 0.0})["success_pct"],
+        "after_pct": after["success_pct"],
+        "force_p95_n": round(after["force_p95_n"], 3),
+        "force_max_n": round(after["force_max_n"], 3),
+        **{key: cost[key] for key in ("cpu_s", "decisions", "wire", "catheter")},
+    }
