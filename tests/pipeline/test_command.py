@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import os
 import platform
@@ -20,7 +21,7 @@ from pipeline import command
 from pipeline.chain import after_inputs
 from pipeline.config import BUDGETS, CONFIG_DIRECTORY
 from pipeline.launch import main
-from pipeline.printing import say
+from pipeline.printing import CALLED, say
 from pipeline.stages import available_stages
 from pipeline.store.errors import StageError
 from pipeline.store.provenance import PROJECT_ROOT
@@ -215,12 +216,14 @@ def test_info_has_what_a_report_of_a_problem_needs(
     ],
     ids=" ".join,
 )
-def test_texts_of_the_command_name_it_and_nothing_of_a_clone(words: list[str], tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "pipeline.command", *words], cwd=tmp_path, capture_output=True, text=True, timeout=120,
-        check=False,
-    )  # fmt: skip
-    said = done.stdout + done.stderr
+def test_texts_of_the_command_name_it_and_nothing_of_a_clone(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(CALLED, "1")
+    monkeypatch.chdir(tmp_path)
+    with contextlib.suppress(SystemExit):
+        command.main(words)
+    said = "".join(capsys.readouterr())
     assert f"endonav {'chain' if 'stage=navigation' in words else words[0]}" in said
     assert not re.search(r"python -m pipeline|\bmake (setup|all|demo|ray)\b|\.venv", said), said
 
@@ -265,7 +268,7 @@ def test_wrong_setting_is_explained_in_one_line(case: str, tmp_path: Path, capsy
 
 
 def test_failing_sweep_job_is_named_and_the_others_finish(pipeline_process) -> None:
-    done = pipeline_process.run("-m", "stage=report", "stage.embed_limit_mb=-1,1", "name=sweep")
+    done = pipeline_process.run_here("-m", "stage=report", "stage.embed_limit_mb=-1,1", "name=sweep")
     assert done.returncode == 2
     assert "stage.embed_limit_mb=-1 failed: stage.embed_limit_mb must be 0 or more" in done.stdout
     assert "Traceback" not in done.stderr
@@ -273,7 +276,7 @@ def test_failing_sweep_job_is_named_and_the_others_finish(pipeline_process) -> N
 
 
 def test_help_lists_stages_and_budgets(pipeline_process) -> None:
-    done = pipeline_process.run("--help")
+    done = pipeline_process.run_here("--help")
     assert done.returncode == 0
     for word in (*available_stages(), *BUDGETS, "demo", "--multirun"):
         assert word in done.stdout

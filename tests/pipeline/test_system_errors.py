@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +15,8 @@ from pydantic.dataclasses import dataclass
 
 from pipeline.jobs.pool import Report
 from pipeline.jobs.worker import Message
-from pipeline.launch import one_line
+from pipeline.launch import main, one_line
+from tests.conftest import process_kept
 
 A_FOLDER, A_FILE = "folder", "file"
 # What lies in the way, of which kind, and a word of the sentence; the stage is the report, which needs no input.
@@ -32,54 +35,46 @@ REFUSED_RUNS = {
     "a" * 300: "file name too long",
     "/".join(["abcdefg"] * 700): "file name too long",
 }
-_MAIN = """
-import sys
-from pipeline.launch import main
-for arguments in {commands!r}:
-    print("code", main(arguments), file=sys.stderr, flush=True)
-"""
 
 
-def ended(run_python: Callable[..., str], commands: list[list[str]]) -> list[tuple[list[str], int]]:
-    """What each command line said on stderr, and its exit code."""
-    wrapped = "import sys; sys.stderr = sys.stdout\n" + _MAIN.format(commands=commands)
-    answers, lines = [], []
-    for line in run_python(wrapped).splitlines():
-        if line.startswith("code "):
-            answers.append((lines, int(line.removeprefix("code "))))
-            lines = []
-        else:
-            lines.append(line)
+def ended(commands: list[list[str]]) -> list[tuple[list[str], int]]:
+    """What each command line said, and its exit code."""
+    answers = []
+    for words in commands:
+        told = io.StringIO()
+        with process_kept(), contextlib.redirect_stdout(told), contextlib.redirect_stderr(told):
+            code = main(words)
+        answers.append((told.getvalue().splitlines(), code))
     return answers
 
 
-def test_what_lies_in_the_way_is_one_sentence(tmp_path: Path, run_python: Callable[[str], str]) -> None:
+def test_what_lies_in_the_way_is_one_sentence(tmp_path: Path) -> None:
     commands = []
     for number, (place, kind, _) in enumerate(IN_THE_WAY.values()):
         path = tmp_path / str(number) / place
         path.parent.mkdir(parents=True)
         path.mkdir() if kind is A_FOLDER else path.touch()
         commands.append(["stage=report", f"runs_dir={tmp_path / str(number) / 'runs'}"])
-    for (lines, code), (_, _, words) in zip(ended(run_python, commands), IN_THE_WAY.values(), strict=True):
+    for (lines, code), (_, _, words) in zip(ended(commands), IN_THE_WAY.values(), strict=True):
         assert code == 1, lines
         (sentence,) = [line for line in lines if not line.startswith("report: working")]
         assert sentence.startswith("the system refused ")
         assert words in sentence
 
 
-def test_a_refused_run_leaves_no_record(tmp_path: Path, run_python: Callable[[str], str]) -> None:
+def test_a_refused_run_leaves_no_record(tmp_path: Path) -> None:
     for number, place in enumerate(("report/.lock/x", "report/mine.txt", "report")):
         path = tmp_path / str(number) / "desk" / place
         path.parent.mkdir(parents=True)
         path.touch()
     commands = [["stage=report", f"runs_dir={tmp_path / str(number)}"] for number in range(3)]
-    assert all(len(lines) == 1 and code for lines, code in ended(run_python, commands))
+    assert all(len(lines) == 1 and code for lines, code in ended(commands))
     assert not list(tmp_path.rglob(".hydra"))
 
 
-def test_folders_that_cannot_be_made_are_one_sentence(run_python: Callable[[str], str]) -> None:
+def test_folders_that_cannot_be_made_are_one_sentence() -> None:
     commands = [["stage=report", f"runs_dir={runs}"] for runs in REFUSED_RUNS]
-    for (lines, code), words in zip(ended(run_python, commands), REFUSED_RUNS.values(), strict=True):
+    for (lines, code), words in zip(ended(commands), REFUSED_RUNS.values(), strict=True):
         assert code in (1, 2), lines
         (sentence,) = lines
         assert words in sentence

@@ -62,20 +62,6 @@ def test_it_gives_what_the_environments_would_here_and_goes_on_from_a_state(poin
         assert len(apart.env_method("start_state", indices=[0, 2])) == 2
 
 
-def test_what_an_environment_raises_is_raised_here(point_env: Any) -> None:
-    class Broken(point_env):  # type: ignore[misc]
-        def step(self, action: Any) -> Any:
-            observation, _, *rest = super().step(action)
-            return observation, float("nan"), *rest
-
-    with contextlib.closing(SubprocessEnvs([Broken] * 2, seed=0)) as envs:
-        envs.reset()
-        with pytest.raises(NotFiniteError, match="the reward of environment 0 is not finite"):
-            envs.step(ACTIONS[0, :2])
-        with pytest.raises(AttributeError, match="no_such_thing"):
-            envs.get_attr("no_such_thing")
-
-
 class UnmakeableError(Exception):
     """Can be sent, but not made again from its arguments."""
 
@@ -83,7 +69,7 @@ class UnmakeableError(Exception):
         super().__init__(what)
 
 
-def test_an_exception_that_cannot_be_made_again_or_sent_is_one_clear_sentence(point_env: Any) -> None:
+def test_what_goes_wrong_there_is_raised_here_and_what_cannot_be_sent_is_one_clear_sentence(point_env: Any) -> None:
     class UnsendableError(Exception):
         pass
 
@@ -91,15 +77,26 @@ def test_an_exception_that_cannot_be_made_again_or_sent_is_one_clear_sentence(po
         def step(self, action: Any) -> Any:
             if action[0] > 0:
                 raise UnmakeableError("stuck", where="here")
-            raise UnsendableError("torn")
+            if action[0] < 0:
+                raise UnsendableError("torn")
+            observation, _, *rest = super().step(action)
+            return observation, float("nan"), *rest
 
-    with contextlib.closing(SubprocessEnvs([Broken], seed=0)) as envs:
+    with contextlib.closing(SubprocessEnvs([Broken] * 2, seed=0)) as envs:
         envs.reset()
+        with pytest.raises(NotFiniteError, match="the reward of environment 0 is not finite"):
+            envs.step(np.array([[0.0, 0.0]] * 2))
+        with pytest.raises(AttributeError, match="no_such_thing"):
+            envs.get_attr("no_such_thing")
         with pytest.raises(RuntimeError, match=r"cannot be sent between processes \(.*where.*\): use threads=1"):
-            envs.step(np.array([[0.5, 0.0]]))
+            envs.step(np.array([[0.5, 0.0]] * 2))
         with pytest.raises(RuntimeError, match="UnsendableError: torn"):
-            envs.step(np.array([[-0.5, 0.0]]))
-        assert envs.get_attr("render_mode") == [None]
+            envs.step(np.array([[-0.5, 0.0]] * 2))
+        assert envs.get_attr("render_mode") == [None] * 2
+        os.kill(envs._process.pid, signal.SIGKILL)
+        os.waitid(os.P_PID, envs._process.pid, os.WEXITED | os.WNOWAIT)
+        with pytest.raises(RuntimeError, match=r"process that steps the environments has ended \(code -9\).*threads=1"):
+            envs.step(ACTIONS[0, :2])
 
 
 def test_environments_that_cannot_be_made_say_why(point_env: Any) -> None:
@@ -116,15 +113,6 @@ def test_environments_that_cannot_be_made_say_why(point_env: Any) -> None:
         pytest.raises(ValueError, match="no such vessel"),
     ):
         envs.reset()
-
-
-def test_a_process_that_has_ended_is_one_clear_sentence(point_env: Any) -> None:
-    with contextlib.closing(SubprocessEnvs([point_env], seed=0)) as envs:
-        envs.reset()
-        os.kill(envs._process.pid, signal.SIGKILL)
-        os.waitid(os.P_PID, envs._process.pid, os.WEXITED | os.WNOWAIT)
-        with pytest.raises(RuntimeError, match=r"process that steps the environments has ended \(code -9\).*threads=1"):
-            envs.step(ACTIONS[0, :1])
 
 
 def test_it_ends_with_the_process_that_started_it(tmp_path: Path) -> None:

@@ -14,12 +14,14 @@ from pipeline.evaluations.tables import tables_from_logs
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.stages.baselines import PathJob, follow, plan, training_settings
+from pipeline.stages.learning.aids import of_training
 from pipeline.stages.learning.expert_episodes import read_episode, readable
 from pipeline.stages.learning.settings import BaselinesSettings
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
 from tests.enn.event_scalars import scalars
+from tests.pipeline.composed import composed
 from tests.pipeline.stages.small_expert import context
 from tests.pipeline.stages.test_enn import expert_run  # noqa: F401 - a fixture
 
@@ -55,6 +57,18 @@ def test_thesis_has_its_own_networks_and_actions(tmp_path: Path) -> None:
     assert internal.target_entropy is None
     assert jobs["sac_internal"].task.environment("internal").action_space.shape == (21,)
     assert jobs["sac_internal"].encoder is None
+
+
+@pytest.mark.parametrize(("words", "actions"), [((), 21), (("stage.task.actions=feeder",), 2)])
+def test_baselines_as_written_have_no_aids(words: tuple[str, ...], actions: int, tmp_path: Path) -> None:
+    stage = composed("stage=baselines", "budget=thesis", "experiment=as_written", *words).stage
+    jobs = plan(stage, context(tmp_path, "baselines", ("expert",)))
+    assert len({job.name for job in jobs}) == 2 * 2 * 2 * 3  # algorithms, arches, targets, seeds
+    for job in jobs:
+        assert of_training(job) == [f"{actions} actions", "600,000 decisions"]
+        assert (job.keys, job.task.reward, job.task.path_penalty) == (("internal",), "distance", 0.0)
+        assert (job.task.task.entry, job.task.task.max_steps, job.settings.stop_after) == ("ascending", 2000, 0)
+        assert not job.demonstrations
 
 
 @pytest.mark.parametrize("observation", ["internal", "image", "sequential"])

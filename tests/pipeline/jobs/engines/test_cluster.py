@@ -293,7 +293,7 @@ def test_what_is_started_does_not_see_it() -> None:
     ],
 )
 def test_what_is_no_engine_is_refused(overrides: list[str], words: str, pipeline_process) -> None:
-    done = pipeline_process.run("stage=report", "budget=smoke", "name=run", *overrides)
+    done = pipeline_process.run_here("stage=report", "budget=smoke", "name=run", *overrides)
     assert done.returncode == 2
     assert done.stderr.startswith(words)
     assert len(done.stderr.strip().splitlines()) == 1
@@ -302,7 +302,7 @@ def test_what_is_no_engine_is_refused(overrides: list[str], words: str, pipeline
 def test_an_engine_is_no_part_of_the_result(pipeline_process) -> None:
     assert effective_overrides(["engine=ray", "engine.retries=3", "seed=1"]) == ["seed=1"]
     for engine in SETTINGS:
-        done = pipeline_process.run("stage=report", "budget=smoke", "name=run", f"engine={engine}")
+        done = pipeline_process.run_here("stage=report", "budget=smoke", "name=run", f"engine={engine}")
         assert done.returncode == 0, done.stderr
         assert ("up to date" in done.stderr + done.stdout) == (engine != "local")
     manifest = read_manifest(pipeline_process.runs / "run" / "report")
