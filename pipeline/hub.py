@@ -62,13 +62,14 @@ def upload(path: Path, address: str, *, private: bool = False) -> str:
         ModuleNotFoundError: huggingface_hub is not installed.
         OSError: the Hub refuses it.
     """
-    from pipeline.protocol.board import read_any_policy
+    from pipeline.protocol.board import read_any_policy, require_policy_file
 
     repository = _repository(address)
     if path.is_dir() != (repository["repo_type"] == "dataset"):
         raise ConfigurationError(f"a policy goes to USER/NAME, a folder to datasets/USER/NAME: {path} to {address}")
     card = ""
     if not path.is_dir():
+        require_policy_file(path)
         policy = read_any_policy(path)
         beside = path.with_suffix(".md")
         card = beside.read_text(encoding="utf-8") if beside.is_file() else _card(path.stem, policy)
