@@ -80,7 +80,8 @@ def upload(path: Path, address: str, *, private: bool = False) -> str:
     if path.is_dir():
         api.upload_folder(**repository, folder_path=path, ignore_patterns=_NOT_UPLOADED)
     else:
-        for name, content in ((path.name, str(path)), (_CARD, (_TAGS + card).encode())):
+        head = "" if card.startswith("---\n") else _HEAD
+        for name, content in ((path.name, str(path)), (_CARD, (head + card).encode())):
             api.upload_file(**repository, path_in_repo=name, path_or_fileobj=content)
     return str(made)
 
@@ -109,7 +110,7 @@ def download(address: str, folder: Path) -> list[Path]:
     return files
 
 
-_TAGS = f"---\nlibrary_name: {_LIBRARY}\ntags: [robotics, reinforcement-learning, endovascular]\n---\n"
+_HEAD = f"---\nlibrary_name: {_LIBRARY}\ntags: [robotics, reinforcement-learning, endovascular]\n---\n"
 
 
 def _card(name: str, policy: Any) -> str:
