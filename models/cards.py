@@ -70,7 +70,12 @@ class ShippedModel:
         content = self.content()
         numbers = sum(array.numel() for array in _arrays(content))
         sees = list(content.get("network", {}).get("keys", ())) or ["image"]
-        facts = {"license": "mit", "library_name": self.package, "model_name": self.path.stem, "observations": sees}
+        facts: dict[str, Any] = {
+            "license": "mit",
+            "library_name": self.package,
+            "model_name": self.path.stem,
+            "observations": sees,
+        }
         facts |= {"format": str(content["format"]), "numbers": numbers, "bytes": self.path.stat().st_size}
         return f"---\n{yaml.safe_dump(facts | {'sha256': self.sha256}, sort_keys=False)}---\n\n"
 

@@ -34,7 +34,7 @@ endonav COMMAND [ARGUMENTS]
   data list|fetch|add      real vessels with a public address that claims are measured in
   evaluate [CLAIM ...]     measure what is claimed, as the protocol says: a file of results for each claim
   hub upload|download      policies and data sets to and from the Hugging Face Hub
-  console                  steer the wire yourself, in the browser (needs endonav-cathsim[console])
+  console                  steer the wire yourself, in the browser
   info                     what a report of a problem needs: versions, processor, rendering, GPUs, caches
   --version
 

@@ -62,13 +62,14 @@ def upload(path: Path, address: str, *, private: bool = False) -> str:
         ModuleNotFoundError: huggingface_hub is not installed.
         OSError: the Hub refuses it.
     """
-    from pipeline.protocol.board import read_any_policy
+    from pipeline.protocol.board import read_any_policy, require_policy_file
 
     repository = _repository(address)
     if path.is_dir() != (repository["repo_type"] == "dataset"):
         raise ConfigurationError(f"a policy goes to USER/NAME, a folder to datasets/USER/NAME: {path} to {address}")
     card = ""
     if not path.is_dir():
+        require_policy_file(path)
         policy = read_any_policy(path)
         beside = path.with_suffix(".md")
         card = beside.read_text(encoding="utf-8") if beside.is_file() else _card(path.stem, policy)
@@ -79,7 +80,8 @@ def upload(path: Path, address: str, *, private: bool = False) -> str:
     if path.is_dir():
         api.upload_folder(**repository, folder_path=path, ignore_patterns=_NOT_UPLOADED)
     else:
-        for name, content in ((path.name, str(path)), (_CARD, (_TAGS + card).encode())):
+        head = "" if card.startswith("---\n") else _HEAD
+        for name, content in ((path.name, str(path)), (_CARD, (head + card).encode())):
             api.upload_file(**repository, path_in_repo=name, path_or_fileobj=content)
     return str(made)
 
@@ -108,7 +110,7 @@ def download(address: str, folder: Path) -> list[Path]:
     return files
 
 
-_TAGS = f"---\nlibrary_name: {_LIBRARY}\ntags: [robotics, reinforcement-learning, endovascular]\n---\n"
+_HEAD = f"---\nlibrary_name: {_LIBRARY}\ntags: [robotics, reinforcement-learning, endovascular]\n---\n"
 
 
 def _card(name: str, policy: Any) -> str:

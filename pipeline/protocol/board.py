@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.protocol.run import summary
 from pipeline.store.atomic_files import write_json
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_file, present_commit, software_versions, uncommitted_changes
@@ -93,6 +92,9 @@ def measure_row(
     Raises:
         OSError, ValueError: no such board or file, or a policy of another observation or device.
     """
+    from pipeline.protocol.run import summary
+
+    require_policy_file(file)
     known = boards()
     if board not in known:
         raise ConfigurationError(f"there is no board {board!r}: choose from {', '.join(known)}")
@@ -129,19 +131,24 @@ def write_row(row: dict[str, Any], path: Path) -> str:
     )
 
 
+def require_policy_file(file: Path) -> None:
+    """Refuses what is no policy's file, before anything heavy is imported."""
+    if not file.is_file():
+        raise ConfigurationError(f"there is no policy {file}")
+    if file.suffix == ".zip":
+        raise ConfigurationError(f"{file}: a zip of stable-baselines3 may run code when it is read: export it to ONNX")
+
+
 def read_any_policy(file: Path) -> Any:
     """A policy of any kind that plays: of ours, or ONNX; with `keys` and `controller`.
 
     Raises:
         OSError, ValueError: there is no such file, or it is of no such kind.
     """
+    require_policy_file(file)
     from enn.export import OnnxPolicy
     from enn.shipped import read_policy
 
-    if not file.is_file():
-        raise ConfigurationError(f"there is no policy {file}")
-    if file.suffix == ".zip":
-        raise ConfigurationError(f"{file}: a zip of stable-baselines3 may run code when it is read: export it to ONNX")
     return OnnxPolicy(file) if file.suffix == ".onnx" else read_policy(file)
 
 

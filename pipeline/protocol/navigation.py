@@ -182,7 +182,7 @@ def _scene(claim: Navigation, name: str, place: Any, case: dict[str, Any]) -> tu
     varied = claim.variations[case.get("variation", "")]
     task = _VariedTask((case["target"],), rules, arches=claim.arches or "random", varied=varied)
     breathing = Breathing(amplitude=1e-3 * varied.breathing_mm) if varied.breathing_mm else None
-    physics = {"breathing": breathing, "wall_stiffness": varied.wall_n_mm}
+    physics: dict[str, Any] = {"breathing": breathing, "wall_stiffness": varied.wall_n_mm}
     if isinstance(policy, ImagePolicy):
         bare = task.test_environment(place, case["target"], rules.wire, ("goal_image",), **physics)
         return policy, XrayEnvironment(bare, rules.image_size_px, **policy.imaging), rules.success_radius

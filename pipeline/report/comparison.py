@@ -47,7 +47,7 @@ class Comparison:
 
 @functools.cache
 def comparisons() -> dict[str, Comparison]:
-    """Key of each table that is compared, in the thesis's order, to its comparison.
+    """Key of each table that is compared, in the thesis's order, to its comparison; none without the documents' runs.
 
     Raises:
         KeyError: a table, row or column that the thesis does not have.
@@ -55,8 +55,8 @@ def comparisons() -> dict[str, Comparison]:
     """
     tables = {table.key: table for table in report_tables({})}
     runs = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(_RUNS.glob("seed*.json"))]
-    made = {}
-    for spec in yaml.safe_load(_SPECS.read_text(encoding="utf-8")):
+    made: dict[str, Comparison] = {}
+    for spec in yaml.safe_load(_SPECS.read_text(encoding="utf-8")) if runs else ():
         if spec["verdict"] not in VERDICTS:
             raise ValueError(f"{spec['table']}: the verdict '{spec['verdict']}' is none of {', '.join(VERDICTS)}")
         table = tables[spec["table"]]

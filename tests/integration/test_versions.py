@@ -43,6 +43,13 @@ def test_all_have_one_version() -> None:
     assert all(one.specifier.contains(versions["."]) for one in siblings.values())
 
 
+def test_the_command_brings_what_its_verbs_need() -> None:
+    """NIfTI for `endonav import`, the browser's page for `endonav console`, torch for `endonav read`."""
+    extras = {one.name: one.extras for one in map(Requirement, project(".")["dependencies"])}
+    assert extras["endonav-cathsim"] >= {"console", "volumes"}
+    assert extras["endonav-guide3d"] >= {"learning"}
+
+
 @pytest.mark.parametrize("folder", FOLDERS)
 def test_pinned_versions_lie_in_the_ranges(folder: str) -> None:
     known = pinned()

@@ -112,6 +112,9 @@ def test_a_policy_comes_back_as_it_was_and_brings_a_card(
     card = kept["README.md"].decode()
     assert card.startswith("---\nlibrary_name: endonav\n")
     assert "| steps of an action | `2` |" in card
+    file.with_suffix(".md").write_text("---\nlibrary_name: enn\n---\n# mine\n")  # a card of its own, as shipped ones
+    assert hub.main(["upload", str(file), "me/mine"]) == 0
+    assert kept["README.md"].decode() == "---\nlibrary_name: enn\n---\n# mine\n"
     assert hub.main(["download", "me/mine", "--to", str(tmp_path / "back")]) == 0
     assert (tmp_path / "back" / "mine.pt").read_bytes() == file.read_bytes()
     assert str(tmp_path / "back" / "mine.pt") in capsys.readouterr().out

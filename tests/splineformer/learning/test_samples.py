@@ -16,7 +16,8 @@ from splineformer.learning.augmentation import (
 from splineformer.learning.losses import attention_loss
 from splineformer.learning.recipes import recipe_of
 from splineformer.learning.samples import SplineObjective, curves_of, passes_of
-from splineformer.learning.targets import TARGETS, OrderedTargets, PublishedTargets
+from splineformer.learning.targets import TARGETS, OrderedTargets, PublishedTargets, disturbed
+from splineformer.tokens import sampled
 from tests.guide3d.learning.drawn_data import draw
 from tests.splineformer.curves import image_of, wavy_wire
 
@@ -98,10 +99,28 @@ def targets_of(variant: str) -> PublishedTargets | OrderedTargets:
 def test_published_targets_are_tokens_in_network_units() -> None:
     targets = targets_of("published")(CURVES, None)
     assert targets["tokens"].shape == (3, 23, 3)
-    for tokens, length, curve in zip(targets["tokens"], targets["lengths"], CURVES, strict=True):
-        assert tokens[int(length) - 1, 0] == 1.0  # knots are shares of the length
-        assert np.allclose(tokens[0, 1:], curve[0], atol=2e-3)  # the first token's point is the tip
-        assert torch.equal(tokens[int(length) :], tokens[int(length) - 1].expand(23 - int(length), -1))
+    assert targets["lengths"].tolist() == [23] * 3
+    assert torch.equal(targets["given"][:, 0], targets["tokens"][:, 0])
+    for tokens, curve in zip(targets["tokens"].double().numpy(), CURVES, strict=True):
+        assert tokens[-4:, 0].tolist() == [1.0] * 4  # knots are shares of the length
+        assert np.allclose(tokens[[0, -1], 1:], curve[[0, -1]], atol=1e-6)  # the first token's point is the tip
+        assert np.abs(sampled(tokens, 50) - resample(curve, count=50)).max() < 2e-3
+
+
+def test_the_tokens_of_a_wire_that_moves_move_with_it() -> None:
+    targets, offset = targets_of("published"), np.array([0.003, -0.001])
+    here, there = (targets([curve + by for curve in CURVES], None)["tokens"] for by in (0.0, offset))
+    assert torch.allclose(there[..., 1:] - here[..., 1:], torch.tensor(offset, dtype=torch.float32), atol=1e-6)
+
+
+def test_the_tokens_to_go_on_from_are_disturbed_but_for_the_tip() -> None:
+    tokens = torch.zeros(400, 9, 3)
+    given = disturbed(tokens, np.random.default_rng(0))
+    assert torch.equal(given[:, 0], tokens[:, 0])
+    spread = given[:, 1:].square().mean((1, 2)).sqrt()
+    assert 0.0 < spread.min() < 0.05 < 0.2 < spread.max() < 0.7  # from hardly at all to more than the curve's reach
+    common = given[:, 1:].mean(1)
+    assert 0.4 < (common.square().mean() / given[:, 1:].square().mean()).item() < 0.75  # a half of it shifts a sequence
 
 
 def test_ordered_targets_are_points_of_the_curve() -> None:

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from guide3d.geometry.polyline import arc_length, at_length
-from splineformer.build import VARIANTS, build, size_of
+from splineformer.build import VARIANTS, build, described, rebuilt, size_of
 from splineformer.learning.targets import course_of
 from splineformer.modeling.curve_network import CurveNetwork
 from splineformer.modeling.ordered import OrderedSettings, OrderedSplineFormer
@@ -50,6 +50,24 @@ def decoder_network(variant: str, size: str = "smoke") -> SplineFormer | Ordered
 
 def decoder_levels(count: int, side: int) -> torch.Tensor:
     return torch.from_numpy(np.stack([image_of(wavy_wire(k, side), side, k) for k in range(count)]))[:, None].float()
+
+
+def test_the_published_variant_sees_lines_whatever_shade_and_contrast() -> None:
+    model = decoder_network("published")
+    shade = torch.linspace(0, 60, 64).expand(1, 1, 64, 64)
+    image = torch.full((1, 1, 64, 64), 150.0)
+    image[..., 20, 5:50] = 110.0
+    seen, fainter = model.normalised(image), model.normalised(0.4 * image + shade)
+    assert (seen > 3.0).nonzero()[:, 2].unique().tolist() == [20]
+    assert torch.allclose(fainter, seen, atol=0.5)
+    assert model.normalised(shade).max() == 0.0
+
+
+def test_a_published_network_that_read_grey_levels_is_refused() -> None:
+    old = described(network("published"))
+    del old["settings"]["line_px"]
+    with pytest.raises(ValueError, match=r"settings are of another version .*line_px.*: train it again"):
+        rebuilt(old)
 
 
 def test_cache_gives_what_the_whole_sequence_gives() -> None:

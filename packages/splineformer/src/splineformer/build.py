@@ -17,13 +17,14 @@ _NETWORKS: dict[Any, Any] = {SplineFormerSettings: SplineFormer, OrderedSettings
 
 SIZES: dict[str, dict[str, SplineFormerSettings | OrderedSettings]] = {
     "published": {
-        "thesis": SplineFormerSettings(),
-        "thesis_large": SplineFormerSettings(width=512, encoder_layers=10, decoder_layers=10),
+        "thesis": SplineFormerSettings(image_px=1024, line_px=6),
+        "thesis_large": SplineFormerSettings(image_px=1024, line_px=6, width=512, encoder_layers=10, decoder_layers=10),
         "desk": SplineFormerSettings(
-            image_px=256, patch_px=32, width=96, heads=4, encoder_layers=4, decoder_layers=3, dropout=0.0, tip_px=128
+            image_px=256, line_px=2, patch_px=32, width=96, heads=4, encoder_layers=4, decoder_layers=3, limit=16,
+            dropout=0.0, tip_px=128,
         ),
         "smoke": SplineFormerSettings(
-            image_px=64, patch_px=16, width=32, heads=2, encoder_layers=1, decoder_layers=1, dropout=0.0
+            image_px=64, line_px=1, patch_px=16, width=32, heads=2, encoder_layers=1, decoder_layers=1, dropout=0.0
         ),
     },
     "ordered": {

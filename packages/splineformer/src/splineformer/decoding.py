@@ -9,21 +9,6 @@ DEGREE = 3
 _BEFORE_END = 1e-6  # share of the length: the basis is open at its end
 
 
-def padded(tokens: list[Tensor], limit: int) -> tuple[Tensor, Tensor]:
-    """Puts (n_i, 3) sequences of tokens into one (B, limit, 3) tensor; gives their (B,) lengths, too.
-
-    Each is continued by its last token, which adds nothing to the curve.
-
-    Raises:
-        ValueError: a sequence is empty or longer than the limit.
-    """
-    for sequence in tokens:
-        if not 1 <= len(sequence) <= limit:
-            raise ValueError(f"tokens: expected 1 to {limit} of them, got {len(sequence)}")
-    filled = [torch.cat([one, one[-1:].expand(limit - len(one), -1)]) for one in tokens]
-    return torch.stack(filled), torch.tensor([len(one) for one in tokens])
-
-
 def basis(knots: Tensor, u: Tensor) -> Tensor:
     """(B, S, n) values of the cubic basis functions by the recursion of Cox and de Boor.
 

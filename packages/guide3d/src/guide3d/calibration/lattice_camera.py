@@ -320,7 +320,7 @@ def _grown(
     shift = camera.R @ lattice.points_mm.min(axis=0)
     camera = Camera(camera.K, camera.R, camera.t_mm - shift, camera.width, camera.height)
     # residuals and the prior's pull tell a true fit from one that bends to reach as many
-    pull = float((prior.rows(camera)[0] ** 2).sum())
+    pull = float((prior.rows(camera.K, camera.width, camera.height)[0] ** 2).sum())
     score = len(number) - 0.3 * lost - 0.1 * residual.mean() * len(number) / _GATES_PX[-1] - 0.3 * pull
     return score, LatticeFit(numbers, camera, lost)
 

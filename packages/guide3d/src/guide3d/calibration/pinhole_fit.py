@@ -29,16 +29,15 @@ class IntrinsicPrior:
     skew_sd: Positive = 20.0
     centre_sd: Positive = 200.0
 
-    def rows(self, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    def rows(self, K: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (5,) in standard deviations, their slopes (5, 11) by the parameters of `projection_jacobian`."""
-        K = camera.K
         residual = np.array(
             [
                 np.log(K[0, 0] * K[1, 1] / self.focal_px**2) / 2 / self.focal_sd,
                 np.log(K[0, 0] / K[1, 1]) / self.aspect_sd,
                 K[0, 1] / self.skew_sd,
-                (K[0, 2] - (camera.width - 1) / 2) / self.centre_sd,
-                (K[1, 2] - (camera.height - 1) / 2) / self.centre_sd,
+                (K[0, 2] - (width - 1) / 2) / self.centre_sd,
+                (K[1, 2] - (height - 1) / 2) / self.centre_sd,
             ]
         )
         J = np.zeros((5, 11))
@@ -55,9 +54,10 @@ def turned(R: np.ndarray, rotation_vector: np.ndarray) -> np.ndarray:
 
 def turn_jacobian(points: np.ndarray) -> np.ndarray:
     """How points (n, 3) move with a small rotation vector w: d(w x p)/dw = -[p]x, (n, 3, 3)."""
-    a, b, c = points.T
-    zero = np.zeros_like(a)
-    return np.stack([np.stack([zero, c, -b], -1), np.stack([-c, zero, a], -1), np.stack([b, -a, zero], -1)], axis=1)
+    J = np.zeros((len(points), 3, 3))
+    J[:, [1, 2, 0], [2, 0, 1]] = points
+    J[:, [2, 0, 1], [1, 2, 0]] = -points
+    return J
 
 
 def changed_intrinsics(K: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -228,7 +228,7 @@ def refine_camera(
         gradient = np.einsum("n,nij,ni->j", weight, J, off)
         normal = np.einsum("n,nij,nik->jk", weight, J, J)
         if prior is not None:
-            residual, rows = prior.rows(Camera(K, R, t, camera.width, camera.height))
+            residual, rows = prior.rows(K, camera.width, camera.height)
             cost += float((residual**2).sum())
             gradient, normal = gradient + rows.T @ residual, normal + rows.T @ rows
         return cost, gradient, normal

@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from guide3d.geometry.polyline import arc_length, at_length
-from splineformer.decoding import collocation, padded
+from splineformer.decoding import collocation
 from splineformer.learning.augmentation import at_shares, perturbed
 from splineformer.learning.losses import OrderedWeights, PublishedWeights, ordered_loss, published_loss
 from splineformer.modeling.ordered import OrderedSplineFormer
 from splineformer.modeling.published import SplineFormer
-from splineformer.tokens import TokenSettings, tokens_of_polyline
 
 _CURVE_SAMPLES = 128  # of the ordered variant's curve loss
 _NEAR_PCT = 40  # of a batch's images teach what looks from near by: it learns sooner than the overview, and costs more
+_FITTED_A_TOKEN = 8  # points of a curve
+_DISTURBED = 0.2  # largest standard deviation, shares of the length and of the side
 _BEGINS = 0.4  # share of samples whose tip and refinements begin near the true curve, not where the overview says
 
 Curve = NDArray[np.float64]
@@ -39,27 +40,45 @@ class Targets(Protocol):
 
 
 class PublishedTargets:
-    """Tokens of smoothing splines, in network units: "tokens" (B, limit, 3) and "lengths" (B,)."""
+    """Tokens in network units: "tokens" (B, limit, 3), "lengths" (B,), and "given" (B, limit - 1, 3) to go on from.
+
+    Control points are fitted to equal knots by least squares. Given tokens are disturbed: from true ones the decoder
+    would go on without looking at the image, and its own are never true.
+    """
 
     def __init__(self, network: SplineFormer, weights: Any, source_px: int) -> None:
-        self.network, self.source_px = network, source_px
+        self.network = network
         self.weights = weights if isinstance(weights, PublishedWeights) else PublishedWeights()
-        self.tokens = TokenSettings(limit=network.limit)
+        knots = torch.from_numpy(network.knots)
+        self.shares = np.linspace(0.0, 1.0, _FITTED_A_TOKEN * network.limit)
+        self.bases = collocation(knots, torch.from_numpy(self.shares)).numpy()
+        self.to_control = np.linalg.pinv(self.bases[:, 1:-1])
+        self.knots = network.knots[-network.limit :]
 
     def __call__(self, curves: Sequence[Curve], generator: np.random.Generator | None) -> dict[str, Tensor]:
-        sequences = []
-        for curve in curves:
-            fitted = tokens_of_polyline(curve * self.source_px, self.tokens)
-            units = np.array([fitted[-1, 0], self.source_px, self.source_px])
-            sequences.append(torch.from_numpy((fitted / units).astype(np.float32)))
-        tokens, lengths = padded(sequences, self.tokens.limit)
-        return {"tokens": tokens, "lengths": lengths}
+        points = np.stack([at_shares(curve, self.shares) for curve in curves])
+        ends = points[:, [0, -1]]  # the first and the last control point
+        inner = self.to_control @ (points - self.bases[:, [0, -1]] @ ends)
+        control = np.concatenate([ends[:, :1], inner, ends[:, 1:]], axis=1)
+        knots = np.broadcast_to(self.knots[:, None], (*control.shape[:2], 1))
+        tokens = torch.from_numpy(np.concatenate([knots, control], axis=2).astype(np.float32))
+        given = disturbed(tokens[:, :-1], generator or np.random.default_rng(0))
+        return {"tokens": tokens, "lengths": torch.full((len(curves),), self.network.limit), "given": given}
 
     def loss(self, module: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
-        return published_loss(module(batch["images"], batch["tokens"][:, :-1]), batch, self.weights)
+        return published_loss(module(batch["images"], batch["given"]), batch, self.weights)
 
     def start(self, targets: Mapping[str, Tensor]) -> None:
         self.network.tip.start_at(targets["tokens"][:, 0].mean(0))
+
+
+def disturbed(tokens: Tensor, generator: np.random.Generator) -> Tensor:
+    """Disturbs (B, M, 3) tokens but the first: a level for each sequence, for all of its tokens alike and for each."""
+    batch, count = tokens.shape[:2]
+    level = generator.uniform(0.0, _DISTURBED, (batch, 1, 1))
+    offset = generator.standard_normal((batch, 1, 3)) + generator.standard_normal((batch, count, 3))
+    offset[:, 0] = 0.0
+    return tokens + torch.from_numpy((level * offset).astype(np.float32))
 
 
 class OrderedTargets:

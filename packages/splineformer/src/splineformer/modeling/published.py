@@ -1,4 +1,7 @@
-"""SplineFormer as published: patch encoder, tip predictor and autoregressive spline decoder."""
+"""SplineFormer as published: patch encoder, tip predictor and autoregressive spline decoder.
+
+It reads lines instead of grey levels (`line_px`), as otherwise its encoder takes hardly anything from the image.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,10 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from guide3d.geometry.polyline import Array
+from guide3d.learning.precision import bfloat16_in_training
 from guide3d.setting_kinds import Dropout, Layers, Pixels, Units, settings
+from splineformer.decoding import uniform_knots
+from splineformer.modeling.convolutions import dark_lines
 from splineformer.modeling.curve_network import CurveBatch, CurveNetwork, ImageHead, ImageKind
 from splineformer.modeling.transformer import (
     Cache,
@@ -18,9 +24,10 @@ from splineformer.modeling.transformer import (
     LayerCache,
     decoder_layers,
     grid_positions,
+    plane_positions,
     sequence_positions,
 )
-from splineformer.tokens import FEWEST_TOKENS, TokenSettings, tokens_of_polyline
+from splineformer.tokens import FEWEST_TOKENS, tokens_on_knots
 
 STOP = 0.5
 FIRST_END = 3  # the sequence may end from this token on
@@ -45,15 +52,19 @@ class SplineDecoder(nn.Module):
 
     positions: Tensor
 
-    def __init__(self, width: int, layers: int, heads: int, limit: int, dropout: float = 0.0) -> None:
+    def __init__(self, width: int, layers: int, heads: int, limit: int, side: int, dropout: float = 0.0) -> None:
         super().__init__()
-        self.embed = nn.Linear(3, width)
+        self.embed, self.side = nn.Linear(3, width), side
         self.register_buffer("positions", sequence_positions(limit, width), persistent=False)
         self.layers = nn.ModuleList(DecoderLayer(width, heads, dropout) for _ in range(layers))
         self.norm = nn.LayerNorm(width)
         self.knot, self.point, self.end = nn.Linear(width, 1), nn.Linear(width + 1, 2), nn.Linear(width, 1)
         for head in (self.knot, self.point):
             nn.init.constant_(head.bias, 0.0)  # softplus(0) = 0.69 lies inside the image
+
+    def embedded(self, tokens: Tensor) -> Tensor:
+        """(B, M, width) of (B, M, 3) tokens: numbers, and places as the encoder's `side` x `side` patches have them."""
+        return self.embed(tokens) + plane_positions(tokens[..., 1:] * self.side - 0.5, self.embed.out_features)
 
     def heads(self, hidden: Tensor) -> NextTokens:
         """The next token of each (B, M, width) hidden state."""
@@ -64,10 +75,11 @@ class SplineDecoder(nn.Module):
 
     def forward(self, tokens: Tensor, features: Tensor) -> NextTokens:
         """What follows each of the (B, M, 3) tokens, all at once: for training, where all are known."""
-        x = self.embed(tokens) + self.positions[: tokens.shape[1]]
-        for layer in decoder_layers(self.layers):
-            x = layer(x, layer.cross_attention.keys_values(features))
-        return self.heads(x)
+        x = self.embedded(tokens) + self.positions[: tokens.shape[1]]
+        with bfloat16_in_training(self):
+            for layer in decoder_layers(self.layers):
+                x = layer(x, layer.cross_attention.keys_values(features))
+        return self.heads(x.float())
 
     def begin(self, features: Tensor) -> Cache:
         """A cache without tokens, with the keys and values of the (B, N, width) features."""
@@ -80,7 +92,7 @@ class SplineDecoder(nn.Module):
             cache: of those before; changed.
             attention: keep the last layer's (B, heads, N) weights over the features in the cache.
         """
-        x = self.embed(token) + self.positions[cache.length]
+        x = self.embedded(token) + self.positions[cache.length]
         for number, (layer, own) in enumerate(zip(decoder_layers(self.layers), cache.layers, strict=True)):
             attended = attention and number == len(self.layers) - 1
             x = layer.step(x, own, cache.attended if attended else None)
@@ -94,12 +106,14 @@ class SplineFormerSettings:
 
     Attributes:
         image_px: side of the images it reads.
+        line_px: px to each side of a line that must be brighter than it.
         patch_px: side of a patch; divides `image_px`.
         limit: most tokens of a curve.
         tip_px: side to which the tip predictor averages the images.
     """
 
-    image_px: Pixels = 1024
+    image_px: Pixels
+    line_px: Pixels
     patch_px: Pixels = 32
     width: Units = 256
     heads: Units = 8
@@ -127,13 +141,14 @@ class PatchEncoder(nn.Module):
         self.norm = nn.LayerNorm(width)
 
     def forward(self, image: Tensor) -> Tensor:
-        """(B, 1, image_px, image_px) normalised images to (B, side², width) features, row by row."""
+        """(B, 1, image_px, image_px) lines to (B, side², width) features, row by row."""
         p, s = self.patch_px, self.side
         patches = image[:, 0].unflatten(2, (s, p)).unflatten(1, (s, p)).permute(0, 1, 3, 2, 4).flatten(3).flatten(1, 2)
         x = self.dropout(self.embed(patches) + self.positions)
-        for layer in self.layers:
-            x = layer(x)
-        return self.norm(x)
+        with bfloat16_in_training(self):
+            for layer in self.layers:
+                x = layer(x)
+        return self.norm(x.float())
 
 
 class TipPredictor(nn.Module):
@@ -159,7 +174,9 @@ class TipPredictor(nn.Module):
         """(B, 1, h, w) images to (B, 3) knot, x, y of the first token."""
         if self.shrink > 1:
             image = F.avg_pool2d(image, self.shrink)
-        token: Tensor = F.softplus(self.out(self.hidden(self.convolutions(image))))
+        with bfloat16_in_training(self):
+            hidden = self.hidden(self.convolutions(image))
+        token: Tensor = F.softplus(self.out(hidden.float()))
         return token
 
     @torch.no_grad()
@@ -198,7 +215,7 @@ class SplineFormer(CurveNetwork):
         super().__init__()
         self.settings = s = settings
         self.encoder = PatchEncoder(s.image_px, s.patch_px, s.width, s.encoder_layers, s.heads, s.dropout)
-        self.decoder = SplineDecoder(s.width, s.decoder_layers, s.heads, s.limit, s.dropout)
+        self.decoder = SplineDecoder(s.width, s.decoder_layers, s.heads, s.limit, self.encoder.side, s.dropout)
         self.tip = TipPredictor(s.image_px, s.tip_px)
         self.kind = ImageHead(s.width)
 
@@ -206,12 +223,17 @@ class SplineFormer(CurveNetwork):
     def limit(self) -> int:
         return int(self.settings.limit)
 
+    @property
+    def knots(self) -> Array:
+        """The (limit + 4,) equal knots in 0 to 1 that it learns: fitted ones jump from image to image."""
+        return uniform_knots(self.limit, dtype=torch.float64).numpy()
+
     def normalised(self, image: Tensor) -> Tensor:
-        """(B, 1, h, w) grey levels of 0 to 255, to -1 to 1."""
-        return image / 127.5 - 1.0
+        """(B, 1, h, w) grey levels of 0 to 255 to dark lines: see `splineformer.modeling.convolutions.dark_lines`."""
+        return dark_lines(image, self.settings.line_px)
 
     def forward(self, image: Tensor, tokens: Tensor) -> TaughtTokens:
-        """Teacher forcing: (B, 1, image_px, image_px) grey levels of 0 to 255, (B, limit - 1, 3) padded true tokens."""
+        """Teacher forcing: (B, 1, image_px, image_px) grey levels of 0 to 255, (B, limit - 1, 3) tokens."""
         x = self.normalised(image)
         features = self.encoder(x)
         return TaughtTokens(self.tip(x), self.decoder(tokens, features), self.kind(features))
@@ -264,4 +286,4 @@ class SplineFormer(CurveNetwork):
         return decoded.attention, decoded.lengths
 
     def fit_tokens(self, points_px: Array) -> Array:
-        return tokens_of_polyline(points_px, TokenSettings(limit=self.limit))
+        return tokens_on_knots(points_px, self.knots)

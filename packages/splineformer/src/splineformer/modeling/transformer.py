@@ -14,24 +14,33 @@ from guide3d.learning.precision import attention
 _LONGEST = 10_000.0  # wavelength of the positions, over 2 pi
 
 
-def sequence_positions(count: int, width: int) -> Tensor:
-    """(count, width) sines and cosines of the place in a sequence.
+def positions(places: Tensor, width: int) -> Tensor:
+    """(..., width) sines and cosines of (...) places along a line.
 
     Source:
         Vaswani et al., Attention Is All You Need (2017), section 3.5.
     """
-    rates = torch.exp(torch.arange(0, width, 2) * (-math.log(_LONGEST) / width))
-    angles = torch.arange(count)[:, None] * rates
-    return torch.stack([angles.sin(), angles.cos()], dim=-1).flatten(1)[:, :width]
+    rates = torch.exp(torch.arange(0, width, 2, device=places.device) * (-math.log(_LONGEST) / width))
+    angles = places[..., None] * rates
+    return torch.stack([angles.sin(), angles.cos()], dim=-1).flatten(-2)[..., :width]
+
+
+def sequence_positions(count: int, width: int) -> Tensor:
+    """(count, width) positions in a sequence."""
+    return positions(torch.arange(count), width)
+
+
+def plane_positions(points: Tensor, width: int) -> Tensor:
+    """(..., width) positions of (..., 2) places x, y in cells of a grid: half for the row, half for the column."""
+    return torch.cat([positions(points[..., 1], width // 2), positions(points[..., 0], width // 2)], dim=-1)
 
 
 def grid_positions(side: int, width: int) -> Tensor:
-    """(side², width) positions of the cells of a square grid, row by row: half for the row, half for the column."""
+    """(side², width) positions of the cells of a square grid, row by row."""
     if width % 4:
         raise ValueError(f"width must be a multiple of 4, got {width}")
-    line = sequence_positions(side, width // 2)
-    rows, columns = line[:, None].expand(-1, side, -1), line[None].expand(side, -1, -1)
-    return torch.cat([rows, columns], dim=-1).flatten(0, 1)
+    cells = torch.arange(side)
+    return plane_positions(torch.cartesian_prod(cells, cells).flip(1), width)
 
 
 class Attention(nn.Module):
