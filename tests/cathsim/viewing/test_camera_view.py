@@ -123,3 +123,23 @@ def test_two_devices_have_their_own_colours_and_radii(make_env: MakeEnv) -> None
     low, high = env.phantom.bounds
     scale = 900 / (2 * 1.25 * (high[2] - low[2]) * np.tan(np.radians(22.5)))  # px/m of MuJoCo's 45 degrees
     assert np.median(widths) == pytest.approx(2e-3 * scale, abs=2.0)
+
+
+@pytest.mark.usefixtures("rendering")
+def test_a_small_picture_draws_fewer_triangles_and_looks_the_same(
+    make_env: MakeEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from cathsim.viewing import camera_view
+
+    env = make_env()
+    env.reset(seed=0)
+    pictures, counts = [], []
+    for cell in (camera_view._CELL_PX, 1e-6):
+        monkeypatch.setattr(camera_view, "_CELL_PX", cell)
+        counts.append(len(camera_view._drawn_surface(env.phantom, 400)[1]))
+        view = View(env.phantom, width=300, height=400)
+        pictures.append(view.render(env.simulation).astype(int))
+        view.close()
+    assert counts[0] < 0.6 * counts[1]
+    assert counts[1] > 0.99 * len(env.phantom.lumen_mesh.faces)
+    assert np.abs(pictures[0] - pictures[1]).mean() < 1.0

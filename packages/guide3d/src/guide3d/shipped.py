@@ -88,7 +88,7 @@ def _require(name: str, package: str) -> None:
 
 def _sentence(text: str) -> str:
     """The first paragraph below the title of a card."""
-    return " ".join(text.split("\n# ", 1)[1].split("\n\n")[1].split())
+    return " ".join(f"\n{text}".split("\n# ", 1)[1].split("\n\n")[1].split())
 
 
 def _content(path: Path) -> dict[str, Any]:

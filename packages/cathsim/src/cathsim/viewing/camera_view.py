@@ -27,6 +27,7 @@ TARGET = (0.10, 0.62, 0.28, 0.75)
 SHOWN_RADIUS = 0.9e-3  # a wire alone is drawn twice as thick as it is, m; two devices have their own radii
 SHOWN_SHEATH = 0.030  # this much of a device in the sheath is drawn, m
 PIECE = 1.5e-3  # of two devices' smooth curves, m
+_CELL_PX = 2.5  # of a picture: what is smaller of the lumen's surface is drawn as one vertex
 
 
 def robot_pose(entry: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -226,8 +227,25 @@ def _seen(simulation: Simulation, points: np.ndarray) -> np.ndarray:
     return points[: seen[-1] + 1] if len(seen) else points[:0]
 
 
-def _wall_model(phantom: Phantom, width: int, height: int) -> mujoco.MjModel:
+def _drawn_surface(phantom: Phantom, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) m and faces (m, 3) of the lumen, as fine as a picture so high shows, which is drawn the sooner.
+
+    Vertices in one cell of a lattice become one; a cell is 2.5 pixels, and less than the narrowest radius.
+    """
     mesh = phantom.lumen_mesh
+    low, high = phantom.bounds
+    narrowest = min(float(np.min(branch.radius)) for branch in phantom.tree)
+    cell = max(min(_CELL_PX * float(high[2] - low[2]) / height, 0.7 * narrowest), 1e-6)
+    _, place = np.unique(np.floor(mesh.vertices / cell).astype(np.int64), axis=0, return_inverse=True)
+    place = place.ravel()
+    vertices = np.stack([np.bincount(place, axis) for axis in mesh.vertices.T], axis=1) / np.bincount(place)[:, None]
+    faces = place[mesh.faces]
+    a, b, c = faces.T
+    return vertices, faces[(a != b) & (b != c) & (a != c)]
+
+
+def _wall_model(phantom: Phantom, width: int, height: int) -> mujoco.MjModel:
+    vertices, faces = _drawn_surface(phantom, height)
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
     spec.visual.quality.shadowsize = 0
@@ -239,8 +257,8 @@ def _wall_model(phantom: Phantom, width: int, height: int) -> mujoco.MjModel:
     spec.stat.center = phantom.bounds.mean(axis=0)
     spec.add_mesh(
         name="lumen",
-        uservert=np.asarray(mesh.vertices, np.float32).ravel(),
-        userface=np.asarray(mesh.faces, np.int32).ravel(),
+        uservert=np.asarray(vertices, np.float32).ravel(),
+        userface=np.asarray(faces, np.int32).ravel(),
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
     )
     spec.add_texture(
