@@ -149,7 +149,7 @@ def main(
 
 
 def trees(
-    trees: int = 24, decisions: int = 16_000, draws: int = 2, steps: int = 300, folder: str | None = FOLDER_OF_TREES
+    trees: int = 24, decisions: int = 10_000, draws: int = 2, steps: int = 300, folder: str | None = FOLDER_OF_TREES
 ) -> Any:
     """Train in trees; give the result, whose policy steers as `enn.load("trees")` does.
 
