@@ -4,6 +4,7 @@ Wire and JB2 catheter to steep take-offs of ArchVariety: python examples/shown_b
 shipped was shown the way by `arch_variety_simmons2` of commit 6b117e8, whose place it has taken here.
 
 Micro-guidewire and microcatheter from the groin to carotids and vertebrals: python examples/shown_by_policies.py trees.
+It goes on from `arch_variety_jb2`, which steers there without a further training.
 """
 
 from __future__ import annotations
@@ -151,7 +152,7 @@ def main(
 def trees(
     trees: int = 24, decisions: int = 10_000, draws: int = 2, steps: int = 300, folder: str | None = FOLDER_OF_TREES
 ) -> Any:
-    """Train in trees; give the result, whose policy steers as `enn.load("trees")` does.
+    """Train in trees; give the result.
 
     It starts from the actor of `arch_variety_jb2`, which shows the way itself, and the critics of `generalist_jb2`.
     """
@@ -182,7 +183,7 @@ def trees(
         settings=settings,
         demonstrations=shown(cases, [start], draws, steps),
         folder=folder,
-        metadata={"task": {"pace": "arch_variety", "catheter": "dual_device_nav"}},
+        metadata={"task": {"pace": "arch_variety", "catheter": "dual_device_nav/catheter.yaml"}},
         first_result=EvaluationResult((EpisodeOutcome(False, 1, -1e3, 1.0, 0.0, 0.0),)),  # the latest is kept
         progress=lambda now: print(f"{now.decisions} of {now.total} decisions", flush=True),
     )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
+import enn
 from cathsim import load_guidewire
 from cathsim.random_trees import GOALS, LENGTH, RandomTreesEnv
 from cathsim.registration import COPIES, RANDOM_TREES
@@ -68,3 +69,17 @@ def test_a_tree_has_perturbed_copies() -> None:
 def test_what_there_is_not_is_refused() -> None:
     with pytest.raises(ValueError, match="draws its targets: leave targets out"):
         RandomTreesEnv(targets=("lcca",))
+
+
+def test_a_policy_of_arches_steers_up_a_tree() -> None:
+    """It was trained in ways of 0.28 m at most, and fails here where it is shown the whole way."""
+    policy = enn.load("arch_variety_jb2")
+    environment = RandomTreesEnv(range(5000, 5020), observation=policy.keys, max_steps=400)
+    observation, info = environment.reset(seed=3, options={"case": 3})
+    controller, ended, success = policy.controller(deterministic=False, seed=3), False, False
+    while not ended:
+        observation, _, success, truncated, info = environment.step(controller(observation, info))
+        ended = success or truncated
+    assert success
+    assert info["branch"] == "rcca"
+    assert info["insertion"] > 0.5
