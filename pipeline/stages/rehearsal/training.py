@@ -27,7 +27,7 @@ from pipeline.recording.trials import POLICY
 from pipeline.seeds import rehearsal_demonstration_seed, validation_copies
 from pipeline.stages.learning.training import words
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment, held_steps, threads_of, training_settings
-from pipeline.stages.rehearsal.settings import SAC
+from pipeline.stages.rehearsal.settings import PRESSING, SAC
 from pipeline.stages.unseen.roadmap import ARRIVED, arrived, demonstration_arrays, read_demonstration
 from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.store.atomic_files import atomic_path, write_arrays
@@ -215,7 +215,10 @@ _LAID = 0.1  # of the training's job
 
 
 def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
-    """Lays starts and trains, each only where it lacks, and further while it seldom arrives: times, decisions."""
+    """Lays starts and trains, each only where it lacks, and further while it seldom arrives: times, decisions.
+
+    A policy that always arrives, and presses gently, is kept as it is.
+    """
     from enn.policy import Policy
     from enn.reinforcement.checkpoint import CheckpointError
     from enn.reinforcement.rehearsal import first_evaluation, rehearse
@@ -226,7 +229,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     rules, outcomes = job.rules, first_turn(job)
     begun = processor_s()
     copies = job.training_cases
-    starts, shown = _laid_starts(job, copies, report), read_demonstrations(job.folder)
+    shown = read_demonstrations(job.folder)
     validated = (0, *validation_copies(settings.validation_copies))
     results: list[TrainingResult] = []
     with stopping_the_stage(CheckpointError, ValueError):
@@ -237,6 +240,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
         evaluations = rules.fewer_evaluations if may_be_fewer and always else None
         usual = training_settings(job, report.device, evaluations=evaluations)
         shorter = training_settings(job, report.device, fewer=True)
+        metadata = {**job.origin.configuration("training"), TASK: asdict(job.task)}
         played: list[EvaluationResult] = []
 
         def elsewhere() -> list[bool]:
@@ -260,12 +264,17 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
                 demonstrations=shown,
                 folder=job.own_folder / folder,
                 seed=seed,
-                metadata={**job.origin.configuration("training"), TASK: asdict(job.task)},
+                metadata=metadata,
                 after_evaluation=training_films(job.own_folder / folder, partial(environment, validated), seed),
                 progress=tell,
                 **given,
             )
 
+        if policy is not None and evaluations and _gentle(shown) and all(elsewhere()):
+            policy.metadata |= metadata
+            policy.save(job.own_folder / POLICY, critics=True)
+            return _told(begun, [])
+        starts = _laid_starts(job, copies, report)
         fewer = may_be_fewer and rules.mostly_arrives(outcomes, job.tried, elsewhere)
         first = played[0] if played else None
         results.append(trained(policy, shorter if fewer else usual, "", first_result=first))
@@ -275,11 +284,20 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
             results.append(trained(results[-1].policy, shorter, f"{FURTHER}{number}"))
             with atomic_path(job.own_folder / POLICY) as path:
                 shutil.copyfile(job.own_folder / f"{FURTHER}{number}" / POLICY, path)
+    return _told(begun, results)
+
+
+def _gentle(shown: Sequence[Trajectory]) -> bool:
+    """Whether a policy does not press too hard in the episodes that it shows."""
+    return float(np.percentile(np.concatenate([episode.forces for episode in shown]), 95)) <= PRESSING
+
+
+def _told(begun: float, results: Sequence[TrainingResult]) -> dict[str, Any]:
     return {
         "cpu_s": round(processor_s() - begun, 1),
         "training_wall_s": round(sum(result.timings["wall_s"] for result in results), 1),
         "decisions": int(sum(result.timings["decisions"] for result in results)),
-        "further_trainings": len(results) - 1,
+        "further_trainings": max(len(results) - 1, 0),
     }
 
 

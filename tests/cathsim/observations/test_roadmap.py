@@ -8,6 +8,7 @@ import pytest
 from cathsim.environment import NavigateEnv
 from cathsim.observations.roadmap import PATH_ARCS, RAYS, WIRE_ARCS
 from cathsim.observations.tracking import POINTS, SPACING, in_view, viewed_range
+from cathsim.random_trees import RandomTreesEnv
 
 FORWARD = np.array([1.0, 0.2])
 
@@ -43,6 +44,20 @@ def test_walls_are_where_the_grid_says(environment: NavigateEnv) -> None:
     free = lengths < 0.0299
     assert np.abs(environment.phantom.grid.sample(ends[free])).max() < 0.3e-3
     assert free.any()
+
+
+def test_long_devices_are_shown_a_way_as_long_as_in_an_arch() -> None:
+    env = RandomTreesEnv((4,), observation="roadmap")
+    roadmap, info = env.reset(seed=0)
+    lead, inserted = 67, np.array([53, 64])
+    assert env.task.remaining(env.phantom, info["tip"]) > 0.5
+    assert roadmap[21] == pytest.approx(0.15 / 0.2)
+    assert roadmap[inserted] == pytest.approx(0.0, abs=0.01)
+    for _ in range(60):
+        roadmap, *_, info = env.step(np.array([1.0, 0.0, -1.0, 0.0]))
+    assert info["lead"] > info["insertion"] - 0.01 > 0.25
+    assert roadmap[[21, 53, lead]] == pytest.approx([0.15 / 0.2, (0.28 - 0.15) / 0.2, 0.12 / 0.2])
+    assert roadmap[64] == pytest.approx(roadmap[53] - roadmap[lead])
 
 
 def test_registration_noise_moves_the_map_but_not_the_wire(type_1) -> None:

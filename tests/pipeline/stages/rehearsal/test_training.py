@@ -14,9 +14,10 @@ import numpy as np
 import pytest
 
 from enn.device_trials import Tried
-from enn.reinforcement.evaluation import LatestPolicy
+from enn.policy import Policy
+from enn.reinforcement.evaluation import EpisodeOutcome, EvaluationResult, LatestPolicy
 from enn.reinforcement.rehearsal_rules import RehearsalRules, Turn, in_share
-from enn.reinforcement.training import TrainingResult
+from enn.reinforcement.training import TrainingResult, TrainingSettings
 from enn.trajectory import Trajectory
 from pipeline.jobs.worker import Report
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment, training_settings
@@ -168,6 +169,37 @@ def test_a_policy_that_always_arrives_is_trained_until_the_last_evaluation_but_o
         tmp_path / f"demonstrations/generalist_{job.training_cases[-1]}_0.npz", {"terminated": np.array(False)}
     )
     assert not always_arrives(job)
+
+
+@pytest.mark.parametrize(
+    ("force", "share", "elsewhere", "decisions"),
+    [(0.2, 0.5, True, 0), (0.4, 0.5, True, 32), (0.2, 0.5, False, 32), (0.2, 1.0, True, 48)],
+    ids=["gentle", "presses", "not elsewhere", "whole trainings"],
+)
+def test_a_policy_that_always_arrives_and_presses_gently_is_not_trained(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: float, share: float, elsewhere: bool, decisions: int
+) -> None:
+    job = dataclasses.replace(job_of(tmp_path, share_of_decisions=share), start=GENERALIST)
+    shown = Trajectory({}, np.zeros((2, 2)), np.zeros(2), True, np.full(2, force), np.zeros((3, 3)), None, {})
+    played = EvaluationResult((EpisodeOutcome(True, 9, 0.0, 9.0, 0.1, 0.1), EpisodeOutcome(elsewhere, 9, 0, 9, 0.1, 0)))
+
+    def rehearse(*given: Any, settings: TrainingSettings, **named: Any) -> TrainingResult:
+        return TrainingResult(None, [], {"decisions": settings.decisions, "wall_s": 1.0}, None)  # type: ignore[arg-type]
+
+    monkeypatch.setattr("pipeline.stages.rehearsal.training.first_turn", lambda job: [True, True])
+    monkeypatch.setattr("pipeline.stages.rehearsal.training.read_demonstrations", lambda folder: [shown])
+    monkeypatch.setattr("pipeline.stages.rehearsal.training._laid_starts", lambda *given: [])
+    monkeypatch.setattr("enn.reinforcement.rehearsal.first_evaluation", lambda *given, **named: played)
+    monkeypatch.setattr("enn.reinforcement.rehearsal.rehearse", rehearse)
+    assert train(job, Report())["decisions"] == decisions
+    kept = job.own_folder / "policy.pt"
+    assert kept.is_file() == (decisions == 0)
+    if kept.is_file():
+        policy, start = Policy.load(kept), Policy.load(GENERALIST)
+        assert policy.critics
+        assert policy.metadata["stage"] == "rehearsal"
+        mine, its = policy.module.state_dict(), start.module.state_dict()
+        assert all((mine[name] == its[name]).all() for name in its)
 
 
 def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,6 +25,9 @@ CLEARANCE = 2e-3  # m: the way is nudged off walls nearer than this
 RAY_LIMIT = 0.03  # m
 RAY_SCALE, REMAINING_SCALE, NEAR_SCALE, INSERTION_SCALE = 0.015, 0.2, 0.02, 0.2  # m
 LEAD_SCALE = 0.02  # m
+# devices that reach farther than FAR are shown the way in a tree as that in an arch: at most AHEAD of it, the insertion
+# of a way of ARCH, and a lead within LEADS, m; what policies see lies where they were trained
+FAR, AHEAD, ARCH, LEADS = 0.6, 0.15, 0.28, (-0.06, 0.12)
 SPEED_SCALE, FORCE_SCALE = 0.02, 0.05  # m/s, N
 
 # Directions of the rays in the tip's frame: ahead, four askew, four across.
@@ -84,6 +87,7 @@ class Roadmap:
         self._shown = np.rint(PATH_ARCS / PATH_STEP).astype(int) - 1
         self._lengths = np.empty(len(RAYS))
         self._devices = simulation if isinstance(simulation, DualSimulation) else None
+        self._far = simulation.max_insertion > FAR
         self.size = ROADMAP_SIZE + (_OF_PAIR if self._devices and self._devices.pair.both else 0)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -164,6 +168,9 @@ class Roadmap:
         follow those of the catheter (3), by how much l the wire's tip is ahead over 0.2 m, and the hyperbolic tangent
         of l over 20 mm (2), cosine and sine of the angle between the tips' cross-sections, wire less catheter (2).
 
+        Devices of more than 0.6 m are shown at most 150 mm as the remaining way, and at most 280 mm less that as the
+        wire's insertion, the catheter's less the lead, which is shown from -60 to 120 mm.
+
         Returns:
             Shape (64,), with two devices (71,), float32.
         """
@@ -172,7 +179,10 @@ class Roadmap:
         tip = points[0]
         start = self.in_scan(tip)
         seen_axes = axes if self.scan is None else self.scan.directions(axes)
-        remaining = self._follow_from(start)
+        remaining, inserted = self._follow_from(start), simulation.insertion
+        if self._far:
+            remaining = min(remaining, AHEAD)
+            inserted = min(inserted, ARCH - remaining)
         walls = self.walls(start, seen_axes)
         ahead = (self._path[self._shown] - start) @ seen_axes / PATH_ARCS[:, None]
         arc = np.concatenate(([0.0], np.cumsum(np.sqrt(np.square(np.diff(points, axis=0)).sum(axis=1)))))
@@ -186,19 +196,22 @@ class Roadmap:
                 (remaining / REMAINING_SCALE, np.tanh(remaining / NEAR_SCALE)),
                 walls / RAY_SCALE,
                 behind.ravel(),
-                (simulation.insertion / INSERTION_SCALE, np.cos(rotation), np.sin(rotation)),
+                (inserted / INSERTION_SCALE, np.cos(rotation), np.sin(rotation)),
                 simulation.lead(),
                 velocity / (SPEED_SCALE + np.sqrt(velocity @ velocity)),
                 force / (FORCE_SCALE + np.sqrt(force @ force)),
-                self._of_pair(),
+                self._of_pair(inserted),
             )
         ).astype(np.float32)
 
-    def _of_pair(self) -> tuple[float, ...]:
+    def _of_pair(self, wire_inserted: float) -> tuple[float, ...]:
         devices = self._devices
         if devices is None or not devices.pair.both:
             return ()
         lead, (inserted, turned) = devices.device_lead, devices.catheter_place()
+        if self._far:
+            lead = min(max(lead, LEADS[0]), LEADS[1])
+            inserted = wire_inserted - lead
         wire, catheter = devices.tip_rotations()
         return (
             inserted / INSERTION_SCALE,

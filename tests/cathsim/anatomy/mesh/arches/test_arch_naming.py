@@ -66,6 +66,17 @@ def found_names(aorta: RoughVessel) -> tuple[dict[int | None, str], set[str], tu
     return ends, trunks, notes
 
 
+def test_a_bent_vessel_with_one_branch_is_no_arch():
+    """As a carotid siphon with an aneurysm, or one iliac artery that leads on to the other."""
+    made = rough_vessels(build_variety_arch(VarietyArch(arch_type="I", seed=1)), np.eye(3))
+    aorta, alone = made["aorta"], made["lcca"]
+    aorta.children, alone.children = [alone], []
+    ends, trunks, notes = found_names(aorta)
+    assert ends == {aorta.end: "aorta", alone.end: "branch_1"}
+    assert not trunks
+    assert notes == ("one branch alone does not show an arch: it has a number, and no name",)
+
+
 @pytest.mark.parametrize("frame", ["as it is", "turned", "mirrored"])
 @pytest.mark.parametrize("arch_type", ARCH_TYPES)
 def test_every_type_is_named(arch_type: str, frame: str):

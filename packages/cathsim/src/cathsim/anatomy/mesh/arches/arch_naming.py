@@ -52,9 +52,13 @@ def name_vessels(aorta: RoughVessel, *, sides_known: bool = False) -> NamesAndNo
     notes: list[str] = []
     for child in aorta.children:  # the way of a wide branch parts from the aorta's long before it leaves its lumen
         child.clear = min(leaving(child, aorta), len(child.points) - 2)
-    parts = {id(child): subtree(child) for child in arch_branches(aorta)} if has_arch(aorta) else {}
-    if not has_arch(aorta):
+    arch = has_arch(aorta)
+    parts = {id(child): subtree(child) for child in arch_branches(aorta)} if arch else {}
+    if not arch:
         notes.append("there is no arch of the aorta: its branches have numbers, and no names")
+    elif sum(len(part.leaves) for part in parts.values()) == 1:  # a carotid siphon turns back, too
+        notes.append("one branch alone does not show an arch: it has a number, and no name")
+        parts = {}
     readings = read_arch(list(parts.values()), sides_known=sides_known)
     if readings:
         best = readings[0]
