@@ -1,12 +1,16 @@
-"""A policy for arches that it has not seen, which learns from what other policies show. About an hour on one core.
+"""A policy for anatomies that it has not seen, which learns from what other policies show. An hour on one core at most.
 
 Wire and JB2 catheter to steep take-offs of ArchVariety: python examples/shown_by_policies.py. The policy that is
 shipped was shown the way by `arch_variety_simmons2` of commit 6b117e8, whose place it has taken here.
+
+Micro-guidewire and microcatheter from the groin to carotids and vertebrals: python examples/shown_by_policies.py trees.
 """
 
 from __future__ import annotations
 
 import math
+import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -19,29 +23,38 @@ from cathsim.anatomy.point_target import Point, as_target, points_beyond_root
 from cathsim.anatomy.vessel_tree import set_back
 from cathsim.arch_variety import ArchVarietyEnv
 from cathsim.many_anatomies import SHELF, NavigateManyEnv
+from cathsim.random_trees import LONG_CATHETER, LONG_WIRE
+from enn.reinforcement.evaluation import EpisodeOutcome, EvaluationResult
 from enn.reinforcement.rehearsal import REHEARSAL, demonstrated, rehearse
 from enn.trajectory import Trajectory
 
-FOLDER = "shown_by_policies"
+FOLDER, FOLDER_OF_TREES = "shown_by_policies", "shown_in_trees"
 KEYS = ("roadmap", "history")
 KINDS = ("II",) * 5 + ("IV",) * 4 + ("VI",) * 3 + ("I",) * 2 + ("V", "VII")  # hard types more often
 STEEP = 0.005  # m that an ostium lies behind the top of the arch
 HOLD = 2  # steps of 0.133 s for which an action is held
+TREE = "random_tree"
+LEFT, RIGHT, VERTEBRAL = (
+    ("lcca", "internal_carotid_left"),
+    ("rcca", "internal_carotid_right"),
+    ("vertebral_left", "vertebral_right"),
+)
 
-Case = tuple[str, int, Any]  # type and seed of an arch, target
+Case = tuple[str, int, Any]  # type and seed of an arch, or "random_tree" and that of a tree; target
 
 
-class SteepPoints(NavigateManyEnv):
-    """An arch and a target of its own in each case."""
+class OwnPoints(NavigateManyEnv):
+    """An anatomy and a target of its own in each case: all of them arches, or all of them trees."""
 
     def __init__(self, cases: list[Case], **arguments: Any) -> None:
         self.points = [case[2] for case in cases]
-        arches = [(f"arch_variety_{kind}", seed) for kind, seed, _ in cases]
+        trees = cases[0][0] == TREE
         super().__init__(
-            arches,
+            [(kind if trees else f"arch_variety_{kind}", seed) for kind, seed, _ in cases],
             ("lcca",),  # a placeholder: each case has a point
-            ("arch_variety",),
-            catheter="jb2",
+            (LONG_WIRE if trees else "arch_variety",),
+            catheter=LONG_CATHETER if trees else "jb2",
+            success="straight" if trees else "lumen",
             pace="arch_variety",
             observation=KEYS,
             success_radius=0.005,
@@ -70,6 +83,19 @@ def steep_cases(first: int, arches: int) -> list[Case]:
     return cases
 
 
+def tree_cases(first: int, trees: int, groups: Sequence[tuple[str, ...]]) -> list[Case]:
+    """Draw a point for each group of vessels in each tree."""
+    cases: list[Case] = []
+    for seed in range(first, first + trees):
+        generator, phantom = np.random.default_rng(seed), SHELF.take((TREE, seed), 1e-3)
+        for group in groups:
+            vessels = [phantom.tree[name] for name in group]
+            points = np.concatenate([one.points[one.arc > phantom.tree.ostium_arc(one.name)] for one in vessels])
+            points = points[phantom.grid.sample(points) > 0]
+            cases.append((TREE, seed, as_target(points[generator.integers(len(points))])))
+    return cases
+
+
 def shown(cases: list[Case], policies: list[enn.Policy], draws: int, steps: int) -> list[Trajectory]:
     """Let policies play every case by turns until one of them arrives; give the episodes that did."""
     env, episodes = training_env(cases, steps), []
@@ -84,9 +110,9 @@ def shown(cases: list[Case], policies: list[enn.Policy], draws: int, steps: int)
     return episodes
 
 
-def training_env(cases: list[Case], steps: int, **arguments: Any) -> SteepPoints:
+def training_env(cases: list[Case], steps: int, **arguments: Any) -> OwnPoints:
     """Make an environment with the reward of the training."""
-    return SteepPoints(cases, max_steps=steps, reward="geodesic", force_penalty=0.05, **arguments)
+    return OwnPoints(cases, max_steps=steps, reward="geodesic", force_penalty=0.05, **arguments)
 
 
 def main(
@@ -122,5 +148,45 @@ def main(
     return result
 
 
+def trees(
+    trees: int = 24, decisions: int = 16_000, draws: int = 2, steps: int = 300, folder: str | None = FOLDER_OF_TREES
+) -> Any:
+    """Train in trees; give the result, whose policy steers as `enn.load("trees")` does.
+
+    It starts from the actor of `arch_variety_jb2`, which shows the way itself, and the critics of `generalist_jb2`.
+    """
+    torch.set_num_threads(1)
+    SHELF.capacity = max(SHELF.capacity, 4 * trees)
+    start, actor = enn.load("generalist_jb2"), enn.load("arch_variety_jb2").module.state_dict()
+    weights = start.module.state_dict()
+    start.module.load_state_dict(weights | {name: actor[name] for name in weights if name.startswith("actor.")})
+    start.action_repeat = HOLD
+    cases = tree_cases(2000, trees, (LEFT, LEFT, RIGHT, VERTEBRAL))
+    validation = tree_cases(3000, 2, (LEFT, RIGHT, VERTEBRAL))
+    settings = replace(
+        REHEARSAL,
+        decisions=decisions,
+        buffer_size=max(decisions, 1000),
+        evaluate_every=decisions,
+        evaluation_episodes=len(validation),
+        gradient_steps=1.0,
+        learning_rate=1.5 * REHEARSAL.learning_rate,
+        stop_after=0,
+        overlap=False,
+        n_envs=8,
+    )
+    return rehearse(
+        partial(training_env, cases, 250, observe_every=HOLD),
+        make_validation_env=partial(training_env, validation, 400, observe_every=HOLD),
+        policy=start,
+        settings=settings,
+        demonstrations=shown(cases, [start], draws, steps),
+        folder=folder,
+        metadata={"task": {"pace": "arch_variety", "catheter": "dual_device_nav"}},
+        first_result=EvaluationResult((EpisodeOutcome(False, 1, -1e3, 1.0, 0.0, 0.0),)),  # the latest is kept
+        progress=lambda now: print(f"{now.decisions} of {now.total} decisions", flush=True),
+    )
+
+
 if __name__ == "__main__":
-    main()
+    trees() if sys.argv[1:] == ["trees"] else main()

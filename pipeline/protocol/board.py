@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 RULES = 1  # raised where figures of before can no longer be compared
 _DUAL = "dualdevicenav"
 _FIRST, _ARCHES = 60, 40  # of the test seeds of each type: the first 60 were looked at before
+_TREES, _EACH = range(700_000, 700_050), 2  # of random trees: nothing is trained, chosen or looked at in them
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ def boards() -> dict[str, Board]:
     from cathsim.arch_variety import TEST_SEEDS, ArchVarietyEnv
     from cathsim.dual_device_nav import TEST_SEEDS as DUAL_SEEDS
     from cathsim.dual_device_nav import DualDeviceNavEnv
+    from cathsim.random_trees import RandomTreesEnv
 
     arches = TEST_SEEDS[_FIRST : _FIRST + _ARCHES]
 
@@ -67,12 +69,19 @@ def boards() -> dict[str, Board]:
     def dual(observation: Any, catheter: str | None, side: int) -> DualDeviceNavEnv:
         return DualDeviceNavEnv(observation=observation, image_size=side)
 
+    def trees(observation: Any, catheter: str | None, side: int) -> RandomTreesEnv:
+        return RandomTreesEnv(_TREES, observation=observation, image_size=side)
+
     return {
         "arch_variety": Board("ArchVariety", variety, [
             Episode({"anatomy": f"{kind}_{arch}", "variation": kind}, _FIRST + k, {"case": place * len(arches) + k})
             for k, arch in enumerate(arches) for place, kind in enumerate(ARCH_TYPES)
         ]),
         "dual_device_nav": Board("DualDeviceNav", dual, [Episode({"anatomy": _DUAL}, seed, {}) for seed in DUAL_SEEDS]),
+        "random_trees": Board("RandomTrees", trees, [
+            Episode({"anatomy": f"random_tree_{tree}"}, _EACH * case + k, {"case": case})
+            for k in range(_EACH) for case, tree in enumerate(_TREES)
+        ]),
     }  # fmt: skip
 
 

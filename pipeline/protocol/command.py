@@ -27,7 +27,9 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--pages", action="store_true", help="make the documents' tables from the results and leave")
     parser.add_argument("--list", action="store_true", help="print the claims and leave")
     parser.add_argument("--policy", type=Path, metavar="FILE", help="play this policy in the whole of a published task")
-    parser.add_argument("--board", default="arch_variety", metavar="TASK", help="or dual_device_nav (arch_variety)")
+    parser.add_argument(
+        "--board", default="arch_variety", metavar="TASK", help="or dual_device_nav, random_trees (arch_variety)"
+    )
     parser.add_argument("--episodes", type=int, metavar="N", help="of the task, the first ones, instead of all")
     parser.add_argument("--row", type=Path, default=Path("row.json"), metavar="FILE", help="of its figures (row.json)")
     given = parser.parse_args(arguments)
