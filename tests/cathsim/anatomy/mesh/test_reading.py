@@ -70,6 +70,18 @@ def test_a_part_that_was_torn_off_the_lumen_is_refused():
     assert rough.widest == pytest.approx(10e-3, abs=1.5e-3)
 
 
+def test_a_wall_beside_the_lumen_that_is_open_at_the_ends_is_no_part_of_it():
+    """As models of blood and wall have it: a full pipe within a layer, which meet at one surface."""
+    layer = trimesh.creation.annulus(10e-3, 15e-3, 100e-3, sections=48)
+    blood = trimesh.creation.cylinder(10e-3, 100e-3, sections=48)
+    surface = np.concatenate([layer.triangles, blood.triangles])
+    cavity = find_cavity(sample_surface(surface, 0.5 * SPACING), 0.7 * SPACING)
+    assert cavity.kind == "lumen in a closed wall"
+    assert cavity.widest == pytest.approx(10e-3, abs=1e-3)
+    assert cavity.holds(cavity.inside, np.zeros(3))
+    assert not cavity.holds(cavity.inside, np.array([12.5e-3, 0.0, 0.0]))
+
+
 ENDS_SPACING = 0.7e-3
 WIDE, LENGTH = 5e-3, 0.03  # m
 MIDDLE = np.array([0.01, 0.01])

@@ -71,6 +71,20 @@ def test_a_scene_names_its_parts(vessels: dict[str, trimesh.Trimesh], tmp_path: 
     assert surface.notes[0].startswith("1 of 5 parts left out")
 
 
+def test_without_an_arch_every_known_artery_is_taken(tmp_path: Path):
+    def read(*names: str) -> list[str]:
+        scene = trimesh.Scene()
+        for k, name in enumerate(names):
+            mesh = trimesh.creation.capsule(100.0, 10.0).apply_translation([15.0 * k, 0.0, 0.0])
+            scene.add_geometry(mesh, node_name=name, geom_name=name)
+        scene.export(tmp_path / "scene.glb")
+        return sorted(part.name for part in read_parts(tmp_path / "scene.glb").parts)
+
+    abdomen = ("abdominal aorta", "right renal artery", "celiac trunk", "right hepatic artery", "left renal vein")
+    assert read(*abdomen) == ["aorta", "celiac", "renal_right"]
+    assert read(*abdomen, "left subclavian artery") == ["aorta", "lsa"]
+
+
 @pytest.mark.parametrize("kind", ["o", "g", "solid"])
 def test_objects_groups_and_solids_name_their_parts_as_nodes_do(kind: str, tmp_path: Path):
     path = tmp_path / ("a.stl" if kind == "solid" else "a.obj")

@@ -24,6 +24,7 @@ _LEAST_SPAN = 0.4  # of the surface's diagonal, which a lumen must span
 _PART_SPAN = 0.4  # of that, from which on a piece counts as a part of the lumen that was torn off ...
 _PART_SHARE = 0.05  # ... if it has this share of its volume
 _WALL_SHARE = 0.4  # of an enclosed room's radius: if a tunnel's is larger, that room is the tunnel's wall
+_COVERED = 0.85  # of a lumen's border lies at its wall, but for its ends
 _WOUND = 0.7  # turns of the surface about a place, from which on it lies within it
 _GROWN = 3  # voxels by which a tunnel is grown up to its wall
 _LEAST_RADIUS = 2.5  # voxels, of the widest ball in a lumen
@@ -115,7 +116,7 @@ def find_cavity(samples: SurfaceSamples, spacing: float, *, rough: bool = False)
         kind, chosen, rivals = "tunnel", through[0], [r for r in tunnels if r.radius > 0.4 * through[0].radius]
     elif deep:
         kind, chosen, rivals = "closed lumen", deep[0], enclosed
-        around = [room for room in deep[1:] if _surrounds(room, chosen, wall.shape)]
+        around = [r for r in deep[1:] if _surrounds(r, chosen, wall.shape) or _covers(r, chosen, wall.shape)]
         within = [room for room in deep[1:] if _surrounds(chosen, room, wall.shape)]
         if around or within:
             kind, chosen = "lumen in a closed wall", within[0] if within else chosen
@@ -213,6 +214,16 @@ def _surrounds(outer: _Room, inner: _Room, shape: tuple[int, ...]) -> bool:
 
     shell = binary_dilation(outer.whole(shape), iterations=3)
     return bool(binary_fill_holes(shell)[inner.box][inner.part].mean() > 0.95)
+
+
+def _covers(wall: _Room, lumen: _Room, shape: tuple[int, ...]) -> bool:
+    """Whether a room is the wall of a lumen, left open at the ends: a thin layer at most of its border."""
+    from scipy.ndimage import binary_dilation, binary_erosion
+
+    if wall.radius > _WALL_SHARE * lumen.radius:
+        return False
+    near = binary_dilation(wall.whole(shape), iterations=3)[lumen.box]
+    return bool(near[lumen.part & ~binary_erosion(lumen.part)].mean() > _COVERED)
 
 
 def _why_none(rooms: list[_Room], span: float, spacing: float, *, rough: bool) -> str:

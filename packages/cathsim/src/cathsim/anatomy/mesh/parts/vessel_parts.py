@@ -27,7 +27,8 @@ from cathsim.guarded_reading import UnreadableFileError, call_in_child
 
 Result = TypeVar("Result")
 
-_TAKEN = (AORTA, *SUPRA_AORTIC, *ACCESS, "carotid_trunk", "subclavian_trunk", "vertebral_left", "vertebral_right")
+_OF_ARCH = {*SUPRA_AORTIC, "carotid_trunk", "subclavian_trunk", "vertebral_left", "vertebral_right"}
+_TAKEN = {AORTA, *ACCESS, *_OF_ARCH}  # where there is one of an arch; without, every known artery
 _LEAST_PIECE = 0.04  # of the whole's longest side: a smaller piece is dust
 _LEAST_FACES = 12  # of a piece
 _OPEN = 0.1  # share of a run's edges that may have one face only
@@ -137,13 +138,15 @@ def _read_parts(path: Path) -> Surface:
                 f"{path.name} has {len(named)} parts with names, none of them an aorta's "
                 f"({_some(one.name for one in named)}); add it, or name it aorta."
             )
-        dropped = [one.name for vessel, one in known if vessel not in _TAKEN]
+        names = {vessel for vessel, _ in known} - {""}
+        taken = _TAKEN if names & _OF_ARCH else names
+        dropped = [one.name for vessel, one in known if vessel not in taken]
         if dropped:
             notes += (
                 f"{len(dropped)} of {len(named)} parts left out, which are no way to head or arms: {_some(dropped)}",
                 *not_taken(dropped, "parts"),
             )
-        known = [one for one in known if one[0] in _TAKEN]
+        known = [one for one in known if one[0] in taken]
         notes += of_one_name((one.name for _, one in known), "parts")
     elif others := [one.name for _, one in known if is_other(one.name)]:
         if len(others) == len(known):
