@@ -162,7 +162,7 @@ def trees(
     start.module.load_state_dict(weights | {name: actor[name] for name in weights if name.startswith("actor.")})
     start.action_repeat = HOLD
     cases = tree_cases(2000, trees, (LEFT, LEFT, RIGHT, VERTEBRAL))
-    validation = tree_cases(3000, 2, (LEFT, RIGHT, VERTEBRAL))
+    validation = tree_cases(3000, -(-trees // 12), (LEFT, RIGHT, VERTEBRAL))
     settings = replace(
         REHEARSAL,
         decisions=decisions,
@@ -176,8 +176,8 @@ def trees(
         n_envs=8,
     )
     return rehearse(
-        partial(training_env, cases, 250, observe_every=HOLD),
-        make_validation_env=partial(training_env, validation, 400, observe_every=HOLD),
+        partial(training_env, cases, steps - 50, observe_every=HOLD),
+        make_validation_env=partial(training_env, validation, steps + 100, observe_every=HOLD),
         policy=start,
         settings=settings,
         demonstrations=shown(cases, [start], draws, steps),

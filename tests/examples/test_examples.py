@@ -99,6 +99,19 @@ def test_a_policy_learns_from_what_others_show(
     assert (tmp_path / "policy.pt").is_file()
 
 
+@of("shown_by_policies")
+def test_a_policy_of_arches_learns_trees(example: ModuleType, tmp_path: Path) -> None:
+    cases = example.tree_cases(2000, 1, (example.LEFT, example.VERTEBRAL))
+    env = example.training_env(cases, 5)
+    assert env.reset(options={"case": 1})[1]["phantom"] == "random_tree_2000"
+    assert env.phantom.target(env.task.target).branch.startswith("vertebral")
+    assert env.simulation.pair.catheter.length == 1.05
+    result = example.trees(trees=1, decisions=32, draws=1, steps=55, folder=str(tmp_path))
+    assert result.timings["decisions"] == 32
+    assert result.policy.critics
+    assert result.policy.action_repeat == example.HOLD
+
+
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "her.py"
 
 

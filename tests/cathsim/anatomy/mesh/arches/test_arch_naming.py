@@ -238,6 +238,19 @@ def test_labels_name_vessels_and_show_the_sides():
     assert any("the file is mirrored" in note for note in notes)
 
 
+def test_a_trunk_of_other_arteries_than_those_of_head_and_arms_is_no_bca():
+    made = rough_vessels(build_variety_arch(VarietyArch(arch_type="I", seed=2)), np.eye(3))
+    called = {"rsa": "internal_iliac_left", "rcca": "inferior_mesenteric"}
+
+    def label_of(points: Array) -> list[str]:
+        away = {name: np.linalg.norm(made[name].points[None] - points[:, None], axis=2).min(axis=1) for name in called}
+        return [next((called[name] for name in called if away[name][k] < 1e-6), "") for k in range(len(points))]
+
+    names, _ = labelled_names(made["aorta"], label_of)
+    assert set(called.values()) <= set(names.values())
+    assert "bca" not in names.values()
+
+
 def _vessel(start: list[float], end: list[float], radius: float, number: int | None) -> RoughVessel:
     points = np.linspace(start, end, 40)
     return RoughVessel(points, np.full(40, radius), number)

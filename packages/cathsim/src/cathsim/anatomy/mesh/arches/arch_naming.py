@@ -150,7 +150,7 @@ def _give_names(
             children.append(vessel)
         for found, within in named:
             name = _trunk_name({own[one] for one in within})
-            if name not in names.values():
+            if name and name not in names.values():
                 names[id(found)] = name
     aorta.children = children
 
@@ -212,7 +212,8 @@ def _trunk_name(names: set[str]) -> str:
     if len(names) == 1:
         return "bca" if names == {RIGHT} else next(iter(names))
     trunks = (({"rcca", "lcca"}, CAROTID_TRUNK), ({"rsa", "lsa"}, SUBCLAVIAN_TRUNK), ({"lcca", "lsa"}, LEFT_TRUNK))
-    return next((trunk for of, trunk in trunks if names == of), "bca")
+    other = "bca" if names <= {RIGHT, *VERTEBRALS.values(), *_RIGHT_SIDE, *_LEFT_SIDE} else ""
+    return next((trunk for of, trunk in trunks if names == of), other)
 
 
 def _number_others(aorta: RoughVessel, names: dict[int, str]) -> list[str]:
