@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.protocol.claims import Protocol, declared
+from pipeline.protocol.claims import Protocol, declared, read_protocol
 from pipeline.protocol.run import inputs
 from pipeline.store.atomic_files import read_json, write_text
 from pipeline.store.errors import ConfigurationError
@@ -104,7 +104,10 @@ def outdated(result: dict[str, Any], protocol: Protocol) -> str:
 def _read(path: Path) -> Any:
     if not path.is_file():
         raise ConfigurationError(f"{path} is missing: `endonav evaluate {path.stem}` makes it")
-    return read_json(path)
+    result = read_json(path)
+    if claim := read_protocol().claims.get(result["claim"]):  # its words may be others since, its figures not
+        result["declared"] |= {"title": claim.title, "limits": claim.limits}
+    return result
 
 
 def _figures(read: Sequence[dict[str, Any]]) -> str:
