@@ -20,8 +20,8 @@ def cases(claim: Rehearsal, seed: int) -> Iterator[dict[str, Any]]:
         yield {"anatomy": f"{claim.arches}_{arch}", "arch": arch, "target": claim.target, "seed": seed}
 
 
-def play(claim: Rehearsal, case: dict[str, Any], *, budget: str = "desk") -> dict[str, Any]:
-    """Runs the stage by itself in one process.
+def play(claim: Rehearsal, case: dict[str, Any], *overrides: str, budget: str = "desk") -> dict[str, Any]:
+    """Runs the stage by itself in one process; with further words of its command.
 
     Returns:
         `success` (whether nine tenths of the copies of the test are reached after it), `before_pct` and `after_pct` of
@@ -30,7 +30,14 @@ def play(claim: Rehearsal, case: dict[str, Any], *, budget: str = "desk") -> dic
     with TemporaryDirectory(prefix="rehearsal-") as folder:
         command = [sys.executable, "-m", "pipeline", "stage=rehearsal", f"budget={budget}", f"seed={case['seed']}"]
         command += [f"phantom.name={claim.arches}", f"phantom.seed={case['arch']}", f"target={claim.target}"]
-        command += ["stage.film=false", "stage.workers=1", "stage.threads=1", f"runs_dir={folder}", "name=run"]
+        command += [
+            "stage.film=false",
+            "stage.workers=1",
+            "stage.threads=1",
+            f"runs_dir={folder}",
+            "name=run",
+            *overrides,
+        ]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         left = list(Path(folder).glob("run/rehearsal*/results.json"))
         if not left:

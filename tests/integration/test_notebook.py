@@ -111,7 +111,8 @@ SMALLER = {
     "decisions=3000": "decisions=64, evaluation_episodes=1",
     "held_out_seeds(0, 30)": "held_out_seeds(0, 1)",
     "range(100)": "range(2)",
-    "DESK_CLONING, expert": "dataclasses.replace(DESK_CLONING, fit=EpisodeFitSettings(epochs=1)), expert",
+    "DESK_CLONING, make": "dataclasses.replace(DESK_CLONING, fit=EpisodeFitSettings(epochs=1)), make",
+    'seed=0, folder="cloning")': 'seed=0, folder="cloning", disturbed_seeds=range(2))',
 }
 
 

@@ -52,6 +52,7 @@ EXAMPLES = (
     fgrn_recipe("desk"),
     segmentation_recipe("unet", "desk"),
     recipe_of("ordered", "desk"),
+    recipe_of("published", "desk").settings,
     fluoroscopy_recipe("ordered", "desk"),
 )
 

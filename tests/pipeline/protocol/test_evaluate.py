@@ -180,7 +180,7 @@ def test_other_kinds_are_measured(protocol: Path, entry: str, figure: str, low: 
 def test_a_rehearsal_is_read_from_the_stages_tables() -> None:
     claim = Rehearsal(kind="rehearsal", title="T", limits="L", arches="random", first=690000, count=1, target="bca")
     (case,) = rehearsal.cases(claim, 0)
-    outcome = rehearsal.play(claim, case, budget="smoke")
+    outcome = rehearsal.play(claim, case, "stage.choose_catheter=false", "stage.demonstrations=0", budget="smoke")
     assert outcome["success"] == (outcome["after_pct"] >= 90)
     assert outcome["decisions"] > 0
     refused = rehearsal.play(claim, case | {"arch": -1}, budget="smoke")

@@ -94,7 +94,7 @@ def _require(name: str) -> None:
 
 def _sentence(name: str) -> str:
     """The first paragraph below the title of a card."""
-    return " ".join(card(name).split("\n# ", 1)[1].split("\n\n")[1].split())
+    return " ".join(f"\n{card(name)}".split("\n# ", 1)[1].split("\n\n")[1].split())
 
 
 def _format_of(path: Path) -> str | None:
