@@ -58,10 +58,8 @@ def main(arguments: list[str]) -> int:
         say(f"endonav evaluate: {error}", error=True)
         return _USAGE
     except KeyboardInterrupt:
-        say(
-            f"stopped; the cases that were played are kept in {given.to}: the same command goes on from there",
-            error=True,
-        )
+        kept = f"the cases that were played are kept in {given.to}: the same command goes on from there"
+        say(f"stopped; {kept if given.policy is None else 'no row was written'}", error=True)
         raise
     return _FINE
 
@@ -71,6 +69,8 @@ def _row(given: argparse.Namespace) -> int:
 
     if given.claims or (given.episodes is not None and given.episodes < 1):
         raise ConfigurationError("--policy plays in a task: leave claims out, and --episodes is 1 at least")
+    if given.row.is_dir():
+        raise ConfigurationError(f"--row is a folder: {given.row}")
     say(write_row(measure_row(given.policy, given.board, given.episodes, _tell), given.row))
     return _FINE
 
