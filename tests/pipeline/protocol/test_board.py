@@ -10,6 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 
 from enn.networks.network import NetworkSettings, build_network
 from enn.policy import Policy
@@ -27,6 +28,7 @@ def random_policy(path: Path, points: int = 16, actions: int = 2) -> Path:
     """A policy with fresh weights, which sees `tracking`."""
     seen = gymnasium.spaces.Box(-np.inf, np.inf, (points,), np.float32)
     moved = gymnasium.spaces.Box(-1.0, 1.0, (actions,), np.float32)
+    torch.manual_seed(0)
     settings = NetworkSettings(hidden=(8,))
     Policy(settings, build_network(settings, seen, moved), seen, moved, action_repeat=2).save(path)
     return path
