@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import enum
 import importlib.util
 import logging
-import os
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ from enn import curves
 from enn.reinforcement.free_memory import available_bytes
 from pipeline.config import RunConfig, anatomy_not_taken
 from pipeline.jobs.engines.cluster import end_earlier_jobs
+from pipeline.jobs.engines.local import variables_set
 from pipeline.jobs.engines.settings import LOCAL
 from pipeline.jobs.machine import CPU, check_device
 from pipeline.jobs.pool import chosen_engine
@@ -68,7 +67,7 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
         started, meter = time.monotonic(), CostMeter()
         context = _context(config, folder, run_path, {name: path for name, (path, _) in inputs.items()})
         try:
-            with chosen_engine(config.engine, available_bytes), _observed(config):
+            with chosen_engine(config.engine, available_bytes), variables_set(observation_of_trainings(config)):
                 results = stage.run(config.stage, context)
             if results is not None:
                 results.write(folder.path)
@@ -85,20 +84,9 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
     return Outcome.DONE
 
 
-@contextlib.contextmanager
-def _observed(config: RunConfig) -> Iterator[None]:
-    """Tells trainings, in this process and in jobs', how they are observed, which their results do not depend on."""
-    told = {curves.CHOICE: config.logger, training_films.CHOICE: str(config.films)}
-    before = {name: os.environ.get(name) for name in told}
-    os.environ.update(told)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+def observation_of_trainings(config: RunConfig) -> dict[str, str]:
+    """Variables that say, in this process and in jobs', how trainings are observed; no result depends on them."""
+    return {curves.CHOICE: config.logger, training_films.CHOICE: str(config.films)}
 
 
 def _identity(stage: Stage, config: RunConfig, run_path: Path, input_hashes: dict[str, str]) -> Identity:

@@ -160,7 +160,7 @@ def _targets(read: Sequence[dict[str, Any]]) -> str:
         rows.append(
             (
                 declared["title"],
-                f"{_number(summary, short=True)}",
+                f"{summary['cases']}; {summary['anatomies']}",
                 f"**{_percent(summary['success_pct'])}**",
                 targets,
                 _short(summary["straight_pct"]["mean"]),
@@ -217,9 +217,7 @@ def _count(result: dict[str, Any], key: str) -> int:
     return sum(key.rsplit("_", 1)[0] in case for case in result["cases"])
 
 
-def _number(summary: dict[str, Any], *, short: bool = False) -> str:
-    if short:
-        return f"{summary['cases']}; {summary['anatomies']}"
+def _number(summary: dict[str, Any]) -> str:
     return f"{summary['cases']} cases in {summary['anatomies']} anatomies or scenes"
 
 

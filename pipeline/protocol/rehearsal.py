@@ -26,6 +26,9 @@ def play(claim: Rehearsal, case: dict[str, Any], *overrides: str, budget: str = 
     Returns:
         `success` (whether nine tenths of the copies of the test are reached after it), `before_pct` and `after_pct` of
         the copies, `force_p95_n` and `force_max_n` after it, `cpu_s` of the training, its `decisions` and the devices.
+
+    Raises:
+        ValueError: the stage failed; that is no failure of what is measured.
     """
     with TemporaryDirectory(prefix="rehearsal-") as folder:
         command = [sys.executable, "-m", "pipeline", "stage=rehearsal", f"budget={budget}", f"seed={case['seed']}"]
@@ -41,7 +44,7 @@ def play(claim: Rehearsal, case: dict[str, Any], *overrides: str, budget: str = 
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         left = list(Path(folder).glob("run/rehearsal*/results.json"))
         if not left:
-            return {"success": False, "reason": (done.stderr.strip().splitlines() or ["it left no results"])[-1]}
+            raise ValueError((done.stderr.strip().splitlines() or ["the stage left no results"])[-1])
         tables = read_json(left[0])
     rows, cost = tables["rehearsal"], tables["rehearsal_cost"][case["anatomy"]]
     after = rows[f"{case['anatomy']}/after copies"]

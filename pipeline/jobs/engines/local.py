@@ -12,7 +12,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing import forkserver, resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -43,7 +43,7 @@ class LocalEngine:
         self._running: list[_Running] = []
         self._messages: list[tuple[str, Message]] = []
         self._open = contextlib.ExitStack()
-        self._open.enter_context(_one_thread())
+        self._open.enter_context(variables_set(ONE_THREAD))
         # A forked copy of this process would inherit the lock, the log's file and the threads of libraries.
         if multiprocessing.get_start_method(allow_none=True) not in (None, *multiprocessing.get_all_start_methods()):
             # joblib's workers name a method of their own, which the processes they start do not know
@@ -116,9 +116,10 @@ def available_workers() -> int:
 
 
 @contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
+def variables_set(values: Mapping[str, str]) -> Iterator[None]:
+    """Sets variables of the environment, which processes that start inside inherit, and undoes it."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
     try:
         yield
     finally:

@@ -183,9 +183,8 @@ def test_a_rehearsal_is_read_from_the_stages_tables() -> None:
     outcome = rehearsal.play(claim, case, "stage.choose_catheter=false", "stage.demonstrations=0", budget="smoke")
     assert outcome["success"] == (outcome["after_pct"] >= 90)
     assert outcome["decisions"] > 0
-    refused = rehearsal.play(claim, case | {"arch": -1}, budget="smoke")
-    assert not refused["success"]
-    assert "seed" in refused["reason"]
+    with pytest.raises(ValueError, match="seed"):
+        rehearsal.play(claim, case | {"arch": -1}, budget="smoke")
 
 
 @pytest.mark.slow

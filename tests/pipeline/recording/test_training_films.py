@@ -10,7 +10,8 @@ import pytest
 import enn
 from cathsim.arch_variety import ArchVarietyEnv
 from pipeline.config import RunConfig
-from pipeline.execution import _observed
+from pipeline.execution import observation_of_trainings
+from pipeline.jobs.engines.local import variables_set
 from pipeline.recording.training_films import training_films
 
 
@@ -20,7 +21,7 @@ def test_every_second_evaluation_is_filmed(tmp_path: Path) -> None:
     policy = enn.load("arch_variety")
     make = partial(ArchVarietyEnv, ("I",), (3,), observation=policy.keys, max_steps=6)
     assert training_films(tmp_path, make, 5) is None
-    with _observed(RunConfig(stage=None, name="a", films=2)):
+    with variables_set(observation_of_trainings(RunConfig(stage=None, name="a", films=2))):
         films = training_films(tmp_path, make, 5)
     assert films is not None
     for decisions in (100, 200, 300):
@@ -35,6 +36,6 @@ def test_what_a_run_was_told_ends_with_it(monkeypatch: pytest.MonkeyPatch) -> No
     from enn.curves import chosen_logger
 
     monkeypatch.delenv("ENN_LOGGER", raising=False)
-    with _observed(RunConfig(stage=None, name="a", logger="none")):
+    with variables_set(observation_of_trainings(RunConfig(stage=None, name="a", logger="none"))):
         assert chosen_logger() == "none"
     assert chosen_logger() == "tensorboard"
