@@ -44,6 +44,16 @@ def test_targets_and_variations_have_tables_of_their_own(tmp_path: Path) -> None
     assert "- Steer: Drawn." in text
 
 
+@pytest.mark.parametrize("path", sorted((RESULTS / "board").glob("*.json")), ids=lambda path: path.stem)
+def test_the_board_says_what_its_rows_do(path: Path) -> None:
+    row = json.loads(path.read_text(encoding="utf-8"))
+    reached = f"{sum(case['success'] for case in row['cases'])} of {len(row['cases'])}"
+    page = (PROJECT_ROOT / "docs" / "results" / "board.md").read_text(encoding="utf-8")
+    assert reached in page
+    assert f"results/board/{path.name}" in page
+    assert not row["made_by"]["changes"]
+
+
 def test_a_table_is_made_from_results_and_a_change_of_them_is_seen(tmp_path: Path) -> None:
     protocol, results = tmp_path / "protocol.yaml", tmp_path / "results"
     protocol.write_text(SCENES)
