@@ -69,24 +69,24 @@ def film_frames(path: Path, most: int | None = None) -> Generator[Frame, None, t
     width, height = film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)
     if max(width, height) > _LARGEST_PX:
         raise ImageError(f"film {path} cannot be read: it claims frames of {width:g} x {height:g} px")
-    count, damaged = 0, False
-    while most is None or count < most:
-        with words_printed() as words:
+    count = 0
+    with words_printed() as words:  # around all frames: FFmpeg decodes the next ones in threads, and tells of them early
+        while most is None or count < most:
             decoded, frame = film.read()
-        if not decoded:
-            break
-        damaged |= bool(words)  # FFmpeg speaks of errors only
-        count += 1
-        yield np.asarray(frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY))
+            if not decoded:
+                break
+            count += 1
+            yield np.asarray(frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY))
+        film.release()
     if not count:
         raise ImageError(f"film {path} holds no frame")
     notes = []
-    if damaged:
-        notes.append(f"{path.name}: it is damaged: some frames show what its decoder filled up")
-    if most is None and count < promised < 1e9:
+    if most is None and count < promised < 1e9:  # of which FFmpeg speaks, too
         notes.append(
             f"{path.name}: its header promises {promised:.0f} frames, {count} of them are there: the film is cut off"
         )
+    elif words:  # FFmpeg speaks of errors only
+        notes.append(f"{path.name}: it is damaged: some frames show what its decoder filled up")
     return (int(promised) if most is not None and 0 < promised < 1e9 else count), notes
 
 
