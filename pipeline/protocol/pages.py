@@ -134,14 +134,20 @@ def _figures(read: Sequence[dict[str, Any]]) -> str:
 
 def _made(read: Sequence[dict[str, Any]]) -> str:
     """How figures were made: the commands, with commits and versions of the protocol."""
-    of_origin: dict[tuple[str, str, int], list[str]] = {}
+    of_origin: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
     for result in read:
         origin = (_seeds(result), result["made_by"]["commit"][:12], result["protocol"])
-        of_origin.setdefault(origin, []).append(result["claim"])
+        of_origin.setdefault(origin, []).append(result)
     return " ".join(
-        f"`endonav evaluate {' '.join(names)}{seeds}`, commit `{commit}`, version {version} of the protocol."
-        for (seeds, commit, version), names in of_origin.items()
+        f"`endonav evaluate {' '.join(result['claim'] for result in own)}{seeds}`, commit `{commit}`, "
+        f"version {version} of the protocol{_time(own)}."
+        for (seeds, commit, version), own in of_origin.items()
     )
+
+
+def _time(read: Sequence[dict[str, Any]]) -> str:
+    minutes = [result["summary"].get("cpu_min") for result in read]
+    return "" if None in minutes else f", {sum(minutes):.0f} minutes of processor time"
 
 
 def _targets(read: Sequence[dict[str, Any]]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
@@ -96,9 +97,11 @@ def measure(
 
 
 def play(claim: Claim, case: Mapping[str, Any]) -> dict[str, Any]:
-    """A case's outcome."""
+    """A case's outcome, with the processor time that it took."""
+    before = os.times()
     outcome: dict[str, Any] = KINDS[claim.kind].play(claim, case)
-    return outcome
+    spent = sum(os.times()[:4]) - sum(before[:4])  # of this process and of its children
+    return outcome | {"played_cpu_s": round(spent, 1)}
 
 
 def summary(outcomes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -120,6 +123,8 @@ def summary(outcomes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             found[f"{key}_{statistic}"] = _interval(values, 3, statistic)
     if largest := [one["force_max_n"] for one in outcomes if "force_max_n" in one]:
         found["force_max_n"] = max(largest)
+    if all("played_cpu_s" in one for one in outcomes):
+        found["cpu_min"] = round(sum(one["played_cpu_s"] for one in outcomes) / 60, 1)
     return found
 
 

@@ -70,7 +70,7 @@ def film_frames(path: Path, most: int | None = None) -> Generator[Frame, None, t
     if max(width, height) > _LARGEST_PX:
         raise ImageError(f"film {path} cannot be read: it claims frames of {width:g} x {height:g} px")
     count = 0
-    with words_printed() as words:  # around all frames: FFmpeg decodes the next ones in threads, and tells of them early
+    with words_printed() as words:  # around all frames: FFmpeg's threads tell of the next ones early
         while most is None or count < most:
             decoded, frame = film.read()
             if not decoded:
