@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy
@@ -89,6 +89,39 @@ def run(command: list, cwd: Path, **variables: str) -> str:
     return done.stdout
 
 
+# Ends once all is resolved, and names the files: pip would download gigabytes of them.
+PIP = """
+import os
+from pip._internal.cli.main import main
+from pip._internal.operations.prepare import RequirementPreparer
+def named(preparer, requirements, **_):
+    print(*(one.link.filename for one in requirements), flush=True)
+    os._exit(0)
+RequirementPreparer.prepare_linked_requirements_more = named
+raise SystemExit(main())
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def resolving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[str] | None]:
+    """A plainly configured pip that resolves torch while the other tests build; None where it reaches no index."""
+    environment = {k: v for k, v in os.environ.items() if not k.startswith("PIP_") or k in ("PIP_CERT", "PIP_PROXY")}
+    environment |= {"PIP_CONFIG_FILE": os.devnull, "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
+    pip = [sys.executable, "-c", PIP]
+    tried = ["--retries=0", "--timeout=15", "download", "--no-deps", "-d", tmp_path_factory.mktemp("pip")]
+    if subprocess.run([*pip, *tried, "annotated-types"], env=environment, capture_output=True, check=False).returncode:
+        yield None
+        return
+    wanted = [one for name in ("guide3d", "splineformer") for one in declared(name)["project"]["dependencies"]]
+    wanted = [one for one in wanted if not one.startswith("endonav-")]
+    how = ("--use-feature=fast-deps", "--dry-run", "--ignore-installed", "-c", PROJECT_ROOT / "constraints.txt")
+    with subprocess.Popen(
+        [*pip, "install", *how, *wanted], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as started:
+        yield started
+        started.kill()
+
+
 @pytest.fixture(scope="module")
 def wheels(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """The wheel of each distribution, built from a copy of this tree where there is only what its build requires."""
@@ -154,42 +187,6 @@ def run_installed(installed: Path, cwd: Path, *arguments: str) -> str:
     return run([sys.executable, "-S", *arguments], cwd, PYTHONPATH=paths, CATHSIM_CACHE=str(cwd / "cache"))
 
 
-# Ends once all is resolved, and names the files: pip would download gigabytes of them.
-PIP = """
-import os
-from pip._internal.cli.main import main
-from pip._internal.operations.prepare import RequirementPreparer
-def named(preparer, requirements, **_):
-    print(*(one.link.filename for one in requirements), flush=True)
-    os._exit(0)
-RequirementPreparer.prepare_linked_requirements_more = named
-raise SystemExit(main())
-"""
-
-
-@pytest.mark.slow
-def test_a_plainly_configured_pip_resolves_torch_and_what_the_project_pins(tmp_path: Path) -> None:
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("PIP_") or k in ("PIP_CERT", "PIP_PROXY")}
-    environment |= {"PIP_CONFIG_FILE": os.devnull, "PIP_DISABLE_PIP_VERSION_CHECK": "1"}
-
-    def pip(*words: str | Path) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-c", PIP, *words]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
-
-    if pip("--retries=0", "--timeout=15", "download", "--no-deps", "-d", tmp_path, "annotated-types").returncode:
-        pytest.skip("no index is reachable with pip as it comes")
-    wanted = [one for name in ("guide3d", "splineformer") for one in declared(name)["project"]["dependencies"]]
-    wanted = [one for one in wanted if not one.startswith("endonav-")]
-    how = ("--use-feature=fast-deps", "--dry-run", "--ignore-installed", "-c", PROJECT_ROOT / "constraints.txt")
-    done = pip("install", *how, *wanted)
-    assert done.returncode == 0, done.stderr[-2000:]
-    found = dict(map(str, parse_wheel_filename(one)[:2]) for one in done.stdout.splitlines()[-1].split())
-    assert "torch" in found
-    pins = (PROJECT_ROOT / "constraints.txt").read_text().lower().replace("_", "-")
-    named = {f"{name}=={version}" for name, version in found.items() if not name.startswith(CUDA_DISTRIBUTIONS)}
-    assert not named - {*pins.splitlines()}
-
-
 @pytest.mark.slow
 def test_the_pipeline_and_its_command_run_from_their_wheels(installed: Path, tmp_path: Path) -> None:
     (entries,) = installed.glob("endonav-*.dist-info/entry_points.txt")
@@ -229,3 +226,18 @@ def test_wheels_hold_every_data_file_of_the_tree(installed: Path) -> None:
         wanted = {path for path in wanted if path.suffix not in (".so", ".pyc") and "egg-info" not in str(path)}
         missing = sorted(str(path) for path in wanted if not (installed / inside / path).is_file())
         assert not missing, inside
+
+
+@pytest.mark.slow
+def test_a_plainly_configured_pip_resolves_torch_and_what_the_project_pins(
+    resolving: subprocess.Popen[str] | None,
+) -> None:
+    if resolving is None:
+        pytest.skip("no index is reachable with pip as it comes")
+    out, errors = resolving.communicate(timeout=300)
+    assert resolving.returncode == 0, errors[-2000:]
+    found = dict(map(str, parse_wheel_filename(one)[:2]) for one in out.splitlines()[-1].split())
+    assert "torch" in found
+    pins = (PROJECT_ROOT / "constraints.txt").read_text().lower().replace("_", "-")
+    named = {f"{name}=={version}" for name, version in found.items() if not name.startswith(CUDA_DISTRIBUTIONS)}
+    assert not named - {*pins.splitlines()}

@@ -32,6 +32,14 @@ def there(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         yield device
 
 
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with an expert's episodes."""
+    folder = tmp_path_factory.mktemp("run")
+    write_expert(folder / "enn")
+    return folder
+
+
 def devices_of(monkeypatch: pytest.MonkeyPatch, module: Any, name: str) -> list[str]:
     """Notes the `device` that a function of a module is called with."""
     told: list[str] = []
@@ -45,13 +53,12 @@ def devices_of(monkeypatch: pytest.MonkeyPatch, module: Any, name: str) -> list[
     return told
 
 
-def test_imitation(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_imitation(there: str, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import enn.imitation.distillation
 
-    write_expert(tmp_path / "enn")
     cloned = devices_of(monkeypatch, enn.imitation.distillation, "clone")
     refined = devices_of(monkeypatch, enn.imitation.distillation, "dagger")
-    place = context(tmp_path, "imitation")
+    place = context(run, "imitation")
     imitation.run_imitation(
         imitation_tests.settings(episodes=[1], evaluation_episodes=1, disturbed_episodes=0), place
     ).write(place.path)
@@ -59,12 +66,11 @@ def test_imitation(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert "bc_architecture" in json.loads((place.path / "results.json").read_text())
 
 
-def test_force(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_force(there: str, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import enn.force.prediction
 
-    write_expert(tmp_path / "enn")
     fitted = devices_of(monkeypatch, enn.force.prediction, "fit_force")
-    place = context(tmp_path, "force")
+    place = context(run, "force")
     force.run_force(force_tests.settings(inputs=["V", "I+V"]), place).write(place.path)
     assert set(fitted) == {there}
     assert "force_share" in json.loads((place.path / "results.json").read_text())

@@ -71,7 +71,7 @@ def test_log_is_sound_and_says_that_a_human_steered(procedure: Procedure, tmp_pa
 
 
 def test_a_log_of_two_devices_has_both_and_the_catheters_name(tmp_path: Path) -> None:
-    environment = NavigateEnv(observation="tip", accuracy="fast", max_steps=4, catheter="simmons2_6f")
+    environment = NavigateEnv(observation="tip", accuracy="fast", max_steps=4, catheter="simmons2_6f", image_size=40)
     procedure = Procedure(environment, McapRecorder(tmp_path), seed=1)
     for _ in range(4):
         procedure.step(1.0, 0.0, (0.5, -1.0))
@@ -80,7 +80,9 @@ def test_a_log_of_two_devices_has_both_and_the_catheters_name(tmp_path: Path) ->
     assert check(procedure.path).problems == []
     with EpisodeReader(procedure.path) as log:
         assert (log.info.operator, log.info.catheter_name) == ("human", "simmons2_6f")
-        records = list(log)
+        records, arrays = list(log), log.load_arrays()
+    assert arrays["mask_catheter/frontal"].shape == (5, 40, 40)
+    assert np.diff(arrays["devices/lead"]).min() > 0
     np.testing.assert_array_equal([record.action for record in records], [[0] * 4, *[[1, 0, 0.5, -1]] * 4])
     for record, sample in zip(records, procedure.samples, strict=True):
         assert record.devices is not None
@@ -278,23 +280,3 @@ def test_rows_are_those_of_the_thesis() -> None:
     thesis = yaml.safe_load((PROJECT_ROOT / "pipeline" / "report" / "thesis.yaml").read_text())["tables"]
     assert list(thesis["user_study"]["rows"]) == [criterion.key for criterion in CRITERIA]
     assert {"bca/H", "lcca/H"} <= set(thesis["ablation"]["rows"])
-
-
-def test_a_human_steers_two_devices(tmp_path: Path) -> None:
-    environment = NavigateEnv(observation="tip", accuracy="fast", max_steps=4, catheter="vertebral", image_size=40)
-    recorder = McapRecorder(tmp_path)
-    _, info = environment.reset(seed=3)
-    recorder.start(environment, info, seed=3)
-    action = np.array([1.0, 0.2, 0.5, -0.5])
-    for step in range(4):
-        _, reward, terminated, truncated, info = environment.step(action)
-        recorder.step(environment, action, reward, info, terminated=terminated, truncated=truncated)
-        assert truncated == (step == 3)
-    path = recorder.finish(None)
-    assert path is not None
-    assert check(path).problems == []
-    with EpisodeReader(path) as log:
-        arrays = log.load_arrays()
-    np.testing.assert_array_equal(arrays["action"], [[0] * 4, *[action] * 4])
-    assert arrays["mask_catheter/frontal"].shape == (5, 40, 40)
-    assert np.diff(arrays["devices/lead"]).min() > 0
