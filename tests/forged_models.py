@@ -12,7 +12,6 @@ import time
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -111,10 +110,13 @@ def refusal(load: Callable[[], Any]) -> str:
     return ""
 
 
-def require_refusals(path: Path, load: Callable[[], Any]) -> int:
-    """Loads forged variants of a model's file: refused in one sentence, at once, in little memory.
+def require_refusals(path: Path, load: Callable[[], Any], *, forged: bool) -> int:
+    """Loads variants of a model's file with other sizes: refused in one sentence, at once, in little memory.
 
     Sizes that change nothing that is built may load.
+
+    Args:
+        forged: also files with what no network has, which a package reads alike for all its models.
 
     Returns:
         How many were refused.
@@ -123,8 +125,9 @@ def require_refusals(path: Path, load: Callable[[], Any]) -> int:
     content = torch.load(io.BytesIO(whole[whole.index(b"\n") + 1 :]), weights_only=True)
     load()  # what is imported first takes time
     before, refused = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, 0
-    sizes = ((name, sealed(saved(copy.deepcopy(new))), False) for name, new in inflated(content))
-    for name, data, never in chain(((name, data, True) for name, data in forged_files(content)), sizes):
+    files = [(name, sealed(saved(copy.deepcopy(new))), False) for name, new in inflated(content)]
+    files += [(name, data, True) for name, data in forged_files(content)] if forged else []
+    for name, data, never in files:
         path.write_bytes(data)
         began = time.process_time()
         said = refusal(load)

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.schema import DEVICE_MASKS
@@ -146,49 +147,38 @@ def _parser() -> argparse.ArgumentParser:
         "viewer.",
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|recover|view|film|export")
-    for name, text in (("info", "show what a log holds"), ("check", "verify every checksum, step and picture")):
-        command = commands.add_parser(name, help=text, description=text.capitalize() + ".")
-        command.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a log")
-    command = commands.add_parser(
+
+    def command(name: str, text: str, *, argument: str = "file", about: str = "a log", **further: Any) -> Any:
+        made = commands.add_parser(name, help=text, description=f"{text[:1].upper()}{text[1:]}.")
+        made.add_argument(argument, type=Path, metavar=argument.removesuffix("s").upper(), help=about, **further)
+        return made
+
+    command("info", "show what a log holds", argument="files", nargs="+")
+    command("check", "verify every checksum, step and picture", argument="files", nargs="+")
+    recovering = command(
         "recover",
-        help="save what is intact of a damaged or unfinished log",
-        description="Save what is intact of a damaged or unfinished log; the file itself is left as it is.",
+        "save what is intact of a damaged or unfinished log; the file itself is left as it is",
+        about="the damaged log, or the .partial of a killed writer",
     )
-    command.add_argument("file", type=Path, metavar="FILE", help="the damaged log, or the .partial of a killed writer")
-    command.add_argument(
-        "out",
-        nargs="?",
-        type=Path,
-        metavar="OUT",
-        help="the valid log (default: FILE without .partial, or with .recovered before its ending)",
-    )
-    command.add_argument("--overwrite", action="store_true", help="replace OUT if it exists")
-    command = commands.add_parser(
-        "view",
-        help="open a log in the Rerun viewer, or save it for that",
-        description="Open a log in the Rerun viewer (extra rerun), or save it as a Rerun recording.",
-    )
-    command.add_argument("file", type=Path, metavar="FILE", help="a log")
-    command.add_argument("--save", type=Path, metavar="OUT", help="write a .rrd file instead of opening a window")
-    command = commands.add_parser(
-        "film",
-        help="repeat the episode and film it",
-        description="Repeat a logged episode in the simulator and write fluoroscopy and 3-D view as a film.",
-    )
-    command.add_argument("file", type=Path, metavar="FILE", help="a log")
-    command.add_argument("out", nargs="?", type=Path, metavar="OUT", help="the GIF (default: FILE with that ending)")
-    command = commands.add_parser(
+    text = "the valid log (default: FILE without .partial, or with .recovered before its ending)"
+    recovering.add_argument("out", nargs="?", type=Path, metavar="OUT", help=text)
+    recovering.add_argument("--overwrite", action="store_true", help="replace OUT if it exists")
+    viewing = command("view", "open a log in the Rerun viewer (extra rerun), or save it as a Rerun recording")
+    viewing.add_argument("--save", type=Path, metavar="OUT", help="write a .rrd file instead of opening a window")
+    filming = command("film", "repeat a logged episode in the simulator and film fluoroscopy and 3-D view")
+    filming.add_argument("out", nargs="?", type=Path, metavar="OUT", help="the GIF (default: FILE with that ending)")
+    exporting = command(
         "export",
-        help="write a folder of logs as a data set for other software",
-        description="Write all logs in a folder and below it as one data set; OUTPUT appears when it is whole.",
+        "write all logs in a folder and below it as one data set for other software; OUTPUT appears when it is whole",
+        argument="folder",
+        about="with logs, e.g. runs/NAME/expert",
     )
-    command.add_argument("folder", type=Path, metavar="FOLDER", help="with logs, e.g. runs/NAME/expert")
-    command.add_argument("--to", required=True, choices=("lerobot", "minari", "hdf5"), help="format")
-    command.add_argument("--output", required=True, type=Path, metavar="OUTPUT", help="folder of the data set")
-    command.add_argument("--name", help="of the data set (default: that of OUTPUT)")
-    command.add_argument("--no-pictures", action="store_true", help="numbers alone")
-    command.add_argument("--masks", action="store_true", help="also the masks of the devices")
-    command.add_argument("--overwrite", action="store_true", help="replace OUTPUT if it exists")
+    exporting.add_argument("--to", required=True, choices=("lerobot", "minari", "hdf5"), help="format")
+    exporting.add_argument("--output", required=True, type=Path, metavar="OUTPUT", help="folder of the data set")
+    exporting.add_argument("--name", help="of the data set (default: that of OUTPUT)")
+    exporting.add_argument("--no-pictures", action="store_true", help="numbers alone")
+    exporting.add_argument("--masks", action="store_true", help="also the masks of the devices")
+    exporting.add_argument("--overwrite", action="store_true", help="replace OUTPUT if it exists")
     return parser
 
 

@@ -1,5 +1,6 @@
 """Rigs and lattices of beads: cameras, covariances, recognition, folders of images."""
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -152,10 +153,16 @@ def test_too_few_beads_or_none_are_refused():
         recognise_lattice(LATTICE, rng.uniform(0, 1024, size=(20, 2)), 1024, 1024)
 
 
+@functools.cache
+def found_beads(detector: str):
+    """A drawn image, its beads' numbers and pixels, and the beads that are found in it."""
+    image, numbers, true = drawn_cube_image(detector, CAMERAS[detector])
+    return image, numbers, true, find_beads(image)
+
+
 @pytest.mark.parametrize("detector", ["A", "B"])
 def test_beads_are_found_and_measured(detector):
-    image, numbers, true = drawn_cube_image(detector, CAMERAS[detector])
-    beads = find_beads(image)
+    _, numbers, true, beads = found_beads(detector)
     distance, nearest = cKDTree(beads.centres_px).query(true)
     whole = (np.abs(true - 255.5) < 248).all(axis=1) & (np.linalg.norm(true - 255.5, axis=1) < 285)
     assert whole.sum() > 35
@@ -169,20 +176,19 @@ def test_beads_are_found_and_measured(detector):
 
 def test_marks_are_told_apart_and_decide_the_attitude():
     poses, truth, single = {}, {}, {}
-    for detector, camera in CAMERAS.items():
-        image, numbers, raw = drawn_cube_image(detector, camera)
-        beads = find_beads(image)
+    for detector in CAMERAS:
+        image, numbers, raw, beads = found_beads(detector)
         distance, nearest = cKDTree(raw).query(beads.centres_px)
         truth[detector] = np.where(distance < 1, numbers[nearest], -1)
         undistort = DETECTORS[detector].undistort
         marks = [WireMark(mark.kind, undistort(mark.pixels)) for mark in find_marks(image, beads)]
-        field = np.ones((512, 512), bool)
-        fit = recognise_lattice(LATTICE, undistort(beads.centres_px), 512, 512, field)
+        field, pixels = np.ones((512, 512), bool), undistort(beads.centres_px)
+        fit = recognise_lattice(LATTICE, pixels, 512, 512, field)
         options = candidates(LATTICE, fit, field)
         assert len(options) % 24 == 0
         for option in options:
             on = option.numbers >= 0
-            off = option.camera.project(POINTS_MM[option.numbers[on]]) - undistort(beads.centres_px)[on]
+            off = option.camera.project(POINTS_MM[option.numbers[on]]) - pixels[on]
             assert np.abs(off).mean() < 0.3
         poses[detector] = (options, marks, field)
         single[detector] = {mark.kind for mark in marks}

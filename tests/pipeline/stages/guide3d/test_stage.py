@@ -101,7 +101,7 @@ def test_residuals_tell_that_annotations_are_raw(generated: Path, tmp_path: Path
     shutil.copytree(generated / "dataset", root)
     (root / "dataset.json").unlink()
     caplog.set_level("INFO")
-    folder = run_own(root, tmp_path)
+    folder = run_own(root, tmp_path, compared=1)
     assert Dataset.open(root).undistorted is None
     assert open_dataset(folder).undistorted is False
     assert [line for line in caplog.messages if "the annotations are raw" in line]

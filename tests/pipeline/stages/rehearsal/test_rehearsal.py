@@ -30,6 +30,14 @@ from tests.pipeline.stages.small_expert import context, in_this_process
 FIRST = ANATOMY_COPIES["test"].first
 
 
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The policy of a rehearsal."""
+    job = job_of(tmp_path_factory.mktemp("trained"))
+    train(job, Report())
+    return job.own_folder / "policy.pt"
+
+
 @pytest.mark.parametrize(
     "changed", [{}, {"algorithm": "ppo"}, {"catheter": "vertebral"}], ids=["sac", "ppo", "catheter"]
 )
@@ -55,13 +63,10 @@ def test_it_trains_in_copies_and_logs_its_tests(tmp_path: Path, changed: dict[st
 
 
 def test_it_starts_from_a_policy_and_goes_on_after_an_interruption(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("enn.reinforcement.training.training.TICK", 0.0)  # progress after every decision
-    first = job_of(tmp_path / "first")
-    train(first, Report())
-    start = first.own_folder / "policy.pt"
-    longer = dataclasses.replace(job_of(tmp_path / "second", decisions=80), start=start)
+    longer = dataclasses.replace(job_of(tmp_path / "second", decisions=80), start=trained)
 
     class Stopping(Report):
         def __call__(self, fraction: float, text: str = "") -> None:
@@ -75,7 +80,7 @@ def test_it_starts_from_a_policy_and_goes_on_after_an_interruption(
     record = json.loads((longer.own_folder / "training.json").read_text())
     assert record["settings"]["hidden"] == [16, 16]
     acting = tmp_path / "acting.pt"
-    Policy.load(start).save(acting)
+    Policy.load(trained).save(acting)
     with pytest.raises(StageError, match="has no critics"):
         train(dataclasses.replace(job_of(tmp_path / "third"), start=acting), Report())
 
@@ -171,14 +176,12 @@ def test_the_anatomy_is_a_file_a_name_or_a_seed() -> None:
         RehearsalSettings(targets=["bca", "lcca"])
 
 
-def test_an_episode_of_the_tests_has_so_many_attempts(tmp_path: Path) -> None:
+def test_an_episode_of_the_tests_has_so_many_attempts(trained: Path, tmp_path: Path) -> None:
     alone, again = (job_of(tmp_path / str(attempts), attempts=attempts) for attempts in (1, 2))
-    train(alone, Report())
-    policy = alone.own_folder / "policy.pt"
     steps = alone.task.max_steps
 
     def outcome(job: RehearsalJob) -> dict[str, Any]:
-        return play(dataclasses.replace(job, policy=policy, tested="after", copies=(FIRST, FIRST + 1)), Report())
+        return play(dataclasses.replace(job, policy=trained, tested="after", copies=(FIRST, FIRST + 1)), Report())
 
     once, twice = outcome(alone), outcome(again)
     assert twice["success"] == once["success"]
@@ -187,12 +190,10 @@ def test_an_episode_of_the_tests_has_so_many_attempts(tmp_path: Path) -> None:
         assert first or len(more) > steps + 1
 
 
-def test_the_film_repeats_the_first_episode_in_the_scan_that_arrived(tmp_path: Path) -> None:
+def test_the_film_repeats_the_first_episode_in_the_scan_that_arrived(trained: Path, tmp_path: Path) -> None:
     from PIL import Image
 
-    job = job_of(tmp_path, scan_episodes=3)
-    train(job, Report())
-    tested = dataclasses.replace(job, policy=job.own_folder / "policy.pt", tested="after", copies=(0,))
+    tested = dataclasses.replace(job_of(tmp_path, scan_episodes=3), policy=trained, tested="after", copies=(0,))
     arrived = play(tested, Report())["success"]
     outcome = film_scan(tested, Report())
     assert outcome["episode"] == (arrived.index(True) if any(arrived) else 0)
