@@ -28,32 +28,12 @@ from enn.reinforcement.training import (
     TrainingSettings,
 )
 
-SAC = dataclasses.replace(
-    DESK_SAC,
-    decisions=320,
-    n_envs=4,
-    hidden=(16, 16),
-    batch_size=32,
-    learning_starts=100,
-    gradient_steps=0.25,
-    evaluate_every=100,
-    evaluation_episodes=3,
-    curve_every=50,
-    buffer_size=1000,
-)
-PPO = dataclasses.replace(
-    DESK_PPO,
-    decisions=320,
-    n_envs=4,
-    hidden=(16, 16),
-    n_steps=32,
-    epochs=2,
-    batch_size=32,
-    learning_starts=100,
-    evaluate_every=100,
-    evaluation_episodes=3,
-    curve_every=50,
-)
+SMALL: dict[str, Any] = {
+    "decisions": 320, "n_envs": 4, "hidden": (16, 16), "batch_size": 32, "learning_starts": 100,
+    "evaluate_every": 100, "evaluation_episodes": 3, "curve_every": 50,
+}  # fmt: skip
+SAC = dataclasses.replace(DESK_SAC, gradient_steps=0.25, buffer_size=1000, **SMALL)
+PPO = dataclasses.replace(DESK_PPO, n_steps=32, epochs=2, **SMALL)
 
 
 class _Interruption(Exception):

@@ -1,15 +1,17 @@
 """Training on random fluoroscopy: pools, samples, recipes, what resumes."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from guide3d.dataset.acquisition_split import Split
-from guide3d.dataset.dataset import Dataset, split
-from guide3d.learning.training import finished
+from guide3d.dataset.dataset import split
+from guide3d.learning.training import FitProgress, finished
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from splineformer.build import VARIANTS, build, size_of
@@ -138,52 +140,39 @@ def test_recipes_agree_with_their_input() -> None:
         replace(fluoroscopy_recipe("ordered", "desk", "levels"), drawn=0.5)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_training_resumes_exactly(variant: str, tmp_path: Path) -> None:
-    recipe = tiny(variant)
+def stopped(now: FitProgress) -> None:
+    raise KeyboardInterrupt
 
-    def trained(folder: Path, stop_after: int = 0) -> Predictor:
-        def progress(now: object) -> None:
-            if stop_after and now.epoch == stop_after:  # type: ignore[attr-defined]
-                raise KeyboardInterrupt
 
-        pictures = tmp_path / "pictures"
-        return train_on_fluoroscopy(recipe, folder=folder, pictures=pictures, seed=1, progress=progress)[0]
-
-    whole = trained(tmp_path / "whole")
-    assert whole.input == "maps"
+def resumed(trained: Callable[..., Predictor], folder: Path) -> Predictor:
+    """What a training leaves in one go; a training that was stopped after its first epoch has to leave the same."""
+    whole = trained(folder=folder / "whole")
     with pytest.raises(KeyboardInterrupt):
-        trained(tmp_path / "parts", 1)
-    resumed = trained(tmp_path / "parts")
-    for a, b in zip(whole.network.state_dict().values(), resumed.network.state_dict().values(), strict=True):
+        trained(folder=folder / "parts", progress=stopped)
+    parts = trained(folder=folder / "parts")
+    for a, b in zip(whole.network.state_dict().values(), parts.network.state_dict().values(), strict=True):
         assert torch.equal(a, b)
+    return whole
 
 
-@pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return draw(tmp_path_factory.mktemp("drawn"))
+def test_training_resumes_exactly(tmp_path: Path) -> None:
+    def trained(**given: Any) -> Predictor:
+        return train_on_fluoroscopy(tiny("ordered"), pictures=tmp_path / "pictures", seed=1, **given)[0]
+
+    assert resumed(trained, tmp_path).input == "maps"
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_training_resumes_exactly_of_training(variant: str, data: Dataset, tmp_path: Path) -> None:
+def test_training_in_a_data_set_resumes_exactly(tmp_path: Path) -> None:
+    data = draw(tmp_path / "drawn")
     parts = split(data, (0.6, 0.2, 0.2))
     assert isinstance(parts, Split)
-    recipe = recipe_of(variant, "smoke")
+    recipe = recipe_of("published", "smoke")
     recipe = replace(recipe, fit=replace(recipe.fit, epochs=2), images=8)
 
-    def trained(folder: Path, stop_after: int = 0) -> Predictor:
-        def progress(now: object) -> None:
-            if stop_after and now.epoch == stop_after:  # type: ignore[attr-defined]
-                raise KeyboardInterrupt
+    def trained(**given: Any) -> Predictor:
+        return train(data, parts, recipe, seed=1, **given)[0]
 
-        return train(data, parts, recipe, folder=folder, seed=1, progress=progress)[0]
-
-    whole = trained(tmp_path / "whole")
-    with pytest.raises(KeyboardInterrupt):
-        trained(tmp_path / "parts", 1)
-    resumed = trained(tmp_path / "parts")
-    for a, b in zip(whole.network.state_dict().values(), resumed.network.state_dict().values(), strict=True):
-        assert torch.equal(a, b)
+    whole = resumed(trained, tmp_path)
     finished(tmp_path / "parts")
     assert not list((tmp_path / "parts").glob("*"))
     assert whole(data.frames[0].image("a")).wires in ("none", "one", "several")
