@@ -11,6 +11,8 @@ BUDGET ?= desk
 NAME ?= $(BUDGET)
 SEEDS ?=
 BESIDE ?= 2
+# 1: shipped networks in place of trainings that would repeat theirs (pretrained=true); several seeds are trained
+PRETRAINED ?= $(if $(SEEDS)$(filter thesis,$(BUDGET)),0,1)
 ARGS ?=
 override export DEMO := $(value DEMO)
 TEST_JOBS ?= 2
@@ -27,6 +29,7 @@ INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard pac
 	$(shell find packages/*/src -name '*.c' -o -name '*.h' 2>/dev/null)
 
 CHAIN = $(if $(SEEDS),--seeds $(SEEDS)) $(if $(BESIDE),--beside $(BESIDE))
+CHOSEN = budget=$(BUDGET) name=$(NAME) $(if $(filter 0,$(PRETRAINED)),,pretrained=true) $(ARGS)
 GL = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)}
 RUN = $(GL) $(PY) -m pipeline
 
@@ -70,8 +73,8 @@ lerobot:  ## LeRobot in an environment of its own, which reads exported data set
 	@$(LEROBOT)/bin/python -m pip install -q --disable-pip-version-check lerobot==0.4.4 mujoco==4.0.0 \
 		annotated-types pydantic pyyaml scikit-image scipy trimesh
 
-all: setup  ## every stage, then the report: runs/<name>/report/index.html (SEEDS=3: figures over three seeds; BESIDE=1: no two stages at a time)
-	@$(GL) $(PY) -m pipeline.chain $(CHAIN) all -- budget=$(BUDGET) name=$(NAME) $(ARGS)
+all: setup  ## every stage, then the report: runs/<name>/report/index.html (PRETRAINED=0: trains what is shipped, too; SEEDS=3: figures over three seeds; BESIDE=1: no two stages at a time)
+	@$(GL) $(PY) -m pipeline.chain $(CHAIN) all -- $(CHOSEN)
 
 smoke:  ## the whole chain in minutes; its numbers mean nothing
 	@$(MAKE) --no-print-directory all BUDGET=smoke
@@ -85,7 +88,7 @@ demo: setup  ## the shipped navigator in an unseen arch, or in yours (DEMO=arch.
 
 # after the stages that it reads
 $(STAGES): setup
-	@$(GL) $(PY) -m pipeline.chain $(CHAIN) --inputs $@ -- budget=$(BUDGET) name=$(NAME) $(ARGS)
+	@$(GL) $(PY) -m pipeline.chain $(CHAIN) --inputs $@ -- $(CHOSEN)
 
 console: setup  ## steer the wire yourself, in the browser; episodes go to runs/<name>/human
 	@$(PY) -m pipeline.console --name $(NAME) $(ARGS)

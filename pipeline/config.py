@@ -75,6 +75,8 @@ class RunConfig:
     task: Task = field(default_factory=Task)  # that stages take over as stage.task
     target: kinds.FolderName | None = None  # the only target of the learning stages: made for sweeps, target=bca,lcca
     modality: kinds.FolderName | None = None  # the only modality set of the stage enn: modality=I,V,I+V+M
+    # stages take networks and policies that come with the packages in place of trainings that these would repeat
+    pretrained: bool = False
     budget: dict[str, Any] = field(default_factory=dict)  # conf/budget/*.yaml
     name: kinds.FolderName = "${budget.name}"  # the run folder below runs_dir
     runs_dir: kinds.PathText = "runs"

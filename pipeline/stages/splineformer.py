@@ -231,4 +231,6 @@ def figures(settings: SplineformerSettings, outcomes: dict[str, Any], context: S
     ]
 
 
-STAGE = Stage(settings=SplineformerSettings, run=run_splineformer, reads=("guide3d", "segmentation"), repeated=True)
+STAGE = Stage(
+    settings=SplineformerSettings, run=run_splineformer, version=2, reads=("guide3d", "segmentation"), repeated=True
+)

@@ -91,10 +91,12 @@ def test_every_verb_of_the_makefile_is_explained() -> None:
 @pytest.mark.parametrize(
     ("words", "options"),
     [
-        (["all"], "--beside 2 all -- budget=desk name=desk"),
+        (["all"], "--beside 2 all -- budget=desk name=desk pretrained=true"),
+        (["all", "PRETRAINED=0"], "--beside 2 all -- budget=desk name=desk"),
+        (["all", "BUDGET=thesis"], "--beside 2 all -- budget=thesis name=thesis"),
         (["all", "SEEDS=3", "BUDGET=smoke"], "--seeds 3 --beside 2 all -- budget=smoke name=smoke"),
-        (["all", "BESIDE=1", "NAME=mine"], "--beside 1 all -- budget=desk name=mine"),
-        (["all", "ARGS=stage.device=cuda"], "--beside 2 all -- budget=desk name=desk stage.device=cuda"),
+        (["all", "BESIDE=1", "NAME=mine"], "--beside 1 all -- budget=desk name=mine pretrained=true"),
+        (["all", "ARGS=force=true"], "--beside 2 all -- budget=desk name=desk pretrained=true force=true"),
         (["enn", "SEEDS=2"], "--seeds 2 --beside 2 --inputs enn -- budget=desk name=desk"),
     ],
 )

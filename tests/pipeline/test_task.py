@@ -205,7 +205,7 @@ def test_a_teacher_of_another_task_is_refused(run: Path) -> None:
     given = context(run, "navigation", reads=("expert", "enn", "unseen", "splineformer"))
     with pytest.raises(
         StageError,
-        match=r"navigation was asked for wire_length_mm=380\.0, image_size_px=192, max_steps=300, but the teacher in "
+        match=r"navigation was asked for wire_length_mm=400\.0, image_size_px=192, max_steps=300, but the teacher in "
         r"random arches was made by stage unseen with wire_length_mm=0\.0, image_size_px=80, max_steps=5:",
     ):
         navigation.plan(settings, given)

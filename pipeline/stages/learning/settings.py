@@ -81,7 +81,6 @@ class EnnSettings(LearningSettings):
     name: str = "enn"
     algorithm: Annotated[str, kinds.one_of("sac", "ppo")] = "sac"
     expert: kinds.FolderName = "I+V+M"  # modality set of the row that later stages learn from
-    seeds: kinds.Trainings = 3
     modalities: kinds.FolderNames = field(default_factory=lambda: ["I", "V", "V+M", "I+V"])  # the ablation's other rows
     ablation_phantoms: kinds.FolderNames = field(default_factory=lambda: ["type_1"])  # where those are trained
     ablation_seeds: kinds.Trainings = 1

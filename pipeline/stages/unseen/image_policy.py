@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from pipeline.recording.trials import POLICY, Controller
 from pipeline.seeds import unseen_episode_seeds
 from pipeline.stages.unseen.settings import ONE_VIEW, UnseenSettings
 from pipeline.stages.unseen.task import RESOLUTION, ROADMAP, XRAY, training_arch
-from pipeline.stages.unseen.trials import PolicyJob, policy_folder, run_tests
+from pipeline.stages.unseen.trials import PolicyJob, policy_folder, run_tests, taken_over
 from pipeline.store.atomic_files import write_json, write_text
 from pipeline.task import TASK
 
@@ -57,6 +58,7 @@ class ImagePolicyJob(PolicyJob):
     """An image policy that learns from the advice of the roadmap policy; its row says what it sees."""
 
     settings: UnseenSettings
+    start: Path | None = None  # file of a policy that is taken as it is; None: it is trained
 
     @property
     def xray(self) -> bool:
@@ -99,11 +101,14 @@ class ImagePolicyJob(PolicyJob):
 
 
 def train_image_policy(job: ImagePolicyJob, report: Report) -> dict[str, Any]:
-    """Trains the image policy round by round and tests it, each where it lacks: ``training_s`` and summaries."""
+    """Trains the image policy round by round, or takes it over, and tests it: ``training_s`` and summaries."""
     from enn.imitation.images.perception import load_image_policy
 
     record, file = job.own_folder / RECORD, job.own_folder / IMAGE_POLICY
-    if record.is_file():
+    if job.start is not None:
+        policy, perception = load_image_policy(taken_over(job.start, file), report.device)
+        spent = 0.0
+    elif record.is_file():
         spent = float(json.loads(record.read_text(encoding="utf-8"))["wall_s"])
         policy, perception = load_image_policy(file, report.device)
     else:

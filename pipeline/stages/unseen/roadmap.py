@@ -14,7 +14,6 @@ before the target, and each of them drawn back a little, turning.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -32,8 +31,8 @@ from pipeline.stages.learning.settings import with_hyperparameters
 from pipeline.stages.learning.training import words
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.task import RESOLUTION, ROADMAP_KEYS
-from pipeline.stages.unseen.trials import PolicyJob, run_tests
-from pipeline.store.atomic_files import atomic_path, write_arrays
+from pipeline.stages.unseen.trials import PolicyJob, run_tests, taken_over
+from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import ConfigurationError, stopping_the_stage
 from pipeline.task import MOTION, TASK, decision_steps, differences, task_from
 
@@ -294,11 +293,7 @@ def _taken_over(job: RoadmapJob) -> tuple[Policy, float]:
     from enn.policy import Policy
 
     assert job.start is not None, "without a training there is a policy to take"
-    file = job.own_folder / POLICY
-    if not file.is_file():
-        with atomic_path(file) as unfinished:
-            shutil.copyfile(job.start, unfinished)
-    return Policy.load(file), 0.0
+    return Policy.load(taken_over(job.start, job.own_folder / POLICY)), 0.0
 
 
 def _trained(job: RoadmapJob, settings: TrainingSettings, report: Report) -> tuple[Policy, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import field
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar
 
 from annotated_types import Ge, Le
@@ -19,8 +20,19 @@ if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
 
 ONE_VIEW = ("frontal",)
+GENERALIST, NAVIGATOR = "generalist", "navigator"  # policies that come with enn; of their cards:
+NAVIGATOR_VIEWS, NAVIGATOR_FIELD_MM, LEARNT_ARCHES = ("frontal", "lao_45"), 200.0, 150
 LEAST_FIELD_MM = 160.0  # whose upper 4/9 hold `TARGETS` of random arches, up to 63 mm above the arch
 LEAST_WIDE_FIELD_MM = 200.0  # with RSA and RCCA, up to 88 mm beside the arch's middle and 75 mm above it
+
+
+def shipped_policy(name: str) -> Path:
+    """The file of a policy that comes with enn."""
+    from enn.shipped import weight_files
+
+    return next(file for file in weight_files() if file.stem == name)
+
+
 _Noises = Annotated[list[Annotated[float, Ge(0), Le(20)]], kinds.UNIQUE]
 
 
@@ -32,6 +44,8 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
     shows_ct: ClassVar[str | None] = "xray"
 
     name: str = "unseen"
+    # takes enn's `generalist` and `navigator` as they are in place of the trainings by roadmap and by X-ray images
+    shipped: bool = False
     own_entry: kinds.PathText = DESCENDING  # filled in: where wires come in in `phantoms`
     # that policies are trained and tested in: random_steep and random_trunk have more arches of a rare shape, among
     # others; arch_variety has six branching types, and targets are points of its own
@@ -73,7 +87,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
     rounds: kinds.Count = 6  # of advised episodes
     advised_episodes: kinds.Count = 120  # a round
     epochs: kinds.Count = 20  # over all episodes so far, a round
-    test_anatomies: Annotated[int, Ge(1), Le(500)] = 50  # unseen random arches
+    test_anatomies: Annotated[int, Ge(1), Le(500)] = 20  # unseen random arches
     phantoms: kinds.FolderNames = field(  # to test in, none of them trained on
         default_factory=lambda: ["type_1", "type_2", "type_3", "bovine", "type_1_aneurysm"]
     )
@@ -90,6 +104,8 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
     def __post_init__(self) -> None:
         """Takes the choices of the command line over."""
         ChosenAnatomies.__post_init__(self)
+        if self.shipped:
+            self._take_shipped()
         StartingPolicySettings.__post_init__(self)
         if not self.targets:
             raise ConfigurationError("stage.targets is empty: name at least one")
@@ -116,6 +132,16 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
                 f"with stage.arches={VARIETY} policies are trained and tested in any such arches and in no others: "
                 "give stage.phantoms=[] stage.mesh=null"
             )
+
+    def _take_shipped(self) -> None:
+        if self.arches != TEST_PHANTOM or self.task.catheter is not None or self.curve:
+            raise ConfigurationError(
+                "stage.shipped=true takes policies of a wire alone in any random arches: leave it out, or of make give "
+                "PRETRAINED=0"
+            )
+        self.policy, self.decisions = str(shipped_policy(GENERALIST)), 0
+        self.anatomies = LEARNT_ARCHES
+        self.views, self.field_mm = list(NAVIGATOR_VIEWS), NAVIGATOR_FIELD_MM
 
     def field(self) -> float | None:
         """As of `cathsim.observations.framing.framed`, m."""

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.anatomies.settings import require_known_entry, require_known_phantoms, require_known_targets, settle
-from pipeline.evaluations.tables import log_summary
+from pipeline.evaluations.tables import OWN_TABLES, log_summary
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.recording.trials import Origin
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
@@ -39,7 +39,7 @@ from pipeline.stages.unseen.roadmap import (
     train_roadmap,
     training_settings,
 )
-from pipeline.stages.unseen.settings import UnseenSettings
+from pipeline.stages.unseen.settings import GENERALIST, NAVIGATOR, UnseenSettings, shipped_policy
 from pipeline.stages.unseen.task import (
     IMAGE,
     ROADMAP,
@@ -74,6 +74,10 @@ _SECONDS = {"anatomy": 0.8, "starts": 1.2, "decision": 10e-3, "demonstration": 1
             "xray": 1.5}  # fmt: skip
 
 
+_SHIPPED = (
+    f"Rows roadmap and xray are the policies {GENERALIST} and {NAVIGATOR} that come with enn: shipped, training not "
+    "repeated here. Their cards (`enn.card`) have the command of the training; `make all PRETRAINED=0` trains."
+)
 _MOST_TRIED = 1_000  # arches, to find those with a steep take-off
 
 
@@ -99,16 +103,18 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     images = [XRAY] * settings.xray + [IMAGE] * settings.image
     curve = sorted({*settings.curve, settings.anatomies}) if settings.curve else []
     most = max([settings.anatomies, *curve])
+    trains = bool(settings.decisions or curve)
     arches, validated = arches_of(settings, run_seed, max(most, settings.image_anatomies if images else 0))
     run = _Run(settings, folder, run_seed, variant, task, tuple(arches), tuple(validated))
-    built = _anatomies(run)
-    trains = bool(settings.decisions or curve)
+    by_images = [_by_images(run, row) for row in images]
+    learnt_in = [len(job.given.anatomies) for job in by_images if job.given.start is None]
+    built = _anatomies(run, max([most * trains, *learnt_in]), validated=trains)
     laid = _starts(run, most) if trains else []
     shown = _demonstrations(run, after=_keys(built)) if trains and DEMONSTRATED in task.targets else []
     prepared = [*built, *laid, *shown]
     teacher, tests = _roadmap(run, _keys(prepared), demonstrated=bool(shown))
     # policies by images are the longest chain of jobs: next after their teacher
-    jobs = [*prepared, teacher, *(_by_images(run, row) for row in images), tests]
+    jobs = [*prepared, teacher, *by_images, tests]
     for count in curve:  # the one with most arches never beside another that keeps as many in memory
         after = _keys(prepared) + ((ROADMAP, *images) if count == most else ())
         jobs.append(_of_the_curve(run, count, after, demonstrated=bool(shown)))
@@ -132,11 +138,11 @@ def _keys(jobs: Sequence[Job]) -> tuple[str, ...]:
     return tuple(job.key for job in jobs)
 
 
-def _anatomies(run: _Run) -> list[Job]:
+def _anatomies(run: _Run, learnt_in: int, *, validated: bool) -> list[Job]:
     jobs = []
     for name, kinds in (
-        ("training", [training_arch(seed, run.task.arches) for seed in run.arches]),
-        ("validation", [training_arch(seed, run.task.arches) for seed in run.validated]),
+        ("training", [training_arch(seed, run.task.arches) for seed in run.arches[:learnt_in]]),
+        ("validation", [training_arch(seed, run.task.arches) for seed in run.validated if validated]),
         ("test", [arch_of_test(seed, run.task.arches) for seed in unseen_arches(run.settings.test_anatomies)]),
     ):
         for part in _parts(kinds):
@@ -221,16 +227,19 @@ def _of_the_curve(run: _Run, count: int, after: tuple[str, ...], *, demonstrated
 def _by_images(run: _Run, row: str) -> Job:
     settings = run.settings
     among = cluttered(settings) if row == XRAY else ()
+    taken = shipped_policy(NAVIGATOR) if settings.shipped and row == XRAY else None
     given = ImagePolicyJob(
         folder=run.folder,
         origin=run.origin(row),
         task=run.task,
-        anatomies=run.arches[: settings.image_anatomies],
+        anatomies=run.arches[: settings.image_anatomies if taken is None else settings.anatomies],
         tests=tuple(replace(test, modes=("deterministic",)) for test in (*test_sets(settings), *among)),
         settings=settings,
+        start=taken,
     )
-    weight = settings.rounds * settings.advised_episodes * _SECONDS["xray" if given.xray else "advised"]
-    weight += _seconds_of(given.tests, settings)
+    weight = _seconds_of(given.tests, settings)
+    if taken is None:
+        weight += settings.rounds * settings.advised_episodes * _SECONDS["xray" if given.xray else "advised"]
     gpu_gb = policy_gb(settings.task.image_size_px, 1)
     return Job(row, train_image_policy, given, after=(ROADMAP,), weight=weight, gpu_gb=gpu_gb)
 
@@ -326,7 +335,8 @@ def run_unseen(settings: UnseenSettings, context: StageContext) -> Results:
     if settings.registration_noise_mm:
         tables["registration"] = registration(settings, outcomes[ROADMAP_TESTS]["tests"])
     log_summary(context.path)
-    return Results(tables)
+    notes = dict.fromkeys((*tables, OWN_TABLES["unseen"]), _SHIPPED) if settings.shipped else {}
+    return Results(tables, notes=notes)
 
 
 STAGE = Stage(settings=UnseenSettings, run=run_unseen, prepare=settle, check=check_unseen, repeated=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.recording.trials import Controller, Origin, run_trials, summary
 from pipeline.seeds import held_out_seeds, unseen_arches
 from pipeline.stages.unseen.settings import UnseenSettings
+from pipeline.store.atomic_files import atomic_path
 from pipeline.task import DESCENDING
 
 if TYPE_CHECKING:
@@ -59,6 +61,14 @@ class PolicyJob:
 def policy_folder(folder: Path, row: str, seed: int) -> Path:
     """Where the policy of a row and seed lies in the stage's folder."""
     return folder / row / f"seed{seed}"
+
+
+def taken_over(start: Path, file: Path) -> Path:
+    """The file of a policy that is not trained here, as the job's own."""
+    if not file.is_file():
+        with atomic_path(file) as unfinished:
+            shutil.copyfile(start, unfinished)
+    return file
 
 
 def run_tests(

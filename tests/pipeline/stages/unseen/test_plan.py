@@ -8,16 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from enn.imitation.images.policy import ImagePolicy
 from enn.policy import Policy
 from enn.shipped import weight_files
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from pipeline.jobs.worker import Report
 from pipeline.seeds import unseen_arches, validation_arches
+from pipeline.stages.unseen.image_policy import train_image_policy
 from pipeline.stages.unseen.roadmap import AnatomiesJob, RoadmapJob, StartsJob, train_roadmap
 from pipeline.stages.unseen.stage import check_unseen, plan, registration
 from pipeline.stages.unseen.task import training_arch
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import Task
+from pipeline.task import Task, differences
+from tests.pipeline.composed import composed
 from tests.pipeline.stages.unseen.small_unseen import TASK, small_settings, variety
 
 
@@ -192,6 +195,24 @@ def test_a_roadmap_policy_is_taken_as_it_is(tmp_path: Path) -> None:
     assert taken.read_bytes() == file.read_bytes()
     with pytest.raises(ConfigurationError, match="is no policy by a roadmap: give such a one"):
         check_unseen(small_settings(decisions=0, policy=str(file.with_name("type_1_bca.pt"))))
+
+
+def test_shipped_policies_are_tested_in_place_of_trainings(tmp_path: Path) -> None:
+    wanted = composed("stage=unseen", "pretrained=true").stage
+    check_unseen(wanted)
+    jobs = {job.key: job.given for job in plan(wanted, tmp_path, 0, "desk")}
+    assert {key.partition("/")[0] for key in jobs} == {"test", "roadmap", "xray", "roadmap tests"}
+    navigator = ImagePolicy.load(jobs["xray"].start)
+    assert navigator.imaging == {"views": jobs["xray"].views, "field": jobs["xray"].field}
+    assert {len(jobs[key].anatomies) for key in ("roadmap", "xray")} == {150}
+    assert differences(wanted.task, Task(**navigator.metadata["task"])) == []
+    for key, train, name in (("roadmap", train_roadmap, "policy.pt"), ("xray", train_image_policy, "image_policy.pt")):
+        job = replace(jobs[key], folder=tmp_path, tests=())
+        assert train(job, Report()) == {"training_s": 0.0, "tests": []}
+        assert (job.own_folder / name).read_bytes() == job.start.read_bytes()
+    assert not composed("stage=unseen").stage.shipped
+    with pytest.raises(ConfigurationError, match=r"shipped=true takes policies of a wire alone .* PRETRAINED=0"):
+        small_settings(shipped=True)
 
 
 def test_impossible_sizes_are_one_sentence(tmp_path: Path) -> None:

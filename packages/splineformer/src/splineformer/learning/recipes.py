@@ -65,7 +65,7 @@ def recipe_of(variant: str, size: str) -> Recipe:
         kinds = replace(_PLAIN, inverted=0.08, empty=0.05, several=0.05)
         return Recipe(settings, fit, weights, kinds if published else Augmentation())
     desk = size == "desk"
-    epochs = {"published": 8, "ordered": 18}[variant] if desk else 1
+    epochs = {"published": 4, "ordered": 18}[variant] if desk else 1
     fit = NetworkFitSettings(
         epochs=epochs, batch_size=(16 if published else 12) if desk else 8, optimiser="adamw",
         learning_rate=1e-3 if published else 1.5e-3,
