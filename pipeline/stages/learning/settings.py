@@ -52,7 +52,7 @@ class LearningSettings(PolicySettings):
     seeds: kinds.Trainings = 1  # trainings a row and task; run seed k trains with seeds k * seeds, k * seeds + 1, ...
     decisions: kinds.Decisions = 4_000  # budget of a training
     demonstrations: bool = True  # desk: states along the sampling expert's episodes are starts of training episodes
-    encoder_samples: kinds.Count = 30_000  # desk: images that the encoder is fitted to
+    encoder_samples: kinds.Count = 15_000  # desk: images that the encoder is fitted to
     encoder_epochs: kinds.CountOrNone = 0  # 0: the encoder's own choice
     reward: _Reward = "geodesic"  # of training; "distance" is the thesis's, which every table shows
     path_penalty: kinds.Weight = 40.0  # of the reward of training, a metre of the tip's way

@@ -228,7 +228,7 @@ DESK_SAC = SacSettings(
     demonstrations_in_replay=0.25,
     final_learning_rate=0.1,
     evaluate_every=1000,
-    stop_after=2,
+    stop_after=1,
 )
 # Small roll-outs make many updates; without the actions of demonstrations a training fails by chance.
 DESK_PPO = PpoSettings(
