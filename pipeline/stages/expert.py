@@ -34,7 +34,7 @@ class ExpertSettings(DeviceSettings, ChosenAnatomies):
     episodes: Episodes = 3  # demonstrations a phantom and target, from starts that are not turned
     # for the tables, from the starts and seeds of the policies compared with; a search takes 10 CPU-s, and nearly all
     # succeed
-    evaluation_episodes: Episodes = 5
+    evaluation_episodes: Episodes = 10
     threads: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # of the search; 0: one a core
     film: bool = True
     film_episodes: CountOrNone = 1  # films a phantom and target
