@@ -43,7 +43,7 @@ from pipeline.stages.unseen.task import TEST_PHANTOM, training_arch
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.store.provenance import hash_file
 from pipeline.tables import Results
-from pipeline.task import TASK, require_feeder, require_known_task, require_same_task, task_from
+from pipeline.task import MOTION, TASK, require_feeder, require_known_task, require_same_task, task_from
 
 UNSEEN, CLUTTERED = "unseen_arches", "unseen_arches_clutter"
 RIVAL_VARIANT = "desk"  # network of the rival that clones pixels, whatever the budget: the thesis prints none for it
@@ -187,7 +187,8 @@ def _teacher(settings: NavigationSettings, context: StageContext) -> Path:
     task = task_from(load_policy(teacher, "unseen").metadata.get(TASK))
     if task is None:
         raise StageError(f"{teacher} does not say what task it was trained for: run stage=unseen again")
-    require_same_task("navigation", settings.arch_task, task, "the teacher in random arches", "unseen")
+    # it sees a roadmap: neither images nor the limit of an episode are its own
+    require_same_task("navigation", settings.arch_task, task, "the teacher in random arches", "unseen", MOTION)
     return teacher
 
 
