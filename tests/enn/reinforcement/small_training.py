@@ -19,6 +19,7 @@ SMALL = dataclasses.replace(
     learning_starts=200,
     gradient_steps=0.5,
     evaluate_every=300,
+    stop_after=2,
     evaluation_episodes=5,
     curve_every=100,
     buffer_size=2000,
