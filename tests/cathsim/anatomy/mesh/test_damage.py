@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from cathsim.anatomy import MeshRefusedError, Phantom, import_mesh
-from cathsim.anatomy.mesh.lattice import Budget
+from cathsim.anatomy.mesh.lattice import Budget, lattice_spacing
 from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.reading import Size, Triangles, detect_unit
 from cathsim.anatomy.mesh.samples import sample_surface
@@ -138,6 +138,18 @@ def test_a_long_import_tells_its_time_and_its_steps_on_a_terminal(monkeypatch, c
     budget.check_time("finding its vessels")
     about = "the import takes about 48 s at this resolution\n"
     assert capsys.readouterr().err == about + "the import is finding its vessels after 7 s\n"
+
+
+def test_a_large_surface_gets_the_voxels_that_fit_and_a_note():
+    sides = np.array([0.2, 0.14, 0.5])
+    assert lattice_spacing(0.03, sides, 1e-3, Budget(), "mm") == (7e-4, ())
+    spacing, (note,) = lattice_spacing(0.03, 1.5 * sides, 1e-3, Budget(), "mm")
+    assert np.prod(1.5 * sides) / spacing**3 < 46e6
+    assert note == (
+        "its voxels are 1 mm wide instead of 0.7, since the surface is large: vessels narrower than 5.2 mm may be lost"
+    )
+    with pytest.raises(MeshRefusedError, match=r"at 2\.5 mm this surface is too large"):
+        lattice_spacing(0.03, 3 * sides, 1e-3, Budget(), "mm")
 
 
 def test_too_many_points_are_refused_before_they_are_made():

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from cathsim.anatomy import ImportReport, MeshRefusedError, Phantom, import_mesh, load_phantom
+from cathsim.anatomy import Branch, ImportReport, MeshRefusedError, Phantom, VesselTree, import_mesh, load_phantom
 from cathsim.anatomy.library import phantom_described, phantom_description
+from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.mesh import importer
 from cathsim.anatomy.mesh.reading import Triangles, clean_triangles
 from cathsim.anatomy.mesh.samples import sample_surface
-from cathsim.anatomy.surface import _cut, open_ends
+from cathsim.anatomy.surface import _cut, lumen_surface, open_ends
 from cathsim.anatomy.vessel_tree import nearest_on_branch
 from tests.cathsim.anatomy.lumen_report import check_lumen
 
@@ -181,6 +182,19 @@ def test_a_real_thick_walled_mesh(tmp_path: Path):
     assert found.targets["lcca"].position[0] > found.targets["bca"].position[0] + 0.02
 
 
+def test_a_unit_that_no_arch_confirms_is_noted(tmp_path: Path):
+    """As of a carotid artery in millimetres, which would be an aorta's in centimetres."""
+    trunk = Branch("aorta", np.linspace([0.0, 0.0, -0.05], [0.03, 0.0, 0.11], 60), np.full(60, 8e-3))
+    along = np.linspace(trunk.points[30], [-0.06, 0.0, 0.1], 40)
+    side = Branch("side", along, np.full(40, 5e-3), "aorta", float(trunk.arc[30]))
+    mesh = lumen_surface(build_lumen(VesselTree((trunk, side)), resolution=1e-3, fillet_radius=2e-3))
+    mesh.apply_scale(100).export(tmp_path / "bifurcation.stl")
+    for unit, unsure in ((None, 1), ("cm", 0)):
+        found = import_mesh(tmp_path / "bifurcation.stl", unit=unit, resolution=COARSE, cache_dir=tmp_path)
+        assert found.tree.names == ("aorta", "branch_1")
+        assert sum(note.startswith("cm is the unit by an aorta's width") for note in found.imported.notes) == unsure
+
+
 def _sphere(shift: float) -> trimesh.Trimesh:
     sphere = trimesh.creation.icosphere(3, 15.0)
     sphere.apply_translation([shift, 0, 0])
@@ -193,7 +207,7 @@ REFUSED = {
     "spheres": (
         trimesh.util.concatenate([_sphere(0), _sphere(60)]),
         None,
-        "falls into 2 parts that do not hang together",
+        r"falls into 2 parts that do not hang together \(30 x 30 x 30, 30 x 30 x 30 mm\): leave out",
     ),
     "plate": (trimesh.creation.box((60, 60, 0.5)), "mm", "the lumen is too narrow for a wire"),
     "wire": (trimesh.creation.cylinder(0.5, 80), "mm", "the lumen is too narrow for a wire"),

@@ -50,6 +50,31 @@ def test_short_branches_are_kept_and_the_aorta_is_whole(tmp_path: Path):
         import_mesh(tmp_path / "short.stl", extend=False, resolution=COARSE, cache_dir=tmp_path)
 
 
+def test_a_trunk_that_parts_early_has_a_target(tmp_path: Path):
+    """Its centreline ends before its lumen parts, 20 mm behind the ostium."""
+    tree = arch_tree(0.03)
+    trunk = tree["bca"]
+    up = trunk.tangents[0]
+    fork = trunk.points[0] + np.linspace(0, WIDTH + 16e-3, 41)[:, None] * up
+    trunk = Branch("bca", fork, np.full(41, 6e-3), "aorta", trunk.parent_arc, open_end=False)
+    branches = [*(branch for branch in tree if branch.name != "bca"), trunk]
+    for name, aside in (("rsa", -1.0), ("rcca", 1.0)):
+        way = up + aside * 0.35 * np.array([up[2], 0.0, -up[0]])
+        points = fork[-1] + np.linspace(0, 0.045, 41)[:, None] * way / np.linalg.norm(way)
+        branches.append(Branch(name, points, np.full(41, 3.5e-3), "bca", trunk.length))
+    mesh = lumen_surface(build_lumen(VesselTree(tuple(branches)), resolution=1e-3, fillet_radius=2e-3))
+    mesh.apply_scale(1000).export(tmp_path / "trunk.stl")
+    found = import_mesh(tmp_path / "trunk.stl", resolution=COARSE, cache_dir=tmp_path)
+    assert {"bca", "rsa", "rcca"} <= set(found.targets)
+    target = found.targets["bca"].position
+    place = found.depths.place(target)
+    assert place.branch == "bca"
+    assert place.depth == pytest.approx(0.0155, abs=1e-3)
+    assert found.grid.sample(target) > 3e-3
+    beyond = found.depths.place(found.tree["rcca"].point_at(5e-3))
+    assert found.depths.way(beyond, place) == pytest.approx(5e-3, abs=1.5e-3)
+
+
 def test_a_wide_branch_that_is_cut_soon_after_it_leaves_the_ascending_limb_is_the_first(tmp_path: Path):
     across, width = -0.032, 7.5e-3
     tree = arch_tree(0.03)

@@ -268,6 +268,22 @@ def _arch() -> RoughVessel:
     return aorta
 
 
+def test_an_abdominal_aorta_stands_upright():
+    """It begins in an iliac artery, which runs aslant, and its branches leave it to the front."""
+    iliac = np.linspace([0.06, 0.0, -0.07], [0.0, 0.0, 0.0], 40, endpoint=False)
+    aorta = RoughVessel(np.concatenate([iliac, np.linspace([0, 0, 0], [0, 0, 0.13], 60)]), np.full(100, 0.008), 0)
+    other = _vessel([0, 0, 0], [-0.06, 0, -0.07], 0.005, 1)
+    other.start = float(np.hypot(0.06, 0.07))
+    aorta.children.append(other)
+    for height, number in ((0.03, 2), (0.05, 3), (0.07, 4)):
+        child = _vessel([0, 0, height], [0, 0.09, height - 0.02], 0.003, number)
+        child.start = other.start + height
+        aorta.children.append(child)
+    for turn in (np.eye(3), Rotation.from_euler("xyz", [2.1, 0.4, -1.3]).as_matrix()):
+        rotation, _ = world_rotation(turned(aorta, turn, np.zeros(3)))
+        assert rotation[2] @ turn @ [0, 0, 1] > 0.92
+
+
 def test_names_follow_the_arch_and_the_users():
     aorta = _arch()
     rotation, kept = world_rotation(aorta)

@@ -7,6 +7,7 @@ enclosed. An open vessel, or one in a thick wall, is reached; it is known by har
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -128,10 +129,17 @@ def find_cavity(samples: SurfaceSamples, spacing: float, *, rough: bool = False)
         # a hollow between vessels lies outside of the surface, a part of the lumen that was torn off within it
         rivals = [r for r in rivals if r is chosen or abs(_winding(r, samples, origin, spacing)) > 1 - _WOUND]
     if len(rivals) > 1 and not rough:
-        raise MeshRefusedError(
-            f"the lumen falls into {len(rivals)} parts that do not hang together; join them, or give one of them."
-        )
+        raise falls_apart([spacing * (np.array([s.stop - s.start for s in room.box])) for room in rivals])
     return Cavity(chosen.whole(wall.shape), wall, origin, spacing, kind, chosen.radius * spacing)
+
+
+def falls_apart(sides: Sequence[Array]) -> MeshRefusedError:
+    """The refusal of a lumen in parts, by their sides (3,) m."""
+    sizes = ", ".join(" x ".join(f"{1e3 * side:.0f}" for side in part) for part in sides)
+    return MeshRefusedError(
+        f"the lumen falls into {len(sides)} parts that do not hang together ({sizes} mm): leave out veins and arteries "
+        "that are not the aorta's, and join what belongs to it."
+    )
 
 
 def enclosed_by(samples: SurfaceSamples, spacing: float) -> Cavity | None:

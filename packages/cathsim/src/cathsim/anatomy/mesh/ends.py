@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.centreline import arc_length, resampled, smoothed
 from cathsim.anatomy.cross_section import across_frames, plane_coordinates
 from cathsim.anatomy.mesh.cavity import Cavity
+from cathsim.anatomy.mesh.lattice import FOLLOWED
 from cathsim.lifetime_cache import kept_with_owner
 
 _RAYS = 48
@@ -18,7 +19,6 @@ _SURROUNDED = 0.94  # share of rays across the vessel that must meet its wall
 _LOOSELY = (0.8, 0.65)  # shares that do where no place has that: a rim aslant, a torn wall
 _REACH = 2.2  # radii within which they must
 _PLATEAU = 0.75  # of the largest depth a little further in, at which a vessel counts as having its full width
-_FOLLOWED = 2.5  # voxels of radius below which a vessel is too narrow to be followed
 _CLOSING = 0.4  # of the usual reach: where the wall comes nearer than this, it closes the vessel
 _LOOK_BACK = 6e-3  # m, and two radii: how far further in that is
 _CENTRING = 6  # steps to the middle of the first plane
@@ -71,7 +71,7 @@ def find_end(cavity: Cavity, way: Array, depth: Array, refused: Refusal | None =
 def _plain_end(cavity: Cavity, way: Array, depth: Array) -> VesselEnd | None:
     """A cut across the way where the vessel still has its full width, if walls stand around most of it there."""
     from_end = arc_length(way[::-1])[::-1]
-    start = _well_inside(from_end, depth, _FOLLOWED * cavity.spacing)
+    start = _well_inside(from_end, depth, FOLLOWED * cavity.spacing)
     radius = float(depth[start])
     near = np.flatnonzero((from_end <= 6 * radius) & (from_end >= 0.5 * radius) & (depth >= _STILL_WIDE * radius))
     step = cavity.spacing
@@ -100,7 +100,7 @@ def _find_end(
     refused: Refusal | None,
 ) -> VesselEnd | None:
     from_end = arc_length(way[::-1])[::-1]
-    start = _well_inside(from_end, depth, _FOLLOWED * cavity.spacing)
+    start = _well_inside(from_end, depth, FOLLOWED * cavity.spacing)
     radius = float(depth[start])
     # The way bends to its corner a little before that.
     start = max(int(np.searchsorted(-from_end, -(from_end[start] + radius), side="right")) - 1, min(start, 2))
@@ -133,7 +133,7 @@ def _find_end(
 def end_before(cavity: Cavity, way: Array, depth: Array) -> VesselEnd | None:
     """The end of a wide vessel from which a way goes on in one too narrow to be followed; None where there is none."""
     from_end = arc_length(way[::-1])[::-1]
-    least = _FOLLOWED * cavity.spacing
+    least = FOLLOWED * cavity.spacing
     start = _well_inside(from_end, depth, least)
     if len(depth) - start < 3 or np.median(depth[start + 1 :]) >= least:
         return None
@@ -154,7 +154,7 @@ def end_at_opening(
         flared: the vessel is short, and widens all the way to the one that it leaves.
     """
     from_end = arc_length(way[::-1])[::-1]
-    start = _well_inside(from_end, depth, _FOLLOWED * cavity.spacing)
+    start = _well_inside(from_end, depth, FOLLOWED * cavity.spacing)
     radius = float(depth[start])
     if flared:  # its full width is that of the wider vessel that it leaves
         near = (from_end >= 4 * cavity.spacing) & (from_end <= 12 * cavity.spacing)

@@ -30,7 +30,7 @@ from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import vessels_named, with_picture_of_doubts
 from cathsim.anatomy.vessel_names import ACCESS, AORTA
 
-IMPORT_VERSION = 20  # raise it whenever the same file gives another phantom
+IMPORT_VERSION = 21  # raise it whenever the same file gives another phantom
 _MEASURED = 4  # parts whose width is measured for the unit
 
 
@@ -124,7 +124,7 @@ def _build(
             parts = [Part(part.name, part.mesh.scaled(scale)) for part in parts]
             sides = np.ptp([bound for part in parts for bound in part.mesh.bounds], axis=0)
             budget = Budget()
-            spacing = lattice_spacing(size.width * scale, sides, resolution, budget, chosen)
+            spacing, _ = lattice_spacing(size.width * scale, sides, resolution, budget, chosen)
             mesh, label_of, united = unite(parts, spacing, budget)
             notes += united
         phantom = phantom_of_surface(

@@ -14,7 +14,8 @@ from cathsim.anatomy.mesh.report import MeshRefusedError
 _ACROSS = 36  # voxels across the widest place of a lumen ...
 _FINEST, _COARSEST = 2.5e-4, 7e-4  # m, ... within these limits, the upper one at a resolution of 1 mm
 _MOST_VOXELS = 45e6
-_LAST_RESORT = 1.2e-3  # m: beyond it, thin vessels are lost
+_LAST_RESORT = 1.25e-3  # m: beyond it, thin vessels are lost
+FOLLOWED = 2.5  # voxels of radius below which a vessel is too narrow to be followed
 
 Mask = NDArray[np.bool_]
 
@@ -27,18 +28,26 @@ _LONG = 5.0  # s
 SAMPLE_BYTES = 200  # of every point on the surface, its place in the search tree included
 
 
-def lattice_spacing(width: float, sides: NDArray[np.float64], resolution: float, budget: Budget, unit: str) -> float:
+def lattice_spacing(
+    width: float, sides: NDArray[np.float64], resolution: float, budget: Budget, unit: str
+) -> tuple[float, tuple[str, ...]]:
     """Chooses m between voxels for a lumen of a width (m, of its widest ball) in a box of sides (3,) m.
+
+    Returns:
+        What is wanted, or, where that would take too much, what fits, with a note.
 
     Raises:
         MeshRefusedError: the box is too large for any.
     """
-    spacing = float(np.clip(width / _ACROSS, _FINEST, max(_COARSEST, resolution / 2)))
-    room = float(np.prod(sides + 8 * spacing))
-    spacing = max(spacing, min((room / _MOST_VOXELS) ** (1 / 3), max(_LAST_RESORT, resolution / 2)))
+    wanted = float(np.clip(width / _ACROSS, _FINEST, max(_COARSEST, resolution / 2)))
+    room = float(np.prod(sides + 8 * wanted))
+    spacing = max(wanted, min((room / _MOST_VOXELS) ** (1 / 3), _LAST_RESORT))
     size = " x ".join(f"{1e3 * side:.4g}" for side in sides)
     budget.check_lattice(room / spacing**3, spacing, f"{size} mm in {unit}")
-    return spacing
+    if spacing == wanted:
+        return spacing, ()
+    note = f"its voxels are {1e3 * spacing:.2g} mm wide instead of {1e3 * wanted:.2g}, since the surface is large"
+    return spacing, (f"{note}: vessels narrower than {2e3 * FOLLOWED * spacing:.2g} mm may be lost",)
 
 
 def short_distance(mask: Mask, reach: int) -> NDArray[np.uint8]:
@@ -94,8 +103,8 @@ class Budget:
         if not voxels * VOXEL_BYTES <= self.memory:
             raise MeshRefusedError(
                 f"at {2e3 * spacing:g} mm this surface is too large ({size}): the import would take "
-                f"{voxels * VOXEL_BYTES / 1e9:.3g} GB, it may take {self.memory / 1e9:g}; check its unit, cut it to "
-                "the arch and its branches, or take a coarser resolution."
+                f"{voxels * VOXEL_BYTES / 1e9:.3g} GB, it may take {self.memory / 1e9:g}; check its unit, or cut it "
+                "to the arch and its branches."
             )
         seconds = _VOXEL_SECONDS * voxels
         if seconds > _LONG and sys.stderr.isatty():

@@ -56,9 +56,10 @@ def ascending_score(aorta: RoughVessel, first_radius: float, last_radius: float)
 def world_rotation(aorta: RoughVessel, leftward: Array | None = None) -> tuple[Array, bool]:
     """Rotation from the file's frame to the patient's, as far as the vessels show it.
 
-    Up is where the limbs of the arch run. To the left lies the side to which the branches' ends spread, away from the
-    ascending limb; where they hardly do, the arch's plane is taken to lie 43 degrees from the coronal one, ascending
-    limb to the right and to the front. Where that comes near to the file's axes, those are meant.
+    Up is where the limbs of the arch run, or, without an arch, the aorta from its first end on. To the left lies the
+    side to which the branches' ends spread, away from the ascending limb; where they hardly do, the arch's plane is
+    taken to lie 43 degrees from the coronal one, ascending limb to the right and to the front. Where that comes near to
+    the file's axes, those are meant.
 
     Args:
         leftward: (3,) from vessels that labels name as those of the right side to those of the left one, any length.
@@ -71,6 +72,8 @@ def world_rotation(aorta: RoughVessel, leftward: Array | None = None) -> tuple[A
     middle = 0.5 * (points[0] + points[-1])
     beyond = np.mean([child.tip for child in aorta.children], axis=0) - middle
     up = 1.5 * _unit(descending[-1] - descending[0]) + _unit(beyond)
+    if not has_arch(aorta):
+        up = points[-1] - points[0]
     up, snapped_up = _snap(_unit(up), SNAP_UP)
     across = points[0] - points[-1]
     across = _unit(across - (across @ up) * up)

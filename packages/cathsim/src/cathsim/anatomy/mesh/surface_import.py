@@ -31,6 +31,7 @@ from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError, draw_ref
 from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
 from cathsim.anatomy.mesh.tree import TreeSettings, grow_tree
 from cathsim.anatomy.phantom import Phantom
+from cathsim.anatomy.vessel_names import SUPRA_AORTIC
 from cathsim.anatomy.vessel_tree import VesselTree
 from cathsim.anatomy.wall.thickness import fill_chambers, thicken_between_lumens
 
@@ -185,6 +186,10 @@ class SurfaceImport:
         grid_of = partial(
             distance_grid, surface, cavity, inside, ends, away, rotation=pose.rotation, offset=pose.offset
         )
+        arch = self.label_of is not None or not set(SUPRA_AORTIC).isdisjoint(automatic.values())
+        if self.facts.unit_reason.startswith("detected") and not arch:
+            unit = f"{self.facts.unit} is the unit by an aorta's width, and no arch shows that this is one"
+            named += (f"{unit}; give the unit of other vessels",)
         tree, grid, left_out = self._measured(aorta, final, grid_of, pose)
         extended: tuple[str, ...] = ()
         if self.extend:
@@ -231,7 +236,8 @@ class SurfaceImport:
             self.resolution /= 2
             self.notes.append(f"distances every {1e3 * self.resolution:g} mm: its vessels are a child's")
         sides = np.ptp(mesh.bounds, axis=0)
-        spacing = lattice_spacing(width, sides, self.resolution, self.budget, self.facts.unit)
+        spacing, coarser = lattice_spacing(width, sides, self.resolution, self.budget, self.facts.unit)
+        self.notes += coarser
         self.samples = sample_surface(mesh.corners, _SAMPLES * spacing, self.budget)
         self.budget.check_time("finding the lumen")
         self.cavity = cavity = find_cavity(self.samples, spacing)

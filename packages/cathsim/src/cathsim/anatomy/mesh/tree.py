@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.centreline import arc_length, resampled, smoothed
 from cathsim.anatomy.cross_section import wall_distances
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.extension import LEAST_DEPTH
 from cathsim.anatomy.mesh.branches import RoughVessel
 from cathsim.anatomy.vessel_tree import Branch, VesselTree, nearest_on_branch
 
@@ -102,6 +103,7 @@ def _branch(
     if any(child.from_fork for child in vessel.children):
         # Ways part where no ball fills the lumen any more; the daughters' centrelines meet about a radius before.
         keep = max(int(np.searchsorted(arc_length(points), arc_length(points)[-1] - _FORK * radius[-6:].min())), 4)
+        keep = max(keep, _deep_enough(points, parent, vessel, grid, settings.least_radius))
         points, radius = points[:keep], radius[:keep]
     narrow = np.flatnonzero((radius < settings.least_radius) & (np.arange(len(points)) >= outside))
     note, open_end = "", vessel.end is not None and vessel.end >= 0
@@ -113,6 +115,17 @@ def _branch(
     if len(points) < 4 or short:
         return None, f"{name} left out: it is too short or too narrow for a wire"
     return Branch(name, points, radius, parent.name, start_arc, open_end), note
+
+
+def _deep_enough(points: Array, parent: Branch, trunk: RoughVessel, grid: SignedDistanceGrid, least: float) -> int:
+    """How many points of a trunk reach the least depth (`LEAST_DEPTH`) of a target; 0 where its lumen parts before."""
+    first = 0
+    if not trunk.from_fork:
+        _, at, distance = nearest_on_branch(parent, points)
+        beyond = np.flatnonzero(distance >= parent.radius_at(at))
+        first = int(beyond[0]) if len(beyond) else len(points)
+    count = first + round(LEAST_DEPTH / STEP) + 1
+    return count if count <= len(points) and (grid.sample(points[first:count]) >= least).all() else 0
 
 
 def _origin(raw: Array, first: int, parent: Branch) -> tuple[float, Array]:

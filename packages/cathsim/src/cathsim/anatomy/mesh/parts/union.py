@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.anatomy.mesh.cavity import Cavity, enclosed_by, find_cavity
+from cathsim.anatomy.mesh.cavity import Cavity, enclosed_by, falls_apart, find_cavity
 from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, voxels_away
 from cathsim.anatomy.mesh.lattice import Budget
 from cathsim.anatomy.mesh.openings import close_openings
@@ -64,11 +64,11 @@ def unite(parts: Sequence[Part], spacing: float, budget: Budget) -> tuple[Triang
     field, low = _joined(solids)
     lost = _bridge(field, low, solids, spacing)
     largest = max(solids, key=lambda solid: solid.volume)
-    torn = [k for k in lost if solids[k].name in ("", AORTA) and solids[k].volume > _TORN_OFF * largest.volume]
-    if any(solids[k].radius > _AS_WIDE * largest.radius for k in torn):
-        raise MeshRefusedError(
-            f"the lumen falls into {len(torn) + 1} parts that do not hang together; join them, or give one of them."
-        )
+    torn = [solids[k] for k in lost if solids[k].name in ("", AORTA) and solids[k].volume > _TORN_OFF * largest.volume]
+    if any(solid.radius > _AS_WIDE * largest.radius for solid in torn):
+        whole = max((solid for k, solid in enumerate(solids) if k not in lost), key=lambda solid: solid.volume)
+        boxes = [solid.grid.coordinates(solid.grid.inside_box()) for solid in (whole, *torn)]
+        raise falls_apart([np.ptp(box, axis=0) for box in boxes])
     if lost:
         left = sorted({solids[k].name or "unnamed" for k in lost})
         notes.append(f"{len(lost)} parts left out, which touch no other: {', '.join(left)}")
