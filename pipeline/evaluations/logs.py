@@ -24,7 +24,7 @@ import numpy as np
 
 from pipeline.evaluations.forces import device_of, wall_forces
 from pipeline.store.file_cache import FileCache
-from pipeline.store.interruption import stop_if_interrupted
+from pipeline.store.interruption import end_with_parent, stop_if_interrupted
 from pipeline.store.provenance import hash_value
 
 if TYPE_CHECKING:
@@ -291,7 +291,7 @@ def _read_all(paths: list[Path], run_path: Path, processes: int | None) -> Itera
     count = min(processes or len(os.sched_getaffinity(0)), 1 + len(paths) // PARALLEL_FROM)
     done = 0
     if count > 1:
-        pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_ignore_ctrl_c)
+        pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_start_worker)
         try:
             for result in pool.map(partial(_read_one, run_path=run_path), paths, chunksize=16):
                 yield result
@@ -305,8 +305,9 @@ def _read_all(paths: list[Path], run_path: Path, processes: int | None) -> Itera
         stop_if_interrupted()
 
 
-def _ignore_ctrl_c() -> None:
+def _start_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent stops its processes itself
+    end_with_parent()
 
 
 def _latest(evaluations: list[Evaluation], left_out: dict[str, str]) -> list[Evaluation]:

@@ -16,6 +16,7 @@ from cathsim.metrics.episodes import wilson_interval
 from pipeline.protocol import calibration, forces, navigation, reconstruction, rehearsal, speed, xray
 from pipeline.protocol.claims import Claim, Navigation, Protocol, RealXray, Rehearsal, declared
 from pipeline.store.atomic_files import atomic_path
+from pipeline.store.interruption import end_with_parent
 from pipeline.store.provenance import hash_file, hash_value, present_commit, software_versions, uncommitted_changes
 
 KINDS: dict[str, Any] = {
@@ -152,7 +153,7 @@ def _interval(values: Sequence[tuple[str, float]], digits: int, statistic: str =
 
 
 def _pool(workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=end_with_parent)
 
 
 def inputs(claim: Claim) -> dict[str, str]:

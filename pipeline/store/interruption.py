@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import threading
+from multiprocessing import parent_process
 from types import FrameType
 
 _AGAIN_S = 0.02
@@ -61,6 +62,17 @@ def _unraisable(error: sys.UnraisableHookArgs) -> None:
         signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
     else:
         sys.__unraisablehook__(error)
+
+
+def end_with_parent() -> None:
+    """Lets a pool's process end when its parent was killed."""
+
+    def watch() -> None:
+        if parent := parent_process():
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 EXIT_INTERRUPTED = 130

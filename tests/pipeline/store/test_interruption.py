@@ -198,3 +198,27 @@ def test_a_ctrl_c_within_a_finaliser_comes_after_it(tmp_path: Path) -> None:
     code = _INTERRUPTED_IN.format(folder=str(tmp_path), statement="Finalised()")
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert (ran.stdout, ran.stderr) == ("interrupted\n", "")
+
+
+_POOL = """
+import os, sys, time
+from pipeline.protocol.run import _pool
+
+if __name__ == "__main__":
+    with _pool(1) as pool:
+        print(pool.submit(os.getpid).result(), flush=True)
+        pool.submit(time.sleep, 60).result()
+"""
+
+
+def test_a_pools_process_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "pool.py").write_text(_POOL)
+    with subprocess.Popen([sys.executable, tmp_path / "pool.py"], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        worker = Path("/proc") / parent.stdout.readline().strip()
+        assert worker.is_dir()
+        parent.kill()
+        deadline = time.monotonic() + 20
+        while worker.is_dir():
+            assert time.monotonic() < deadline, "it goes on alone"
+            time.sleep(0.05)
