@@ -31,7 +31,7 @@ endonav COMMAND [ARGUMENTS]
   read A [B]               the wire in an X-ray image, or in two views (--cameras FOLDER)
   train [STAGE ...]        a training stage after those that it reads (default enn)
   new KIND NAME            a stage, a policy or a phantom that runs, with its test, to be changed to your own
-  data list|fetch|add      real vessels with a public address that claims are measured in
+  data list|fetch|add      real vessels, from public addresses, in which claims are measured
   evaluate [CLAIM ...]     measure what is claimed, as the protocol says: a file of results for each claim
   hub upload|download      policies and data sets to and from the Hugging Face Hub
   console                  steer the wire yourself, in the browser

@@ -83,7 +83,7 @@ class DemoFilm(Film):
                 self._draw_scan(panel, environment, view)
                 whose += "; it sees a roadmap" * (view == self.views[0])
         _ring(panel, self._project(environment, view, goal[None])[0], TARGET)
-        return _titled(panel, f"{view.replace('_', ' ')} X-ray{whose}")
+        return _titled(panel, f"{view.replace('lao_', 'LAO ')} X-ray{whose}")
 
     def _grey(self, image: np.ndarray, view: str) -> np.ndarray:
         """A grey image as a panel: with more contrast, the same through the film; its pixels stay visible."""

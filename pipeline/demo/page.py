@@ -18,6 +18,8 @@ PAGE = "index.html"
 _TEMPLATE = Path(__file__).with_name("page.html.j2")
 _WIDTH, _HEIGHT = 490, 120  # of a plot, px
 _STEPS_A_SECOND = 10
+_ARTERIES = {"bca": "brachiocephalic", "lcca": "left common carotid", "lsa": "left subclavian",
+             "rcca": "right common carotid", "rsa": "right subclavian"}  # fmt: skip
 
 
 def write_page(
@@ -42,6 +44,8 @@ def write_page(
         commands=_further(folder, files["log"]),
         parts=sections(shipped.card(scene.model)),
         summary=shipped.models()[scene.model],
+        card=f"{_in_environment()}endonav models {scene.model}",
+        artery=_ARTERIES.get(scene.target),
         plots=[
             ("distance of the tip from the target, mm", plot(curves["distance_mm"]), max(curves["distance_mm"])),
             ("contact force, N", plot(curves["force_n"]), max(curves["force_n"])),
@@ -70,8 +74,12 @@ def _further(folder: Path, log: str) -> list[tuple[str, str]]:
     else:
         own, *others = arguments.items()
         demos = [("make demo DEMO=arch.stl", own[0]), *((f'make demo ARGS="{words}"', what) for what, words in others)]
-    python = "" if CALLED in os.environ else ".venv/bin/"
-    return [*demos, (f"{python}{written('episodes')} info {folder.as_posix()}/{log}", "what the log holds")]
+    return [*demos, (f"{_in_environment()}{written('episodes')} info {folder.as_posix()}/{log}", "what the log holds")]
+
+
+def _in_environment() -> str:
+    """What a command of the environment begins with where the reader need not have activated it."""
+    return "" if CALLED in os.environ else ".venv/bin/"
 
 
 def sections(card: str) -> dict[str, str]:

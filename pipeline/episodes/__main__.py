@@ -135,7 +135,8 @@ def _run_export(arguments: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         _say(f"interrupted: nothing was left at {arguments.output}", error=True)
         return INTERRUPTED
-    _say(f"{report.destination}: {report.episodes} episodes, {report.steps} steps; open it with {report.hint}")
+    plural = "s" * (report.episodes != 1)
+    _say(f"{report.destination}: {report.episodes} episode{plural}, {report.steps} steps; open it with {report.hint}")
     return FINE
 
 

@@ -22,9 +22,10 @@ _NAMES = {
     **_OPERATORS, "type_1": "Type I", "type_2": "Type II", "type_3": "Type III",
     "type_1_aneurysm": "Type I with aneurysm",
     "low_tortuosity": "Low tortuosity", "bovine": "Bovine arch", "bca": "BCA", "lcca": "LCCA", "lsa": "LSA",
-    "image_w_enn": "Image with ENN", "image_wo_enn": "Image without ENN", "dagger": "DAgger",
-    "image_w_enn_disturbed": "Image with ENN, disturbed too", "splineformer_dagger": "SplineFormer, taught on",
-    "splineformer_arches": "SplineFormer, random arches", "V_plain": "V, force alone",
+    "rcca": "RCCA", "rsa": "RSA", "image_w_enn": "Image with ENN", "image_wo_enn": "Image without ENN",
+    "dagger": "DAgger", "image_w_enn_disturbed": "Image with ENN, disturbed too",
+    "splineformer_dagger": "SplineFormer, taught on", "splineformer_arches": "SplineFormer, random arches",
+    "V_plain": "V, force alone",
 }  # fmt: skip
 _CHAPTERS = {"guide3d": "chapter 5"}
 _KINDS = {"tab": "table", "fig": "figure"}

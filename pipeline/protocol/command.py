@@ -19,19 +19,26 @@ _FINE, _USAGE = 0, 2
 def main(arguments: list[str]) -> int:
     """Runs the command; 2 for wrong usage."""
     parser = argparse.ArgumentParser(prog="endonav evaluate", description=__doc__)
-    parser.add_argument("claims", nargs="*", metavar="CLAIM", help="without: all")
-    parser.add_argument("--seeds", type=int, default=1, help="times that each is measured, on other anatomies (1)")
-    parser.add_argument("--workers", type=int, default=2, help="processes (2)")
-    parser.add_argument("--to", type=Path, default=Path("results"), metavar="FOLDER", help="of the results (results)")
+    parser.add_argument("claims", nargs="*", metavar="CLAIM", help="default: all, which take hours")
+    parser.add_argument("--seeds", type=int, default=1, help="how often, each on other anatomies (default 1)")
+    parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
+    parser.add_argument(
+        "--to", type=Path, default=Path("results"), metavar="FOLDER", help="for results (default results)"
+    )
     parser.add_argument("--protocol", type=Path, metavar="FILE", help="instead of the project's")
     parser.add_argument("--pages", action="store_true", help="make the documents' tables from the results and leave")
     parser.add_argument("--list", action="store_true", help="print the claims and leave")
     parser.add_argument("--policy", type=Path, metavar="FILE", help="play this policy in the whole of a published task")
     parser.add_argument(
-        "--board", default="arch_variety", metavar="TASK", help="or dual_device_nav, random_trees (arch_variety)"
+        "--board",
+        default="arch_variety",
+        metavar="TASK",
+        help="arch_variety (default), dual_device_nav or random_trees",
     )
-    parser.add_argument("--episodes", type=int, metavar="N", help="of the task, the first ones, instead of all")
-    parser.add_argument("--row", type=Path, default=Path("row.json"), metavar="FILE", help="of its figures (row.json)")
+    parser.add_argument("--episodes", type=int, metavar="N", help="only the first ones of the task")
+    parser.add_argument(
+        "--row", type=Path, default=Path("row.json"), metavar="FILE", help="for its figures (default row.json)"
+    )
     given = parser.parse_args(arguments)
     try:
         if given.policy is not None:

@@ -78,4 +78,5 @@ def test_sentences_keep_all_but_their_keys() -> None:
     assert in_words("type_1/bca: shortest path") == "Type I, BCA: shortest path"
     assert in_words("Sampling expert, low_tortuosity, LCCA") == "Sampling expert, Low tortuosity, LCCA"
     assert in_words("0.5 N and/or 2 of 3, V+M/16") == "0.5 N and/or 2 of 3, V+M/16"
+    assert in_words("type_1/rcca") == "Type I, RCCA"
     assert in_words("V_plain/16") == "V, force alone, 16"

@@ -43,7 +43,9 @@ def test_an_episode_leaves_log_films_and_page(tmp_path: Path, capsys: pytest.Cap
         assert gif.n_frames >= 2
     page = (folder / "index.html").read_text(encoding="utf-8")
     assert page.index("film.mp4") < page.index("<h1>")
-    for words in ("Not reached within 0.7 s", "The image alone.", "read off the X-ray image", LOG):
+    for words in ("Not reached within 0.7 s", "The image alone.", "read off the X-ray image", LOG,
+                  "<code>.venv/bin/endonav models navigator</code>", "BCA, brachiocephalic artery",
+                  'poster="film.gif"'):  # fmt: skip
         assert words in page
 
 
