@@ -11,7 +11,7 @@ BUDGET ?= desk
 NAME ?= $(BUDGET)
 SEEDS ?=
 BESIDE ?= 2
-# 1: shipped networks in place of trainings that would repeat theirs (pretrained=true); several seeds are trained
+# 1: shipped networks in place of trainings that would repeat theirs; several seeds are trained
 PRETRAINED ?= $(if $(SEEDS)$(filter thesis,$(BUDGET)),0,1)
 ARGS ?=
 override export DEMO := $(value DEMO)
@@ -29,7 +29,7 @@ INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard pac
 	$(shell find packages/*/src -name '*.c' -o -name '*.h' 2>/dev/null)
 
 CHAIN = $(if $(SEEDS),--seeds $(SEEDS)) $(if $(BESIDE),--beside $(BESIDE))
-CHOSEN = budget=$(BUDGET) name=$(NAME) $(if $(filter 0,$(PRETRAINED)),,pretrained=true) $(ARGS)
+CHOSEN = budget=$(BUDGET) name=$(NAME) pretrained=$(PRETRAINED) $(ARGS)
 GL = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)}
 RUN = $(GL) $(PY) -m pipeline
 

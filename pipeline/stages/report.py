@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
+from dataclasses import fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from annotated_types import Ge, Le
 
+from pipeline.evaluations.tables import OWN_TABLES
 from pipeline.report.figures import ShownFigure, gather_figures
 from pipeline.report.intervals import over_seeds
 from pipeline.report.learning import LearningSection, learning_section
 from pipeline.report.page import PAGE, StageRecord, render_page
 from pipeline.report.tables import as_csv, as_latex, join_sweep, metrics, report_tables
 from pipeline.settings.kinds import validated
-from pipeline.stages import Stage, StageContext, available_stages
+from pipeline.stages import Stage, StageContext, available_stages, settings_of
 from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.file_cache import digests_of
 from pipeline.store.manifest import Manifest, read_manifest
 from pipeline.store.provenance import machine, present_commit, software_versions
-from pipeline.tables import Table, read_notes
+from pipeline.tables import Table, read_notes, read_results
 
 METRICS = "metrics.json"
 TABLES_FOLDER = "tables"
@@ -64,6 +66,11 @@ def run_report(settings: ReportSettings, context: StageContext) -> None:
     figures = _figures(finished, learning, settings, context)
     records = [StageRecord(name, manifest) for name, manifest in finished.items()]
     have_run = {manifest.stage for manifest in finished.values()}
+    made = notes_of(context.run_path, finished)
+    for name, text in mixed_seeds(finished).items():
+        _LOGGER.warning("%s", text)
+        for key in {*read_results(context.run_path / name), OWN_TABLES.get(finished[name].stage, "")}:
+            made.setdefault(key, []).append(text)
     records += [StageRecord(name, None) for name in available_stages() if name not in {*have_run, "report"}]
     page = render_page(
         run=context.run_path.name,
@@ -71,7 +78,7 @@ def run_report(settings: ReportSettings, context: StageContext) -> None:
         seeds=sorted({m.seed for m in finished.values()}) or [context.seed],
         written=datetime.now(UTC).isoformat(timespec="minutes"),
         records=records, tables=tables, figures=figures, remarks=learning.remarks, commit=present_commit(),
-        made=notes_of(context.run_path, finished), versions=software_versions(), machine=machine(),
+        made=made, versions=software_versions(), machine=machine(),
     )  # fmt: skip
     write_text(context.path / PAGE, page)
     _LOGGER.info("report: %s", context.path / PAGE)
@@ -85,6 +92,24 @@ def notes_of(run_path: Path, finished: Collection[str]) -> dict[str, list[str]]:
             if text not in notes.setdefault(table, []):
                 notes[table].append(text)
     return notes
+
+
+def mixed_seeds(finished: Mapping[str, Manifest]) -> dict[str, str]:
+    """Words which folders of a further seed had other settings than the stage's first: folder to a sentence."""
+    first: dict[str, tuple[str, dict[str, Any]]] = {}
+    found = {}
+    for name, manifest in finished.items():
+        if any(not word.startswith("seed=") for word in manifest.variant) or manifest.stage not in available_stages():
+            continue  # what a sweep changed names its rows
+        owned = fields(settings_of(manifest.stage))
+        matter = {one.name: manifest.config.get(one.name) for one in owned if one.metadata.get("affects_results", True)}
+        folder, settings = first.setdefault(manifest.stage, (name, matter))
+        if differing := sorted(key for key in matter if matter[key] != settings[key]):
+            found[name] = (
+                f"{name} had other settings than {folder} ({', '.join(differing)}): figures over both mix them; "
+                "run the stage again with the same ones."
+            )
+    return found
 
 
 def _figures(

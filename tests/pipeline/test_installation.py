@@ -91,13 +91,13 @@ def test_every_verb_of_the_makefile_is_explained() -> None:
 @pytest.mark.parametrize(
     ("words", "options"),
     [
-        (["all"], "--beside 2 all -- budget=desk name=desk pretrained=true"),
-        (["all", "PRETRAINED=0"], "--beside 2 all -- budget=desk name=desk"),
-        (["all", "BUDGET=thesis"], "--beside 2 all -- budget=thesis name=thesis"),
-        (["all", "SEEDS=3", "BUDGET=smoke"], "--seeds 3 --beside 2 all -- budget=smoke name=smoke"),
-        (["all", "BESIDE=1", "NAME=mine"], "--beside 1 all -- budget=desk name=mine pretrained=true"),
-        (["all", "ARGS=force=true"], "--beside 2 all -- budget=desk name=desk pretrained=true force=true"),
-        (["enn", "SEEDS=2"], "--seeds 2 --beside 2 --inputs enn -- budget=desk name=desk"),
+        (["all"], "--beside 2 all -- budget=desk name=desk pretrained=1"),
+        (["all", "PRETRAINED=0"], "--beside 2 all -- budget=desk name=desk pretrained=0"),
+        (["all", "BUDGET=thesis"], "--beside 2 all -- budget=thesis name=thesis pretrained=0"),
+        (["all", "SEEDS=3", "BUDGET=smoke"], "--seeds 3 --beside 2 all -- budget=smoke name=smoke pretrained=0"),
+        (["all", "BESIDE=1", "NAME=mine"], "--beside 1 all -- budget=desk name=mine pretrained=1"),
+        (["all", "ARGS=force=true"], "--beside 2 all -- budget=desk name=desk pretrained=1 force=true"),
+        (["enn", "SEEDS=2"], "--seeds 2 --beside 2 --inputs enn -- budget=desk name=desk pretrained=0"),
     ],
 )
 def test_verbs_pass_seeds_and_stages_beside_each_other_on(words: list[str], options: str) -> None:

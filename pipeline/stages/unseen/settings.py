@@ -14,6 +14,7 @@ from pipeline.settings import kinds
 from pipeline.stages.learning.settings import StartingPolicySettings
 from pipeline.stages.unseen.task import TEST_PHANTOM, TRAINING_KINDS, VARIETY
 from pipeline.store.errors import ConfigurationError
+from pipeline.store.provenance import hash_file
 from pipeline.task import DESCENDING, NO_WIRE, Task, task_in_random_arches
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
     name: str = "unseen"
     # takes enn's `generalist` and `navigator` as they are in place of the trainings by roadmap and by X-ray images
     shipped: bool = False
+    navigator_sha256: str | None = None  # filled in
     own_entry: kinds.PathText = DESCENDING  # filled in: where wires come in in `phantoms`
     # that policies are trained and tested in: random_steep and random_trunk have more arches of a rare shape, among
     # others; arch_variety has six branching types, and targets are points of its own
@@ -104,6 +106,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
     def __post_init__(self) -> None:
         """Takes the choices of the command line over."""
         ChosenAnatomies.__post_init__(self)
+        self.navigator_sha256 = None
         if self.shipped:
             self._take_shipped()
         StartingPolicySettings.__post_init__(self)
@@ -134,12 +137,26 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
             )
 
     def _take_shipped(self) -> None:
-        if self.arches != TEST_PHANTOM or self.task.catheter is not None or self.curve:
+        generalist = str(shipped_policy(GENERALIST))
+        given = {
+            "arches": self.arches != TEST_PHANTOM,
+            "task.image_size_px": self.xray and self.task.image_size_px != task_in_random_arches().image_size_px,
+            "task.catheter": self.task.catheter is not None,
+            "curve": bool(self.curve),
+            "least_set_back_mm": self.least_set_back_mm > 0,
+            "training": self.training is not None,
+            "policy": self.policy not in (None, generalist),
+            "views": tuple(self.views) not in (ONE_VIEW, NAVIGATOR_VIEWS),
+            "field_mm": self.field_mm not in (0.0, NAVIGATOR_FIELD_MM),
+        }
+        if any(given.values()):
             raise ConfigurationError(
-                "stage.shipped=true takes policies of a wire alone in any random arches: leave it out, or of make give "
-                "PRETRAINED=0"
+                "stage.shipped=true takes policies of a wire alone in any random arches as they are, and no "
+                f"{', '.join(f'stage.{name}' for name, own in given.items() if own)}: train your own with "
+                "pretrained=false, of make PRETRAINED=0"
             )
-        self.policy, self.decisions = str(shipped_policy(GENERALIST)), 0
+        self.policy, self.decisions = generalist, 0
+        self.navigator_sha256 = hash_file(shipped_policy(NAVIGATOR))
         self.anatomies = LEARNT_ARCHES
         self.views, self.field_mm = list(NAVIGATOR_VIEWS), NAVIGATOR_FIELD_MM
 

@@ -8,6 +8,7 @@ contrast run before the episode.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -79,6 +80,8 @@ _SHIPPED = (
     "repeated here. Their cards (`enn.card`) have the command of the training; `make all PRETRAINED=0` trains."
 )
 _MOST_TRIED = 1_000  # arches, to find those with a steep take-off
+
+_LOGGER = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -323,6 +326,8 @@ def check_unseen(settings: UnseenSettings) -> None:
 def run_unseen(settings: UnseenSettings, context: StageContext) -> Results:
     """Trains and tests every policy."""
     jobs = plan(settings, context.path, context.seed, context.budget)
+    if settings.shipped:
+        _LOGGER.info("unseen: %s", _SHIPPED)
     outcomes = run_jobs(
         context.folder,
         jobs,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 from enn.imitation.behaviour_cloning import cloning_settings
@@ -14,7 +15,9 @@ from pipeline.stages.learning.aids import note as note_of_jobs
 from pipeline.stages.learning.aids import note_of, of_training
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.learning.training import PolicyTrainingJob
-from pipeline.stages.report import notes_of
+from pipeline.stages.report import mixed_seeds, notes_of
+from pipeline.stages.unseen.settings import UnseenSettings
+from pipeline.store.manifest import Identity, Manifest
 from pipeline.tables import Results
 from pipeline.task import Task
 
@@ -100,3 +103,21 @@ def test_the_report_gathers_notes_of_a_sweep_once(tmp_path: Path) -> None:
     (tmp_path / "phantoms").mkdir()
     found = notes_of(tmp_path, ["enn", "enn@seed=1", "enn@stage.decisions=9", "phantoms"])
     assert found == {"ablation": ["one", "two"]}
+
+
+def test_the_report_says_where_seeds_had_other_settings(tmp_path: Path) -> None:
+    of_seed = partial(
+        Manifest, "unseen", "desk", "desk", identity=Identity("", {}, 1), outputs={}, wall_time_s=1.0, finished=""
+    )
+    own, other = asdict(UnseenSettings()), asdict(UnseenSettings(shipped=True, device="cuda"))
+    finished = {
+        "unseen": of_seed(0, own),
+        "unseen@seed=1": of_seed(1, other, variant=["seed=1"]),
+        "unseen@seed=1,stage.decisions=5": of_seed(1, own, variant=["seed=1", "stage.decisions=5"]),
+    }
+    (text,) = mixed_seeds(finished).values()
+    assert text.startswith(
+        "unseen@seed=1 had other settings than unseen (anatomies, decisions, field_mm, navigator_sha256, "
+    )
+    assert "device" not in text
+    assert mixed_seeds({**finished, "unseen@seed=1": of_seed(1, {**own, "device": "cuda"}, variant=["seed=1"])}) == {}

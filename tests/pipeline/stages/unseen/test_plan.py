@@ -16,9 +16,11 @@ from pipeline.jobs.worker import Report
 from pipeline.seeds import unseen_arches, validation_arches
 from pipeline.stages.unseen.image_policy import train_image_policy
 from pipeline.stages.unseen.roadmap import AnatomiesJob, RoadmapJob, StartsJob, train_roadmap
+from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.stage import check_unseen, plan, registration
 from pipeline.stages.unseen.task import training_arch
 from pipeline.store.errors import ConfigurationError
+from pipeline.store.provenance import hash_file
 from pipeline.task import Task, differences
 from tests.pipeline.composed import composed
 from tests.pipeline.stages.unseen.small_unseen import TASK, small_settings, variety
@@ -43,7 +45,7 @@ def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
     assert [test.name for test in jobs["roadmap 4"].given.tests] == ["unseen"]
     assert by_image[0].after == by_image[1].after == ("roadmap",)
     built = [arch for job in jobs.values() if isinstance(job.given, AnatomiesJob) for arch in job.given.arches]
-    tested = [("random", seed) for seed in unseen_arches(50)]
+    tested = [("random", seed) for seed in unseen_arches(20)]
     validated = [training_arch(seed) for seed in validation_arches(16)]
     kinds = ("random", "random_wide", "random", "random_scan", "random_scan")
     trained = [(kinds[seed % 5], seed) for seed in range(3000, 3020)]
@@ -211,8 +213,22 @@ def test_shipped_policies_are_tested_in_place_of_trainings(tmp_path: Path) -> No
         assert train(job, Report()) == {"training_s": 0.0, "tests": []}
         assert (job.own_folder / name).read_bytes() == job.start.read_bytes()
     assert not composed("stage=unseen").stage.shipped
-    with pytest.raises(ConfigurationError, match=r"shipped=true takes policies of a wire alone .* PRETRAINED=0"):
-        small_settings(shipped=True)
+    assert wanted.navigator_sha256 == hash_file(jobs["xray"].start)
+
+
+def test_shipped_policies_take_the_place_of_nothing_that_was_asked_for() -> None:
+    asked = {
+        "policy": "mine.pt",
+        "views": ["lateral"],
+        "least_set_back_mm": 20.0,
+        "curve": [2],
+        "training": {"gamma": 0.9},
+    }
+    for name, value in asked.items():
+        with pytest.raises(ConfigurationError, match=rf"shipped=true takes .* and no stage\.{name}: .* PRETRAINED=0"):
+            UnseenSettings(shipped=True, **{name: value})
+    with pytest.raises(ConfigurationError, match=r"and no stage\.task\.image_size_px: train your own"):
+        composed("stage=unseen", "pretrained=1", "stage.task.image_size_px=128")
 
 
 def test_impossible_sizes_are_one_sentence(tmp_path: Path) -> None:
