@@ -11,7 +11,7 @@ from typing import Any
 
 from pipeline.printing import say
 from pipeline.protocol.claims import read_protocol
-from pipeline.store.errors import ConfigurationError
+from pipeline.store.errors import ConfigurationError, system_sentence
 
 _FINE, _USAGE = 0, 2
 
@@ -31,18 +31,17 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--policy", type=Path, metavar="FILE", help="play this policy in the whole of a published task")
     parser.add_argument(
         "--board",
-        default="arch_variety",
         metavar="TASK",
         help="arch_variety (default), dual_device_nav or random_trees",
     )
     parser.add_argument("--episodes", type=int, metavar="N", help="only the first ones of the task")
-    parser.add_argument(
-        "--row", type=Path, default=Path("row.json"), metavar="FILE", help="for its figures (default row.json)"
-    )
+    parser.add_argument("--row", type=Path, metavar="FILE", help="for its figures (default row.json)")
     given = parser.parse_args(arguments)
     try:
         if given.policy is not None:
             return _row(given)
+        if (given.board, given.episodes, given.row) != (None, None, None):
+            raise ConfigurationError("--board, --episodes and --row are of a policy's row: name its file by --policy")
         protocol = read_protocol(given.protocol)
         protocol.require(given.claims)
         if min(given.seeds, given.workers) < 1:
@@ -62,7 +61,8 @@ def main(arguments: list[str]) -> int:
             result = measure(name, protocol, given.to, seeds=given.seeds, workers=given.workers, tell=_tell)
             say(_line(name, result["summary"]))
     except (ConfigurationError, OSError, ValueError, BrokenExecutor) as error:
-        say(f"endonav evaluate: {error}", error=True)
+        words = system_sentence(error) if isinstance(error, OSError) else error
+        say(f"endonav evaluate: {words}", error=True)
         return _USAGE
     except KeyboardInterrupt:
         kept = f"the cases that were played are kept in {given.to}: the same command goes on from there"
@@ -76,9 +76,10 @@ def _row(given: argparse.Namespace) -> int:
 
     if given.claims or (given.episodes is not None and given.episodes < 1):
         raise ConfigurationError("--policy plays in a task: leave claims out, and --episodes is 1 at least")
-    if given.row.is_dir():
-        raise ConfigurationError(f"--row is a folder: {given.row}")
-    say(write_row(measure_row(given.policy, given.board, given.episodes, _tell), given.row))
+    row = given.row or Path("row.json")
+    if row.is_dir() or not row.absolute().parent.is_dir():
+        raise ConfigurationError(f"--row is {'a folder' if row.is_dir() else 'in no folder'}: {row}; name a file")
+    say(write_row(measure_row(given.policy, given.board or "arch_variety", given.episodes, _tell), row))
     return _FINE
 
 

@@ -104,8 +104,14 @@ def outdated(result: dict[str, Any], protocol: Protocol) -> str:
 def _read(path: Path) -> Any:
     if not path.is_file():
         raise ConfigurationError(f"{path} is missing: `endonav evaluate {path.stem}` makes it")
-    result = read_json(path)
-    if claim := read_protocol().claims.get(result["claim"]):  # its words may be others since, its figures not
+    try:
+        result = read_json(path)
+        name, _, _ = (result[key] for key in ("claim", "declared", "summary"))
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigurationError(
+            f"{path} is damaged: remove it, and `endonav evaluate {path.stem}` makes it again ({error})"
+        ) from None
+    if claim := read_protocol().claims.get(name):  # its words may be others since, its figures not
         result["declared"] |= {"title": claim.title, "limits": claim.limits}
     return result
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -177,14 +178,18 @@ def inputs(claim: Claim) -> dict[str, str]:
 def _played(journal: Path, made_by: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Outcomes of the journal, by their case's hash; the journal begins anew where something else made it."""
     journal.parent.mkdir(parents=True, exist_ok=True)
-    lines = journal.read_text(encoding="utf-8").splitlines() if journal.is_file() else []
+    lines = journal.read_text("utf-8", "replace").splitlines() if journal.is_file() else []
     if not lines or lines[0] != json.dumps(made_by):
         if lines:
             journal.replace(journal.with_suffix(".old.jsonl"))
         journal.write_text(json.dumps(made_by) + "\n", encoding="utf-8")
         return {}
-    whole = [line for line in lines[1:] if line.endswith("}}")]  # an interrupted write leaves half a line
-    if len(whole) < len(lines) - 1:
-        journal.write_text("\n".join([lines[0], *whole]) + "\n", encoding="utf-8")
-    records = [json.loads(line) for line in whole]
-    return {hash_value(record["case"]): record["outcome"] for record in records}
+    found, whole = {}, lines[:1]
+    for line in lines[1:]:
+        with contextlib.suppress(ValueError, KeyError, TypeError):  # an interrupted write leaves half a line
+            record = json.loads(line)
+            found[hash_value(record["case"])] = record["outcome"]
+            whole.append(line)
+    if len(whole) < len(lines):
+        journal.write_text("\n".join(whole) + "\n", encoding="utf-8")
+    return found

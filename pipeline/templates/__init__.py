@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import keyword
 import shlex
 from collections.abc import Sequence
@@ -57,6 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     taken = [path for path in files.values() if path.exists()]
     if taken or f'    "{name}": (' in text:
         parser.error(f"{taken[0] if taken else f'a stage {name!r}'} is there already: choose another name")
+    if given.kind != "stage" and importlib.util.find_spec(name) is not None:
+        parser.error(f"{name!r} is an installed module, which {name}.py would hide: choose another name")
     title = "".join(part.capitalize() for part in name.split("_"))
     for template, path in files.items():
         content = Path(__file__).with_name(f"{template}.txt").read_text(encoding="utf-8")

@@ -120,7 +120,8 @@ def test_a_new_policy_and_a_new_phantom_pass_their_tests(
     assert done.returncode == 0, done.stdout
     assert "2 passed" in done.stdout
     written = (tmp_path / "mine.py").read_bytes()
-    for name, sentence in (("mine", "is there already"), ("3d", "is no Python name"), ("class", "is no Python name")):
+    for name, sentence in (("mine", "is there already"), ("3d", "is no Python name"), ("class", "is no Python name"),
+                           ("json", "is an installed module")):  # fmt: skip
         with pytest.raises(SystemExit) as ended:
             command.main(["new", kind, name])
         assert ended.value.code == 2

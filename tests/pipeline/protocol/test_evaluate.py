@@ -74,6 +74,12 @@ def test_wrong_words_end_in_a_sentence(protocol: Path, capsys: pytest.CaptureFix
     assert "there is no claim 'curves': choose from wires" in capsys.readouterr().err
     assert _evaluate(protocol, "wires", "--seeds", "0") == 2
     assert main(["--protocol", str(protocol.parent / "none.yaml")]) == 2
+    capsys.readouterr()
+    assert _evaluate(protocol, "wires", "--to", str(protocol)) == 2
+    assert "(file exists): a file lies where a folder is needed" in capsys.readouterr().err
+    for words in (["--board", "arch_variety"], ["--episodes", "3"], ["--row", "row.json"]):  # all claims take hours
+        assert _evaluate(protocol, *words) == 2
+        assert "are of a policy's row: name its file by --policy" in capsys.readouterr().err
 
 
 def test_every_case_is_written_and_none_is_played_twice_unless_the_claim_changes(protocol: Path) -> None:
@@ -84,7 +90,7 @@ def test_every_case_is_written_and_none_is_played_twice_unless_the_claim_changes
     assert {"commit", "changes", "inputs", "claim"} == set(first["made_by"])
     assert all(case["success"] and case["mean_mm"] < 5 for case in first["cases"])
     lines = journal.read_text().splitlines()
-    journal.write_text("\n".join(lines[:4]) + '\n{"case": {"anat')  # killed within a line
+    journal.write_text("\n".join(lines[:4]) + '\n{"case": {"a": {}}\n{"case": {"anat')  # killed within lines
     assert _evaluate(protocol) == 0
     again = journal.read_text().splitlines()
     assert (again[:4], len(again)) == (lines[:4], 7)

@@ -78,6 +78,12 @@ def test_a_table_is_made_from_results_and_a_change_of_them_is_seen(tmp_path: Pat
     assert not outdated(result, read_protocol(protocol))
     protocol.write_text(SCENES.replace("count: 6", "count: 7"))
     assert "entry" in outdated(result, read_protocol(protocol))
+    for damaged in (json.dumps(result)[:90], "[]", "{}"):
+        (results / "wires.json").write_text(damaged)
+        with pytest.raises(
+            ConfigurationError, match=r"wires\.json is damaged: remove it, and `endonav evaluate wires`"
+        ):
+            rendered(text, results)
     result["made_by"]["inputs"] = {"a policy": "of other weights"}
     protocol.write_text(SCENES)
     assert "policies" in outdated(result, read_protocol(protocol))
