@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.anatomies.anatomy_file import KINDS, AnatomyFile, load_anatomy
 from pipeline.anatomies.devices import WITH_POLICIES, best_in_copies, catheter_better_mm, set_back_mm, softened
-from pipeline.anatomies.settings import TARGETS
+from pipeline.anatomies.settings import GENERATED_TARGETS, TARGETS
 from pipeline.seeds import ARCHES, held_out_seeds, unseen_arches
 from pipeline.stages.unseen.task import TEST_PHANTOM, UnseenTask
 from pipeline.store.errors import ConfigurationError
@@ -187,7 +187,7 @@ def open_scene(
     room = None
     if anatomy is None:
         place, described = unseen_arches(_ARCHES)[seed], f"random arch {unseen_arches(_ARCHES)[seed]}"
-        known = list(TARGETS)
+        known = list(GENERATED_TARGETS)
     else:
         place, described = _file(anatomy, unit, ct), Path(anatomy).name
         phantom = place.load()

@@ -114,12 +114,17 @@ def test_the_generalist_goes_by_the_scan() -> None:
     assert np.linalg.norm(way[0] - wire[0]) < 5e-3
 
 
+@pytest.mark.parametrize("target", ["rsa", "rcca"])
+def test_all_arteries_above_a_random_arch_are_targets(target: str) -> None:
+    assert open_scene("generalist", target=target, catheter=False).target == target
+
+
 def test_the_arch_was_not_trained_in() -> None:
     assert not set(unseen_arches(1_000)) & {seed for run in range(20) for seed in training_arches(run, 1_000)}
 
 
 def test_what_there_is_not_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ConfigurationError, match="random arch 40000 has no target 'spleen': choose --target from bca"):
+    with pytest.raises(ConfigurationError, match="'spleen': choose --target from bca, lcca, lsa, rsa, rcca"):
         open_scene("navigator", target="spleen")
     policy = enn.load("navigator")
     policy.metadata.clear()
