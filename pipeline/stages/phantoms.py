@@ -74,6 +74,7 @@ def check_phantoms(settings: PhantomsSettings) -> None:
     if (file := settings.anatomy_file) is None:
         require_known_phantoms(settings.phantoms, hint="; random ones by stage.random_seeds=[0,1]")
         return
+    _LOGGER.info("phantoms: reading %s, a minute for a new file", file.path)
     try:
         file.load(settings.resolution_mm / _MM)
         file.room()

@@ -67,7 +67,7 @@ def settled(stage: str, *overrides: str) -> Any:
 
 def run_stage(stage: str, folder: Path, *overrides: str) -> Path:
     """Runs a stage's jobs in this process."""
-    settings = settled(stage, *overrides, *TINY[stage], "task.max_steps=4")
+    settings = settled(stage, *overrides, *TINY[stage], "stage.task.max_steps=4")
     module = importlib.import_module(load_stage(stage).run.__module__)
     reads = ("expert", "enn", "unseen", "splineformer")
     with pytest.MonkeyPatch.context() as patch:

@@ -42,6 +42,7 @@ def test_a_mesh_is_built_once(arch: Path, tmp_path: Path, capfd: pytest.CaptureF
     assert account["notes"] == ["3 degenerate or repeated faces dropped"]
     told = capfd.readouterr()
     assert "my_arch: unit mm (" in told.out
+    assert told.out.startswith(f"phantoms: reading {arch}, ")
     assert "right_arm" in next(line for line in told.out.splitlines() if "; targets " in line)
     assert (told.out + told.err).count("3 degenerate or repeated faces dropped") == 1
     ending = told.out.splitlines()[-len(account["notes"]) - 2 :]
