@@ -77,7 +77,7 @@ def _row(given: argparse.Namespace) -> int:
     if given.claims or (given.episodes is not None and given.episodes < 1):
         raise ConfigurationError("--policy plays in a task: leave claims out, and --episodes is 1 at least")
     row = given.row or Path("row.json")
-    if row.is_dir() or not row.absolute().parent.is_dir():
+    if row.is_dir() or not next(place for place in row.absolute().parents if place.exists()).is_dir():
         raise ConfigurationError(f"--row is {'a folder' if row.is_dir() else 'in no folder'}: {row}; name a file")
     say(write_row(measure_row(given.policy, given.board or "arch_variety", given.episodes, _tell), row))
     return _FINE

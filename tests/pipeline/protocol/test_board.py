@@ -104,7 +104,7 @@ def test_what_cannot_play_is_refused_in_a_sentence(tmp_path: Path, capsys: pytes
     assert "leave claims out" in told("random_roadmap", "--policy", file)
     assert "--episodes is 1 at least" in told("--policy", file, "--episodes", "0")
     assert "--row is a folder" in told("--policy", file, "--row", tmp_path)
-    assert "--row is in no folder" in told("--policy", file, "--row", tmp_path / "none" / "row.json")
+    assert "--row is in no folder" in told("--policy", file, "--row", Path(__file__) / "row.json")
     four = random_policy(tmp_path / "four.pt", 18, 4)
     assert "gives actions of shape (4,), ArchVariety takes (2,)" in told("--policy", four, "--episodes", "1")
     (tmp_path / "text.onnx").write_text("no model")
