@@ -23,6 +23,7 @@ from pipeline.jobs.machine import shared_machine
 from pipeline.printing import say, written
 from pipeline.settings.quoting import unquoted
 from pipeline.stages import available_stages, load_stage, settings_of
+from pipeline.store.interruption import stop_at_once_by_ctrl_c
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,21 @@ def concerns(override: str, stage: str) -> bool:
         return True
     names = {item.name for item in fields(settings_of(stage))}
     return only in ("", stage) and key.partition(".")[0] in names
+
+
+def words_of(step: Step, overrides: Sequence[str]) -> list[str]:
+    """The words with which the pipeline runs a step."""
+    own = [word.replace(f"stage@{step.stage}.", "stage.", 1) for word in overrides if concerns(word, step.stage)]
+    return [f"stage={step.stage}", *own, *([] if step.seed is None else [f"seed={step.seed}"])]
+
+
+def refused(steps: Sequence[Step], overrides: Sequence[str]) -> str:
+    """Which step's settings would be refused when its turn comes, perhaps after hours, and why; "" if none's."""
+    from pipeline.launch import refusal
+
+    if len(steps) == 1 or any(word.startswith("-") for word in overrides):  # Hydra's options
+        return ""
+    return next((f"{step}: {why}" for step in steps if (why := refusal(words_of(step, overrides)))), "")
 
 
 _SECONDS_BETWEEN_LOOKS = 0.1
@@ -160,9 +176,7 @@ class _Chain:
         self._started += 1
         told = f"; {len(self._done)} done in {self._so_far()}" if self._done else ""
         say(f"== stage {self._started} of {len(self._steps)}: {step}{told}")
-        own = [w.replace(f"stage@{step.stage}.", "stage.", 1) for w in self._overrides if concerns(w, step.stage)]
-        own += [] if step.seed is None else [f"seed={step.seed}"]
-        command = [sys.executable, "-m", "pipeline", f"stage={step.stage}", *own]
+        command = [sys.executable, "-m", "pipeline", *words_of(step, self._overrides)]
         self._waiting.remove(place)
         self._processes.start(place, command, name=str(step) if self._beside > 1 else None)
 
@@ -293,7 +307,11 @@ def main(arguments: list[str]) -> int:
     if foreign:
         say(f"no stage of the chain has the setting {foreign[0]!r}: name its stage, or leave it out", error=True)
         return _EXIT_USAGE
-    return run(steps_of(stages, seeds), overrides, beside)
+    steps = steps_of(stages, seeds)
+    if problem := refused(steps, overrides):
+        say(problem, error=True)
+        return _EXIT_USAGE
+    return run(steps, overrides, beside)
 
 
 def _taken(words: list[str], option: str, largest: int) -> int:
@@ -309,4 +327,5 @@ def _taken(words: list[str], option: str, largest: int) -> int:
 
 
 if __name__ == "__main__":
+    stop_at_once_by_ctrl_c()
     sys.exit(main(sys.argv[1:]))

@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 from types import FrameType
 
+from hydra import compose, initialize_config_dir
 from hydra import main as hydra_main
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
@@ -202,6 +203,20 @@ def main(arguments: list[str]) -> int:
         is_usage = isinstance(error, PipelineError) or system_error(error) is None
         return _say(one_line(error, arguments), EXIT_USAGE if is_usage else EXIT_FAILED)
     return 0
+
+
+def refusal(arguments: list[str]) -> str:
+    """Why a run with this command line would be refused; "" where its settings are right."""
+    arguments = with_quoted_paths(arguments)
+    register_schemas(_chosen_stages(arguments))
+    try:
+        with initialize_config_dir(str(CONFIG_DIRECTORY), version_base="1.3"):
+            run_config(compose("config", overrides=arguments))
+    except Exception as error:
+        if not is_foreseen(error):
+            raise
+        return one_line(error, arguments)
+    return ""
 
 
 def _chosen_stages(arguments: list[str]) -> list[str]:

@@ -173,6 +173,10 @@ def test_a_signal_ends_the_stage_and_starts_no_other(number: signal.Signals, cod
             ["user_study", "report", "--", "stage.devise=cuda"],
             "no stage of the chain has the setting 'stage.devise=cuda': name its stage, or leave it out",
         ),
+        (
+            ["phantoms", "unseen", "--", "budget=smoke", "pretrained=true", "stage@unseen.policy=mine.pt"],
+            "unseen: stage.shipped=true takes policies",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused(words: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:
