@@ -20,7 +20,7 @@ import yaml
 PROJECT_ROOT = Path(__file__).resolve().parents[1]
 LEARNING_PACKAGES = ("enn", "guide3d", "splineformer")
 INDEX = "models/README.md"
-LIMIT_BYTES = 25_000_000  # of all together: they lie in the repository for ever
+LIMIT_BYTES = 30_000_000  # of all together: they lie in the repository for ever
 SECTIONS = ("What it sees", "Trained on", "Command", "Figures", "Limits")  # of every card, bold, in this order
 _FACTS = re.compile(r"^\| file \|.*?(?=^$)", re.DOTALL | re.MULTILINE)
 _HEAD = re.compile(r"\A---\n.*?\n---\n\n", re.DOTALL)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import field
+from importlib.resources import as_file, files
 from typing import Annotated
 
 from annotated_types import Ge, Le
 
 from pipeline.settings import kinds
 from pipeline.store.errors import ConfigurationError
+from pipeline.store.provenance import hash_file
 
 # What predicts a shape: the shape network as the thesis's table has it, with the thesis's loss alone, and 3D-FGRN.
 SHAPE_ROWS = ("spherical", "cartesian", "spherical_angles", "fgrn")
@@ -62,6 +64,9 @@ class SegmentationSettings(NetworkSettings):
     test_images: kinds.CountOrNone = 120  # of the test acquisitions, evenly chosen; 0: all
 
 
+SHIPPED_ORDERED = "ordered_simulated"  # that comes with splineformer
+
+
 @kinds.validated()
 class SplineformerSettings(TrainingSettings):
     """Settings of SplineFormer."""
@@ -71,6 +76,9 @@ class SplineformerSettings(TrainingSettings):
     size: Annotated[str, kinds.one_of(*SPLINEFORMER_SIZES)] = "desk"
     # network of the stage segmentation whose masks are traced
     rival: Annotated[str, kinds.one_of(*SEGMENTATION_ROWS)] = "unet"
+    # takes the variant `ordered` that comes with the package, where the data set is the one that it was trained on
+    shipped: bool = False
+    ordered_sha256: str | None = None  # of that, filled in
     # under which images are read
     disturbances: _Disturbances = field(default_factory=lambda: list(DISTURBANCES))
     test_images: kinds.CountOrNone = 360  # of the test acquisitions, evenly chosen; 0: all
@@ -78,6 +86,10 @@ class SplineformerSettings(TrainingSettings):
 
     def __post_init__(self) -> None:
         """Checks that there is something to compare with, and that the variant has the size."""
+        self.ordered_sha256 = None
+        if self.shipped:
+            with as_file(files("splineformer.weights") / f"{SHIPPED_ORDERED}.pt") as path:
+                self.ordered_sha256 = hash_file(path)
         if "none" not in self.disturbances:
             raise ConfigurationError("stage.disturbances must hold none: it is what the others are compared with")
         if self.size == "thesis_large" and self.variants != ["published"]:

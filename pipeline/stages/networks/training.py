@@ -74,6 +74,7 @@ class TrainingJob:
     network: str  # as the command line calls it
     settings: Any  # of the stage; `TrainingSettings` and what the stage adds to them
     seed: int
+    shipped: str | None = None  # network that is taken in place of the training
 
 
 def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[str], report: Report) -> dict[str, Any]:

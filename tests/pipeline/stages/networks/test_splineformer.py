@@ -5,24 +5,29 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from guide3d import shipped as shelf
 from guide3d.learning.build import SEGMENTER_SIZES
 from guide3d.learning.picture_store import Preprocessing
 from guide3d.learning.predictor import SegmentationPredictor, built
 from pipeline.jobs.worker import Report
 from pipeline.plots.networks import draw_attention, draw_comparison, draw_errors
+from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages import splineformer
 from pipeline.stages import splineformer as splineformer_jobs
 from pipeline.stages.guide3d.folder import Source
+from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.stages.networks import training as network_stage
 from pipeline.stages.networks.settings import SplineformerSettings
-from pipeline.stages.splineformer import EXAMPLES, compare, learn_variant
+from pipeline.stages.splineformer import EXAMPLES, compare, learn_variant, shipped_variants
 from pipeline.store.errors import ConfigurationError, StageError
 from splineformer.comparison.evaluation import ReadCurve, Reader
+from splineformer.predictor import Predictor
 from tests.guide3d.learning.drawn_data import draw
 from tests.pipeline.stages.small_expert import context, in_this_process
 
@@ -134,3 +139,33 @@ def test_wires_that_no_reader_finds_are_drawn(
 def test_bad_settings(wrong: dict, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         SplineformerSettings(**({"variants": ["ordered", "published"]} | wrong))
+
+
+def test_a_shipped_network_is_taken_where_its_training_would_be_repeated(
+    run: Path, results: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ours = context(run, "splineformer", reads=READS)
+    desk = SplineformerSettings(shipped=True)
+    usual = settings_that_matter(Guide3dSettings())
+    monkeypatch.setattr(splineformer_jobs, "read_manifest", lambda folder: SimpleNamespace(config=usual))
+    assert shipped_variants(desk, ours) == {"ordered": "ordered_simulated"}
+    for other in (replace(desk, shipped=False), replace(desk, epochs=2), replace(desk, size="smoke")):
+        assert shipped_variants(other, ours) == {}
+    assert shipped_variants(desk, replace(ours, seed=ours.seed + 1)) == {}
+    jobs = {job.key: job.given for job in splineformer.plan(desk, ours)}
+    assert (jobs["ordered"].shipped, jobs["published"].shipped) == ("ordered_simulated", None)
+    usual = usual | {"images": 100}
+    assert shipped_variants(desk, ours) == {}
+
+    trained = run / "splineformer" / "ordered"
+    training = json.loads((trained / "training.json").read_text())
+    weights = tmp_path / "splineformer.weights"
+    weights.mkdir()
+    file = weights / "ordered_simulated.pt"
+    Predictor.load(trained / "predictor.pt").save(file, training=json.dumps(training))
+    monkeypatch.setattr(shelf, "files", lambda package: tmp_path / package)
+    monkeypatch.setattr("splineformer.learning.training_command.train", None)
+    job = {job.key: job.given for job in splineformer.plan(SETTINGS, ours)}["ordered"]
+    learn_variant(replace(job, folder=tmp_path / "ordered", shipped="ordered_simulated"), Report())
+    assert (tmp_path / "ordered" / "predictor.pt").read_bytes() == file.read_bytes()
+    assert json.loads((tmp_path / "ordered" / "training.json").read_text()) == training
