@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 ONE_VIEW = ("frontal",)
 GENERALIST, NAVIGATOR = "generalist", "navigator"  # policies that come with enn; of their cards:
-NAVIGATOR_VIEWS, NAVIGATOR_FIELD_MM, LEARNT_ARCHES = ("frontal", "lao_45"), 200.0, 150
+NAVIGATOR_VIEWS, NAVIGATOR_FIELD_MM = ("frontal", "lao_45"), 200.0
+LEARNT_IN = 150  # arches, by the generalist
 LEAST_FIELD_MM = 160.0  # whose upper 4/9 hold `TARGETS` of random arches, up to 63 mm above the arch
 LEAST_WIDE_FIELD_MM = 200.0  # with RSA and RCCA, up to 88 mm beside the arch's middle and 75 mm above it
 
@@ -157,7 +158,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
             )
         self.policy, self.decisions = generalist, 0
         self.navigator_sha256 = hash_file(shipped_policy(NAVIGATOR))
-        self.anatomies = LEARNT_ARCHES
+        self.anatomies = LEARNT_IN
         self.views, self.field_mm = list(NAVIGATOR_VIEWS), NAVIGATOR_FIELD_MM
 
     def field(self) -> float | None:
