@@ -6,6 +6,7 @@ import hashlib
 import itertools
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,7 +14,7 @@ from pipeline.data.sources import Source, SourceFile, Sources
 from pipeline.protocol import navigation, rehearsal
 from pipeline.protocol.claims import Rehearsal, read_protocol
 from pipeline.protocol.command import main
-from pipeline.protocol.run import summary
+from pipeline.protocol.run import KINDS, play, summary
 from pipeline.store.errors import ConfigurationError
 
 NO_VESSEL = hashlib.sha256(b"solid no vessel").hexdigest()
@@ -80,6 +81,13 @@ def test_wrong_words_end_in_a_sentence(protocol: Path, capsys: pytest.CaptureFix
     for words in (["--board", "arch_variety"], ["--episodes", "3"], ["--row", "row.json"]):  # all claims take hours
         assert _evaluate(protocol, *words) == 2
         assert "are of a policy's row: name its file by --policy" in capsys.readouterr().err
+
+
+def test_reasons_keep_names_of_files_and_no_folders(monkeypatch: pytest.MonkeyPatch) -> None:
+    reason = "no branch; see the picture /home/me/.cache/a/b-1.png, m/s, of /data/x.stl: 4.5 N/mm"
+    monkeypatch.setitem(KINDS, "forces", SimpleNamespace(play=lambda *given: {"success": False, "reason": reason}))
+    claim = SimpleNamespace(kind="forces")
+    assert play(claim, {})["reason"] == "no branch; see the picture b-1.png, m/s, of x.stl: 4.5 N/mm"
 
 
 def test_every_case_is_written_and_none_is_played_twice_unless_the_claim_changes(protocol: Path) -> None:
