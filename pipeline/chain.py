@@ -99,7 +99,8 @@ def refused(steps: Sequence[Step], overrides: Sequence[str]) -> str:
 
     if len(steps) == 1 or any(word.startswith("-") for word in overrides):  # Hydra's options
         return ""
-    return next((f"{step}: {why}" for step in steps if (why := refusal(words_of(step, overrides)))), "")
+    stages = dict.fromkeys(step.stage for step in steps)  # further seeds change no setting
+    return next((f"{stage}: {why}" for stage in stages if (why := refusal(words_of(Step(stage), overrides)))), "")
 
 
 _SECONDS_BETWEEN_LOOKS = 0.1

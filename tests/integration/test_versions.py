@@ -92,6 +92,8 @@ USES = [
     ("guide3d[dicom]", "pydicom", "from guide3d.dicom import read_xray; read_xray('run.dcm')"),
     ("guide3d[learning]", "torch", "import guide3d, numpy; guide3d.read(numpy.eye(256))"),
     ("guide3d[learning]", "torch", "import guide3d; guide3d.load('reader')"),
+    ("guide3d[learning]", "torch", "import guide3d.train"),
+    ("guide3d[learning]", "torch", "import guide3d.train_reader"),
     ("guide3d[learning]", "torch", "import guide3d.modeling.unet"),
     ("guide3d[learning]", "torch", "import guide3d.reading.maps"),
     ("enn[onnx]", "onnx", "from enn.export import _require; _require('onnx')"),

@@ -53,13 +53,19 @@ def test_the_command_leaves_a_network_that_reads(tmp_path: Path) -> None:
     assert predictor.picture(image).pixels.shape == (64, 64)
 
 
-@pytest.mark.parametrize("more", [("--settings", '{"sample": 3}'), ("--fluoroscopy", '{"noise": -1}')])
+@pytest.mark.parametrize(
+    "more",
+    [("--epochs", "0"), ("--settings", '{"sample": 3}'), ("--fluoroscopy", '{"noise": -1}'), ("--output", "{file}")],
+)
 def test_the_command_refuses_with_one_sentence(
     more: tuple[str, str], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
+    (tmp_path / "file").write_text("no folder")
     words = ["--size", "smoke", "--device", "cpu", "--output", str(tmp_path / "out"), "--settings", SMALL]
     with caplog.at_level("ERROR"):
-        assert main([*words, *more]) == 2
+        assert (
+            main([*words, *(word.format(file=tmp_path / "file") if "{file}" in word else word for word in more)]) == 2
+        )
     messages = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
     assert len(messages) == 1
     assert "\n" not in messages[0]

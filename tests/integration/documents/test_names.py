@@ -162,6 +162,14 @@ def urls(pyproject: Path) -> dict[str, str]:
 DECLARED = urls(PROJECT_ROOT / "pyproject.toml")
 
 
+PLACEHOLDER = re.compile(r"https?://example\.invalid[^\s>)\"'`]*")
+
+
+def test_no_document_has_an_address_of_before() -> None:
+    for document in (*DOCUMENTS, PROJECT_ROOT / "CITATION.cff"):
+        assert set(PLACEHOLDER.findall(read(document))) <= set(DECLARED.values()), relative(document)
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_packages_name_the_same_addresses(package: str) -> None:
     assert urls(PROJECT_ROOT / "packages" / package / "pyproject.toml") == DECLARED

@@ -155,18 +155,20 @@ def resumed(trained: Callable[..., Predictor], folder: Path) -> Predictor:
     return whole
 
 
-def test_training_resumes_exactly(tmp_path: Path) -> None:
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_training_resumes_exactly(variant: str, tmp_path: Path) -> None:
     def trained(**given: Any) -> Predictor:
-        return train_on_fluoroscopy(tiny("ordered"), pictures=tmp_path / "pictures", seed=1, **given)[0]
+        return train_on_fluoroscopy(tiny(variant), pictures=tmp_path / "pictures", seed=1, **given)[0]
 
     assert resumed(trained, tmp_path).input == "maps"
 
 
-def test_training_in_a_data_set_resumes_exactly(tmp_path: Path) -> None:
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_training_in_a_data_set_resumes_exactly(variant: str, tmp_path: Path) -> None:
     data = draw(tmp_path / "drawn")
     parts = split(data, (0.6, 0.2, 0.2))
     assert isinstance(parts, Split)
-    recipe = recipe_of("published", "smoke")
+    recipe = recipe_of(variant, "smoke")
     recipe = replace(recipe, fit=replace(recipe.fit, epochs=2), images=8)
 
     def trained(**given: Any) -> Predictor:
