@@ -38,8 +38,9 @@ from pipeline.stages.learning.expert_episodes import (
     require_expert,
 )
 from pipeline.stages.learning.settings import ImitationSettings
+from pipeline.stages.learning.shared_training import CURVE, RECORD
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import CURVE, RECORD, both_modes, evaluate
+from pipeline.stages.learning.training import both_modes, evaluate
 from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.tables import Figure, Results
 from pipeline.task import TASK, require_known_task

@@ -29,6 +29,7 @@ from pipeline.stages.job_memory import training_gb, training_gpu_gb
 from pipeline.stages.learning.encoders import ENCODERS, EncodersJob, encoder_file, fit_encoders
 from pipeline.stages.learning.expert_episodes import EXPERT, repeat, require_demonstrations
 from pipeline.stages.learning.settings import LearningSettings
+from pipeline.stages.learning.shared_training import CHECKPOINT, RECORD, shared_training
 from pipeline.stages.learning.task import ACCURACY_OF_TESTS, LearningTask
 from pipeline.store.errors import stopping_the_stage
 from pipeline.task import FEEDER, TASK, require_known_task
@@ -77,7 +78,6 @@ def both_modes(best: int, drawn: int) -> dict[str, int]:
     return {mode: count for mode, count in zip(MODES, (best, drawn), strict=True) if count}
 
 
-RECORD, CURVE = "training.json", "training.csv"
 # What every job imports: once, before the jobs' processes are forked.
 PRELOAD = ("cathsim", "enn.reinforcement.training.training", "enn.encoder", "pipeline.recording.record", OPTIMISER)
 _SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the estimate of the end
@@ -95,6 +95,7 @@ class PolicyTrainingJob:
     keys: tuple[str, ...]
     evaluation_episodes: int  # by the best action
     drawn_episodes: int  # by drawn actions
+    run: Path  # the run's folder, in which stages share trainings
     encoder: Path | None = None  # file of a fitted encoder; None: the policy sees the observations themselves
     demonstrations: tuple[Path, ...] = ()
     expert_episodes: int = 0  # with images, for imitation
@@ -121,8 +122,17 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
     from enn.encoder import Encoder
     from enn.reinforcement import CheckpointError, Training
 
+    metadata = {
+        **job.origin.configuration("training"),
+        "phantom": job.task.phantom,
+        "target": job.task.target,
+        TASK: asdict(job.task.task),
+    }
     for leftover in job.folder.glob(".*.tmp"):  # of a killed training
         leftover.unlink()
+    shared = shared_training(job, report.device)
+    begun = any((job.folder / name).exists() for name in (RECORD, CHECKPOINT))
+    taken = shared is not None and not begun and shared.take(job.folder, metadata)
     trained = job.settings.decisions * _SECONDS_A_DECISION / max(job.weight, 1e-9)  # share of the job, by time
     # a policy may get stuck in accurate physics alone: those choose the best one
     validation = replace(job.task, accuracy=ACCURACY_OF_TESTS).factory(job.keys, job.settings.action_repeat)
@@ -133,17 +143,14 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
         seed=job.origin.training_seed,
         demonstrations=[] if (job.folder / RECORD).is_file() else _demonstrations(job),
         encoder=None if job.encoder is None else Encoder.load(job.encoder),
-        metadata={
-            **job.origin.configuration("training"),
-            "phantom": job.task.phantom,
-            "target": job.task.target,
-            TASK: asdict(job.task.task),
-        },
+        metadata=metadata,
         make_validation_env=validation,
         after_evaluation=training_films(job.folder, validation, job.origin.training_seed),
     )
     with stopping_the_stage(CheckpointError):
         result = training.run(lambda progress: report(trained * progress.decisions / progress.total, words(progress)))
+    if shared is not None and not taken:
+        shared.offer(job.folder)
     outcome: dict[str, Any] = {"training_s": result.timings["wall_s"], "decisions": result.timings["decisions"]}
     evaluated = trained + (1.0 - trained) * job.tested / (job.tested + job.expert_episodes)
     environment = job.task.environment(result.policy.keys)
@@ -233,6 +240,7 @@ def planned_training(
         demonstrations=demonstrations(task, context) if settings.demonstrations else (),
         evaluation_episodes=settings.evaluation_episodes,
         drawn_episodes=settings.drawn_episodes,
+        run=context.run_path,
         expert_episodes=expert_episodes,
     )
 
