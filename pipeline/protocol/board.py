@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.store.atomic_files import write_json
+from pipeline.store.atomic_files import write_text
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_file, present_commit, software_versions, uncommitted_changes
 
@@ -130,7 +130,9 @@ def measure_row(
 
 def write_row(row: dict[str, Any], path: Path) -> str:
     """Writes a row's file, whole; the line that the page has for it."""
-    write_json(path, row)
+    from pipeline.protocol.run import result_text
+
+    write_text(path, result_text(row))
     found, name = row["summary"], row["policy"]["file"]
     share, force = found["success_pct"], found["force_max_n"]
     reached = sum(case["success"] for case in row["cases"])

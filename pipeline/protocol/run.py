@@ -96,8 +96,15 @@ def measure(
         "cases": outcomes,
     }
     with atomic_path(folder / f"{name}.json") as path:
-        path.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        path.write_text(result_text(result), encoding="utf-8")
     return result
+
+
+def result_text(result: Mapping[str, Any]) -> str:
+    """JSON of a result, each of its cases on a line."""
+    cases = ",\n".join(json.dumps(case) for case in result["cases"])
+    rest = json.dumps({**result, "cases": []}, indent=1)
+    return rest.removesuffix('"cases": []\n}') + f'"cases": [\n{cases}\n]}}\n'
 
 
 def play(claim: Claim, case: Mapping[str, Any]) -> dict[str, Any]:
