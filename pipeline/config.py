@@ -109,8 +109,11 @@ def register_schemas(stages: Iterable[str] | None = None) -> None:
     for file in (CONFIG_DIRECTORY / "sizes").glob("*.yaml"):  # of budgets and experiments
         sizes: Any = OmegaConf.load(file)
         for owner, values in sizes.items():
-            for group in ("sizes", "experiment_sizes"):
-                store.store(group=group, name=f"{file.stem}_{owner}", node=values)
+            task = values.pop("task", None)  # the stage's, where it differs: into the run's, so that task.KEY=… is last
+            for kind in ("", "experiment_"):
+                store.store(group=f"{kind}sizes", name=f"{file.stem}_{owner}", node=values)
+                if task is not None:
+                    store.store(group=f"{kind}task_sizes", name=f"{file.stem}_{owner}", node=task)
 
 
 def _own_file(_root_: DictConfig) -> str | None:

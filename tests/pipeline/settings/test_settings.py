@@ -236,3 +236,11 @@ def test_files_of_the_run_and_of_its_stages_repeat_no_default() -> None:
 def test_sizes_belong_to_stages() -> None:
     for file in (CONFIG_DIRECTORY / "sizes").glob("*.yaml"):
         assert set(read(f"sizes/{file.name}")) <= {*available_stages(), "task"}, file.name
+
+
+@pytest.mark.parametrize("words", [("stage=expert", "budget=smoke"), ("stage=baselines", "budget=thesis")])
+def test_a_task_of_the_command_line_is_stronger_than_the_budgets(words: tuple[str, ...]) -> None:
+    given = ((), ("task.max_steps=77", "task.entry=ascending"))
+    usual, changed = (run_config(unchecked(*words, *more)).stage.task for more in given)
+    assert usual.max_steps in (120, 2000)
+    assert changed == dataclasses.replace(usual, max_steps=77, entry="ascending")
