@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from guide3d.reconstruction.evaluation import METRICS
@@ -9,6 +10,7 @@ from pipeline.jobs.pool import Job
 from pipeline.plots.networks import draw_along, draw_in_space, draw_reprojections, draw_training
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.settings import ShapeSettings
+from pipeline.stages.networks.shipped import noted, shipped_rows
 from pipeline.stages.networks.training import PRELOAD, cost_cells, learn_shape, train_and_compare, training_job
 from pipeline.tables import Figure, Results
 
@@ -25,14 +27,18 @@ LABELS = {
 def run_shape(settings: ShapeSettings, context: StageContext) -> Results:
     """Trains every network and compares them."""
     jobs = plan(settings, context)
-    return train_and_compare(settings, context, jobs, tables, figures, label="shape networks", preload=PRELOAD)
+    results = train_and_compare(settings, context, jobs, tables, figures, label="shape networks", preload=PRELOAD)
+    taken = {row: name for row, name in shipped_rows(settings, context).items() if row in settings.rows}
+    labels = {row: f"The network's row, {label}" for row, label in LABELS.items()}
+    return replace(results, notes=noted(results, taken, labels, "guide3d"))
 
 
 def plan(settings: ShapeSettings, context: StageContext) -> list[Job]:
     """A training a row."""
-    return [
-        training_job(row, learn_shape, settings, context, weight=0.2 if row == "fgrn" else 1.0) for row in settings.rows
-    ]
+    taken = shipped_rows(settings, context)
+    jobs = (training_job(row, learn_shape, settings, context, weight=0.2 if row == "fgrn" else 1.0)
+            for row in settings.rows)  # fmt: skip
+    return [replace(job, given=replace(job.given, shipped=taken.get(job.key))) for job in jobs]
 
 
 def tables(settings: ShapeSettings, outcomes: dict[str, Any]) -> dict[str, Any]:

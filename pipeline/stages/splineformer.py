@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,14 +12,12 @@ import numpy as np
 from pipeline.jobs.pool import Job
 from pipeline.jobs.worker import OPTIMISER, Report
 from pipeline.plots.networks import draw_attention, draw_comparison, draw_errors, draw_training
-from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.guide3d.folder import open_dataset
-from pipeline.stages.guide3d.settings import Guide3dSettings
-from pipeline.stages.networks.settings import SHIPPED_ORDERED, SplineformerSettings
+from pipeline.stages.networks.settings import SplineformerSettings
+from pipeline.stages.networks.shipped import noted, shipped_rows
 from pipeline.stages.networks.training import (
     PREDICTOR,
-    TRAINING,
     TrainingJob,
     train,
     train_and_compare,
@@ -29,7 +26,6 @@ from pipeline.stages.networks.training import (
 )
 from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.store.errors import StageError
-from pipeline.store.manifest import read_manifest
 from pipeline.tables import Figure, Results
 
 if TYPE_CHECKING:
@@ -53,8 +49,6 @@ def learn_variant(job: TrainingJob, report: Report) -> dict[str, Any]:
     file = job.folder / RECORD
     if file.is_file():
         return dict(json.loads(file.read_text(encoding="utf-8")))
-    if job.shipped is not None and not (job.folder / TRAINING).is_file():
-        _take(job.shipped, job.folder)
     training = train(
         "splineformer.learning.training_command", job, ["--variant", job.network], ("images", "calibration"), report
     )
@@ -86,28 +80,6 @@ def learn_variant(job: TrainingJob, report: Report) -> dict[str, Any]:
     }
     write_json(file, outcome)
     return outcome
-
-
-def _take(name: str, folder: Path) -> None:
-    """Leaves a shipped network, and the table of its training, as a training here would."""
-    from guide3d.learning.model_file import read_model
-    from guide3d.shipped import shipped_file
-    from splineformer.predictor import KIND
-
-    with shipped_file(name, "splineformer") as path, atomic_path(folder / PREDICTOR) as temporary:
-        training = json.loads(read_model(path, KIND)["metadata"]["training"])
-        shutil.copyfile(path, temporary)
-    write_json(folder / TRAINING, training)
-
-
-def shipped_variants(settings: SplineformerSettings, context: StageContext) -> dict[str, str]:
-    """Variant to shipped network, of those that a training here would repeat: data set, size, split and seed agree."""
-    data = read_manifest(context.inputs["guide3d"])
-    same = (settings.size, settings.epochs, settings.split_seed, context.seed) == ("desk", 0, 0, 0)
-    if not (settings.shipped and same and data is not None):
-        return {}
-    usual = settings_that_matter(Guide3dSettings())
-    return {"ordered": SHIPPED_ORDERED} if {name: data.config.get(name) for name in usual} == usual else {}
 
 
 @dataclass(frozen=True)
@@ -188,18 +160,13 @@ def run_splineformer(settings: SplineformerSettings, context: StageContext) -> R
     """Trains the variants and compares them with the segmentation."""
     jobs = plan(settings, context)
     results = train_and_compare(settings, context, jobs, tables, figures, label="splineformers", preload=PRELOAD)
-    taken = shipped_variants(settings, context)
-    text = " ".join(
-        f"{LABELS[variant]}, is `{name}`, which comes with the package: shipped, training not repeated here. Its card "
-        "(`splineformer.card`) has the command of the training; `make all PRETRAINED=0` trains."
-        for variant, name in taken.items() if variant in settings.variants
-    )  # fmt: skip
-    return replace(results, notes=dict.fromkeys(results.tables, text) if text else {})
+    taken = {row: name for row, name in shipped_rows(settings, context).items() if row in settings.variants}
+    return replace(results, notes=noted(results, taken, LABELS, "splineformer"))
 
 
 def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:
     """A training a variant, then the comparison."""
-    taken = shipped_variants(settings, context)
+    taken = shipped_rows(settings, context)
     jobs = []
     for variant in settings.variants:
         job = training_job(variant, learn_variant, settings, context, weight=4.0)

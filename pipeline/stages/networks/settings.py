@@ -39,36 +39,48 @@ class TrainingSettings(kinds.JobSettings):
     device: kinds.Device = field(default="auto", metadata=kinds.NO_EFFECT_ON_RESULTS)
 
 
-@kinds.validated()
-class NetworkSettings(TrainingSettings):
-    """Settings of a stage that trains a network a row of its table."""
-
-    rows: Annotated[list[str], kinds.UNIQUE, kinds.NOT_EMPTY] = field(default_factory=list)  # networks to train
+# Stage to the package, row and name of the network that its training by default leaves.
+SHIPPED = {"shape": ("guide3d", "spherical", "shape"), "splineformer": ("splineformer", "ordered", "ordered_simulated")}
 
 
 @kinds.validated()
-class ShapeSettings(NetworkSettings):
+class ShippedSettings(TrainingSettings):
+    """Settings of a stage of which one network comes with a package."""
+
+    name: str = ""  # of the stage
+    # takes that network, where the data set is the one that it was trained on
+    shipped: bool = False
+    shipped_sha256: str | None = None  # of that, filled in
+
+    def __post_init__(self) -> None:
+        """Reads the network's file."""
+        self.shipped_sha256 = None
+        if self.shipped:
+            package, _, network = SHIPPED[self.name]
+            with as_file(files(f"{package}.weights") / f"{network}.pt") as path:
+                self.shipped_sha256 = hash_file(path)
+
+
+@kinds.validated()
+class ShapeSettings(ShippedSettings):
     """Settings of shape prediction."""
 
     name: str = "shape"
-    rows: _ShapeRows = field(default_factory=lambda: ["spherical", "cartesian", "fgrn"])
+    rows: _ShapeRows = field(default_factory=lambda: ["spherical", "cartesian", "fgrn"])  # networks to train
     pretrained: kinds.PathText | None = None  # weights of the vision transformer, under timm's or torchvision's names
 
 
 @kinds.validated()
-class SegmentationSettings(NetworkSettings):
+class SegmentationSettings(TrainingSettings):
     """Settings of segmentation."""
 
     name: str = "segmentation"
-    rows: _SegmentationRows = field(default_factory=lambda: list(SEGMENTATION_ROWS))
+    rows: _SegmentationRows = field(default_factory=lambda: list(SEGMENTATION_ROWS))  # networks to train
     test_images: kinds.CountOrNone = 120  # of the test acquisitions, evenly chosen; 0: all
 
 
-SHIPPED_ORDERED = "ordered_simulated"  # that comes with splineformer
-
-
 @kinds.validated()
-class SplineformerSettings(TrainingSettings):
+class SplineformerSettings(ShippedSettings):
     """Settings of SplineFormer."""
 
     name: str = "splineformer"
@@ -76,9 +88,6 @@ class SplineformerSettings(TrainingSettings):
     size: Annotated[str, kinds.one_of(*SPLINEFORMER_SIZES)] = "desk"
     # network of the stage segmentation whose masks are traced
     rival: Annotated[str, kinds.one_of(*SEGMENTATION_ROWS)] = "unet"
-    # takes the variant `ordered` that comes with the package, where the data set is the one that it was trained on
-    shipped: bool = False
-    ordered_sha256: str | None = None  # of that, filled in
     # under which images are read
     disturbances: _Disturbances = field(default_factory=lambda: list(DISTURBANCES))
     test_images: kinds.CountOrNone = 360  # of the test acquisitions, evenly chosen; 0: all
@@ -86,10 +95,7 @@ class SplineformerSettings(TrainingSettings):
 
     def __post_init__(self) -> None:
         """Checks that there is something to compare with, and that the variant has the size."""
-        self.ordered_sha256 = None
-        if self.shipped:
-            with as_file(files("splineformer.weights") / f"{SHIPPED_ORDERED}.pt") as path:
-                self.ordered_sha256 = hash_file(path)
+        super().__post_init__()
         if "none" not in self.disturbances:
             raise ConfigurationError("stage.disturbances must hold none: it is what the others are compared with")
         if self.size == "thesis_large" and self.variants != ["published"]:

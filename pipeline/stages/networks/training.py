@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -22,7 +23,7 @@ from pipeline.jobs.worker import OPTIMISER, Report
 from pipeline.stages import StageContext
 from pipeline.stages.guide3d.folder import open_dataset, read_source
 from pipeline.stages.job_memory import network_gb
-from pipeline.stages.networks.settings import TrainingSettings
+from pipeline.stages.networks.settings import SHIPPED, TrainingSettings
 from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.store.errors import StageError
 from pipeline.store.written_files import note
@@ -80,6 +81,8 @@ class TrainingJob:
 def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[str], report: Report) -> dict[str, Any]:
     """Trains a network or goes on with it, here or by torchrun in several processes; gives ``training.json``."""
     table = job.folder / TRAINING
+    if job.shipped is not None and not table.is_file():
+        _take(job, job.shipped)
     if table.is_file() and (job.folder / PREDICTOR).is_file():
         return dict(json.loads(table.read_text(encoding="utf-8")))
     settings = job.settings
@@ -111,6 +114,17 @@ def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[
 
     with Curves(job.folder) as curves:
         return dict(command.train(command.arguments(words), progress=tell))
+
+
+def _take(job: TrainingJob, shipped: str) -> None:
+    """Leaves a shipped network, and the table of its training, as a training here would."""
+    from guide3d.learning.model_file import read_content
+    from guide3d.shipped import shipped_file
+
+    with shipped_file(shipped, SHIPPED[job.settings.name][0]) as path, atomic_path(job.folder / PREDICTOR) as temporary:
+        training = json.loads(read_content(path)["metadata"]["training"])
+        shutil.copyfile(path, temporary)
+    write_json(job.folder / TRAINING, training)
 
 
 def training_figures(training: dict[str, Any], predictor: Any) -> dict[str, Any]:

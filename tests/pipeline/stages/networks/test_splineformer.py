@@ -22,9 +22,11 @@ from pipeline.stages import splineformer
 from pipeline.stages import splineformer as splineformer_jobs
 from pipeline.stages.guide3d.folder import Source
 from pipeline.stages.guide3d.settings import Guide3dSettings
+from pipeline.stages.networks import shipped as shipping
 from pipeline.stages.networks import training as network_stage
 from pipeline.stages.networks.settings import SplineformerSettings
-from pipeline.stages.splineformer import EXAMPLES, compare, learn_variant, shipped_variants
+from pipeline.stages.networks.shipped import shipped_rows
+from pipeline.stages.splineformer import EXAMPLES, compare, learn_variant
 from pipeline.store.errors import ConfigurationError, StageError
 from splineformer.comparison.evaluation import ReadCurve, Reader
 from splineformer.predictor import Predictor
@@ -147,15 +149,15 @@ def test_a_shipped_network_is_taken_where_its_training_would_be_repeated(
     ours = context(run, "splineformer", reads=READS)
     desk = SplineformerSettings(shipped=True)
     usual = settings_that_matter(Guide3dSettings())
-    monkeypatch.setattr(splineformer_jobs, "read_manifest", lambda folder: SimpleNamespace(config=usual))
-    assert shipped_variants(desk, ours) == {"ordered": "ordered_simulated"}
+    monkeypatch.setattr(shipping, "read_manifest", lambda folder: SimpleNamespace(config=usual))
+    assert shipped_rows(desk, ours) == {"ordered": "ordered_simulated"}
     for other in (replace(desk, shipped=False), replace(desk, epochs=2), replace(desk, size="smoke")):
-        assert shipped_variants(other, ours) == {}
-    assert shipped_variants(desk, replace(ours, seed=ours.seed + 1)) == {}
+        assert shipped_rows(other, ours) == {}
+    assert shipped_rows(desk, replace(ours, seed=ours.seed + 1)) == {}
     jobs = {job.key: job.given for job in splineformer.plan(desk, ours)}
     assert (jobs["ordered"].shipped, jobs["published"].shipped) == ("ordered_simulated", None)
     usual = usual | {"images": 100}
-    assert shipped_variants(desk, ours) == {}
+    assert shipped_rows(desk, ours) == {}
 
     trained = run / "splineformer" / "ordered"
     training = json.loads((trained / "training.json").read_text())
