@@ -11,7 +11,9 @@ from torch import Tensor, nn
 from guide3d.learning.precision import attention
 from guide3d.modeling.vision_transformer import FeedForward
 
-_MASKED = -100.0  # added to logits of pairs that a shift has brought into one window
+# Added to logits of pairs that a shift has brought into one window. exp(-100) would be denormal, with which products of
+# matrices take twelve times as long.
+_MASKED = -1000.0
 
 
 class WindowAttention(nn.Module):
