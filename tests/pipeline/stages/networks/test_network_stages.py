@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from guide3d.learning.predictor import ShapePredictor
 from pipeline.jobs.worker import Report
+from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages import segmentation, shape
 from pipeline.stages.guide3d.folder import Source
+from pipeline.stages.guide3d.settings import Guide3dSettings
+from pipeline.stages.networks import shipped
 from pipeline.stages.networks import training as network_stage
 from pipeline.stages.networks.settings import SegmentationSettings, ShapeSettings
 from pipeline.stages.networks.training import learn_shape, train_network, train_together
@@ -153,3 +159,18 @@ def test_an_error_stream_that_nobody_reads_does_not_stop_the_training(talker: st
 def test_a_failure_is_told_in_a_sentence() -> None:
     with pytest.raises(StageError, match=r"torchrun ended with code 1: .*no_such_training"):
         train_together("no_such_training", [], 1, lambda share, words="": None)
+
+
+def test_the_shipped_network_is_taken_where_its_training_would_be_repeated(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = settings_that_matter(Guide3dSettings())
+    monkeypatch.setattr(shipped, "read_manifest", lambda folder: SimpleNamespace(config=usual))
+    ours, rows = context(run, "shape", reads=("guide3d",)), ["spherical", "cartesian"]
+    jobs = {job.key: job.given for job in shape.plan(ShapeSettings(shipped=True, rows=rows), ours)}
+    assert {row: job.shipped for row, job in jobs.items()} == {"spherical": "shape", "cartesian": None}
+    for other in ({"shipped": False}, {"pretrained": "vit.pt"}, {"epochs": 3}):
+        assert shipped.shipped_rows(ShapeSettings(**{"shipped": True, **other}), ours) == {}
+    training = train_network(replace(jobs["spherical"], folder=tmp_path), Report())
+    assert training["best_epoch"] == len(training["rows"]) == 20
+    assert ShapePredictor.load(tmp_path / "predictor.pt").metadata["form"] == "spherical"
