@@ -17,7 +17,7 @@ from cathsim.metrics import (
 )
 from cathsim.metrics.episodes import wilson_interval
 from cathsim.metrics.forces import HEAT_WIDTH, ForceComparison, compare_forces, verdict, wall_heat
-from cathsim.metrics.load_cell import MINI40, LoadCell, step_forces
+from cathsim.metrics.load_cell import MINI40, LoadCell, StepForces, step_forces
 from cathsim.presets import ACCURACY
 from cathsim.simulation import Simulation
 
@@ -194,6 +194,14 @@ def test_load_along_the_sheath_is_the_feeders_push(phantom: Phantom, blood: str 
         drag = simulation.blood_forces().sum(axis=0)
         assert np.linalg.norm(drag) > 1e-4
         assert forces.load == pytest.approx(-np.array(simulation.summary.mean_force) - drag, abs=1e-12)
+
+
+def test_a_cell_bears_the_sheath_where_it_is_mounted_on_the_same_plate() -> None:
+    forces = StepForces(
+        load=np.array([1.0, 2.0, 3.0]), sheath=np.array([0.0, -5.0, 1.0]), magnitude_sum=9.0, largest_contact=5.0
+    )
+    assert LoadCell().load(forces).tolist() == [1.0, 2.0, 3.0]
+    assert LoadCell(bears_sheath=True).load(forces).tolist() == [1.0, -3.0, 4.0]
 
 
 def test_a_step_of_load_rises_as_a_filter_of_first_order() -> None:

@@ -37,11 +37,17 @@ class LoadCell:
         cutoff: of a low-pass filter of first order, Hz; 0: none. The mean over a control step of 0.1 s, which a reading
             starts from, is itself a filter with half the power at 4.4 Hz.
         tared: whether the first reading of an episode is subtracted from all.
+        bears_sheath: whether the sheath is mounted on the plate that the cell bears, as the phantom is.
     """
 
     resolution: Annotated[tuple[_Resolution, _Resolution, _Resolution], Listed] = (1 / 200, 1 / 100, 1 / 200)
     cutoff: Annotated[float, Interval(ge=0, le=1000), Unit("Hz")] = 2.0
     tared: bool = False
+    bears_sheath: bool = False
+
+    def load(self, forces: StepForces) -> Array:
+        """What the cell bears in a control step, N, world frame, to be given to `read`. Shape (3,)."""
+        return forces.load + forces.sheath if self.bears_sheath else forces.load
 
     def read(self, loads: Array, *, interval: float, generator: np.random.Generator) -> Array:
         """Reads the forces of an episode.
