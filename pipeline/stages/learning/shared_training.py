@@ -9,9 +9,9 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.store.file_cache import CACHE
@@ -22,9 +22,6 @@ from pipeline.store.provenance import (
     software_versions,
     uncommitted_changes,
 )
-
-if TYPE_CHECKING:
-    from pipeline.stages.learning.training import PolicyTrainingJob
 
 POLICY, RECORD, CURVE, CHECKPOINT = "policy.pt", "training.json", "training.csv", "checkpoint"
 TAKEN_FROM = "taken_from"  # in the policy's and the record's metadata: the folder, below the run's
@@ -70,18 +67,10 @@ class SharedTraining:
         write_json(self.note, found)
 
 
-def shared_training(job: PolicyTrainingJob, device: str) -> SharedTraining | None:
-    """The trainings of a job's definition; None where the code's commit is unknown, or the anatomy is of a file."""
+def shared_training(run: Path, definition: Mapping[str, Any]) -> SharedTraining | None:
+    """A run's trainings of a definition by the present code; None where that code's commit is unknown."""
     commit = present_commit()
-    if commit == "unknown" or job.task.file is not None:
+    if commit == "unknown":
         return None
-    definition = {
-        "settings": asdict(job.settings),
-        "task": asdict(job.task),
-        "keys": job.keys,
-        "seed": job.origin.training_seed,
-        "encoder": None if job.encoder is None else hash_file(job.encoder),
-        "demonstrations": [hash_file(log) for log in job.demonstrations],
-        "code": (commit, uncommitted_changes(), software_versions(), device),
-    }
-    return SharedTraining(job.run / CACHE / "trainings" / f"{hash_value(definition)}.json", job.run)
+    whole = {**definition, "code": (commit, uncommitted_changes(), software_versions())}
+    return SharedTraining(run / CACHE / "trainings" / f"{hash_value(whole)}.json", run)

@@ -29,9 +29,10 @@ from pipeline.stages.job_memory import training_gb, training_gpu_gb
 from pipeline.stages.learning.encoders import ENCODERS, EncodersJob, encoder_file, fit_encoders
 from pipeline.stages.learning.expert_episodes import EXPERT, repeat, require_demonstrations
 from pipeline.stages.learning.settings import LearningSettings
-from pipeline.stages.learning.shared_training import CHECKPOINT, RECORD, shared_training
+from pipeline.stages.learning.shared_training import CHECKPOINT, RECORD, SharedTraining, shared_training
 from pipeline.stages.learning.task import ACCURACY_OF_TESTS, LearningTask
 from pipeline.store.errors import stopping_the_stage
+from pipeline.store.provenance import hash_file
 from pipeline.task import FEEDER, TASK, require_known_task
 
 if TYPE_CHECKING:
@@ -130,7 +131,7 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
     }
     for leftover in job.folder.glob(".*.tmp"):  # of a killed training
         leftover.unlink()
-    shared = shared_training(job, report.device)
+    shared = shared_by(job, report.device)
     begun = any((job.folder / name).exists() for name in (RECORD, CHECKPOINT))
     taken = shared is not None and not begun and shared.take(job.folder, metadata)
     trained = job.settings.decisions * _SECONDS_A_DECISION / max(job.weight, 1e-9)  # share of the job, by time
@@ -176,6 +177,22 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
         )
     environment.close()
     return outcome
+
+
+def shared_by(job: PolicyTrainingJob, device: str) -> SharedTraining | None:
+    """The run's trainings of a job's definition; None where they cannot be told, as in an anatomy of a file."""
+    if job.task.file is not None:
+        return None
+    definition = {
+        "settings": asdict(job.settings),
+        "task": asdict(job.task),
+        "keys": job.keys,
+        "seed": job.origin.training_seed,
+        "encoder": None if job.encoder is None else hash_file(job.encoder),
+        "demonstrations": [hash_file(log) for log in job.demonstrations],
+        "device": device,
+    }
+    return shared_training(job.run, definition)
 
 
 def words(progress: Progress) -> str:

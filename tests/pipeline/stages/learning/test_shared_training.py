@@ -61,7 +61,7 @@ def taken(run: Path, folder: Path, **changed: Any) -> bool:
     """Whether the row V, with its settings changed, finds its training."""
     (job,) = enn.plan(EnnSettings(**SIZES | changed, modality="V"), context(run, "enn", ("expert",)))
     job = replace(job, encoder=run / "baselines" / "encoders" / "type_1" / "image.pt")
-    shared = sharing.shared_training(job, "cpu")
+    shared = training.shared_by(job, "cpu")
     return shared is not None and shared.take(folder, {})
 
 
