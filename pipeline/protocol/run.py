@@ -101,10 +101,10 @@ def measure(
 
 
 def result_text(result: Mapping[str, Any]) -> str:
-    """JSON of a result, each of its cases on a line."""
-    cases = ",\n".join(json.dumps(case) for case in result["cases"])
-    rest = json.dumps({**result, "cases": []}, indent=1)
-    return rest.removesuffix('"cases": []\n}') + f'"cases": [\n{cases}\n]}}\n'
+    """JSON of a result, each of its cases, which come last, on a line; a ValueError for NaN and infinity."""
+    cases = ",\n".join(json.dumps(case, allow_nan=False) for case in result["cases"])
+    rest = {key: value for key, value in result.items() if key != "cases"}
+    return json.dumps(rest, indent=1, allow_nan=False).removesuffix("\n}") + f',\n "cases": [\n{cases}\n]}}\n'
 
 
 def play(claim: Claim, case: Mapping[str, Any]) -> dict[str, Any]:

@@ -28,9 +28,8 @@ def run_shape(settings: ShapeSettings, context: StageContext) -> Results:
     """Trains every network and compares them."""
     jobs = plan(settings, context)
     results = train_and_compare(settings, context, jobs, tables, figures, label="shape networks", preload=PRELOAD)
-    taken = {row: name for row, name in shipped_rows(settings, context).items() if row in settings.rows}
-    labels = {row: f"The network's row, {label}" for row, label in LABELS.items()}
-    return replace(results, notes=noted(results, taken, labels, "guide3d"))
+    labels = {row: LABELS[row].capitalize() for row in settings.rows}
+    return replace(results, notes=noted(results, shipped_rows(settings, context), labels, "guide3d"))
 
 
 def plan(settings: ShapeSettings, context: StageContext) -> list[Job]:

@@ -160,8 +160,8 @@ def run_splineformer(settings: SplineformerSettings, context: StageContext) -> R
     """Trains the variants and compares them with the segmentation."""
     jobs = plan(settings, context)
     results = train_and_compare(settings, context, jobs, tables, figures, label="splineformers", preload=PRELOAD)
-    taken = {row: name for row, name in shipped_rows(settings, context).items() if row in settings.variants}
-    return replace(results, notes=noted(results, taken, LABELS, "splineformer"))
+    labels = {variant: LABELS[variant] for variant in settings.variants}
+    return replace(results, notes=noted(results, shipped_rows(settings, context), labels, "splineformer"))
 
 
 def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:

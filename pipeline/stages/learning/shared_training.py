@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.store.atomic_files import atomic_path, write_json
+from pipeline.recording.trials import POLICY
+from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.file_cache import CACHE
 from pipeline.store.provenance import (
     hash_file,
@@ -23,7 +24,7 @@ from pipeline.store.provenance import (
     uncommitted_changes,
 )
 
-POLICY, RECORD, CURVE, CHECKPOINT = "policy.pt", "training.json", "training.csv", "checkpoint"
+RECORD, CURVE, CHECKPOINT = "training.json", "training.csv", "checkpoint"
 TAKEN_FROM = "taken_from"  # in the policy's and the record's metadata: the folder, below the run's
 _FOLDERS = ("tensorboard", "films")
 
@@ -44,7 +45,7 @@ class SharedTraining:
             source = self.run / found["folder"]
             if source == folder or hash_file(source / POLICY) != found["policy"]:
                 return False
-            record = json.loads((source / RECORD).read_text(encoding="utf-8"))
+            record, curve = (json.loads((source / RECORD).read_text("utf-8")), (source / CURVE).read_text("utf-8"))
             changed = {**record["metadata"], **metadata, TAKEN_FROM: found["folder"]}
             policy = Policy.load(source / POLICY)
             policy.metadata = {**policy.metadata, **changed}
@@ -52,8 +53,7 @@ class SharedTraining:
             for name in _FOLDERS:
                 if (source / name).is_dir():
                     shutil.copytree(source / name, folder / name, dirs_exist_ok=True)
-            with atomic_path(folder / CURVE) as curve:
-                shutil.copyfile(source / CURVE, curve)
+            write_text(folder / CURVE, curve)
             policy.save(folder / POLICY, critics=policy.critics)
             write_json(folder / RECORD, {**record, "metadata": changed})  # last: it says that the training is finished
         except (KeyError, OSError, TypeError, ValueError):  # none, or moved aside meanwhile: this stage trains

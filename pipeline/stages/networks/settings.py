@@ -69,6 +69,11 @@ class ShapeSettings(ShippedSettings):
     rows: _ShapeRows = field(default_factory=lambda: ["spherical", "cartesian", "fgrn"])  # networks to train
     pretrained: kinds.PathText | None = None  # weights of the vision transformer, under timm's or torchvision's names
 
+    def __post_init__(self) -> None:
+        """Trains where the user gives weights to start from: the shipped network did not."""
+        self.shipped = self.shipped and self.pretrained is None
+        super().__post_init__()
+
 
 @kinds.validated()
 class SegmentationSettings(TrainingSettings):

@@ -17,8 +17,7 @@ def shipped_rows(settings: ShippedSettings, context: StageContext) -> dict[str, 
     """Row to shipped network, of those that a training here would repeat: data set, size, split and seed agree."""
     data = read_manifest(context.inputs["guide3d"])
     same = (settings.size, settings.epochs, settings.split_seed, context.seed) == ("desk", 0, 0, 0)
-    fresh = getattr(settings, "pretrained", None) is None
-    if not (settings.shipped and same and fresh and data is not None):
+    if not (settings.shipped and same and data is not None):
         return {}
     _, row, name = SHIPPED[settings.name]
     usual = settings_that_matter(Guide3dSettings())
@@ -26,10 +25,11 @@ def shipped_rows(settings: ShippedSettings, context: StageContext) -> dict[str, 
 
 
 def noted(results: Results, taken: Mapping[str, str], labels: Mapping[str, str], package: str) -> dict[str, Any]:
-    """Table to the note of which rows are networks that were taken; none where none was."""
+    """Table to the note of which of the labelled rows are networks that were taken; none where none was."""
     text = " ".join(
-        f"{labels[row]}, is `{name}`, which comes with the package: shipped, training not repeated here. Its card "
+        f"{labels[row]}: `{name}`, shipped with the package, its training not repeated here. Its card "
         f"(`{package}.card`) has the command of the training; `make all PRETRAINED=0` trains."
         for row, name in taken.items()
+        if row in labels
     )
     return dict.fromkeys(results.tables, text) if text else {}

@@ -14,7 +14,7 @@ from pipeline.data.sources import Source, SourceFile, Sources
 from pipeline.protocol import navigation, rehearsal
 from pipeline.protocol.claims import Rehearsal, read_protocol
 from pipeline.protocol.command import main
-from pipeline.protocol.run import KINDS, play, summary
+from pipeline.protocol.run import KINDS, play, result_text, summary
 from pipeline.store.errors import ConfigurationError
 
 NO_VESSEL = hashlib.sha256(b"solid no vessel").hexdigest()
@@ -88,6 +88,15 @@ def test_reasons_keep_names_of_files_and_no_folders(monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(KINDS, "forces", SimpleNamespace(play=lambda *given: {"success": False, "reason": reason}))
     claim = SimpleNamespace(kind="forces")
     assert play(claim, {})["reason"] == "no branch; see the picture b-1.png, m/s, of x.stl: 4.5 N/mm"
+
+
+def test_a_result_is_written_a_case_a_line() -> None:
+    result = {"claim": "a", "cases": [{"seed": 1, "success": True}, {"seed": 2, "success": False}], "summary": {"n": 2}}
+    text = result_text(result)
+    assert json.loads(text) == result
+    assert [json.loads(line.rstrip(",")) for line in text.splitlines()[-3:-1]] == result["cases"]
+    with pytest.raises(ValueError, match="JSON compliant"):
+        result_text({"cases": [{"force": float("nan")}]})
 
 
 def test_every_case_is_written_and_none_is_played_twice_unless_the_claim_changes(protocol: Path) -> None:
