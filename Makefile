@@ -45,7 +45,7 @@ setup: $(INSTALLED)  ## virtual environment, pinned packages, native build, syst
 
 $(INSTALLED): $(INSTALL_INPUTS)
 	@test -n "$(PYTHON)" || { echo "no Python found: install Python 3.11 or newer, or run make PYTHON=/path/to/python" >&2; exit 1; }
-	@$(PYTHON) pipeline/installation.py before
+	@$(PYTHON) pipeline/installation.py before --environment $(VENV)
 	@test -x $(PY) || $(PYTHON) -m venv $(VENV)
 	@echo "installing into $(VENV): some minutes; 3 GB, or 7 with torch for CUDA (make setup TORCH_INDEX=ADDRESS chooses: docs/installation.md)"
 	@# Build tools first, pinned like everything else: builds then need no environments of their own.

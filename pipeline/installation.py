@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 
 OLDEST_PYTHON = (3, 11)
 # Renderers of MuJoCo without a screen, in the order of preference: MUJOCO_GL's value and the shared library behind it.
@@ -22,10 +23,11 @@ GL_LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 DEBIAN_GL_PACKAGES = ("libegl1", "libgl1-mesa-dri", "libosmesa6")
 # What torch brings where its build has CUDA, and what it is called with other versions of CUDA.
 CUDA_DISTRIBUTIONS = ("nvidia-", "cuda-", "triton")
+NEEDED_GB = 4.0  # on the disk of a new environment: its smallest form, and one package on its way there
 
 
-def missing_for_build() -> list[str]:
-    """Lists what keeps the packages from being built: a sentence a thing, saying how to get it."""
+def missing_for_build(environment: str = ".venv") -> list[str]:
+    """Lists what keeps the packages from being built and installed: a sentence a thing, saying how to get it."""
     missing = []
     if sys.version_info < OLDEST_PYTHON:
         wanted, have = ".".join(map(str, OLDEST_PYTHON)), ".".join(map(str, sys.version_info[:3]))
@@ -35,6 +37,13 @@ def missing_for_build() -> list[str]:
     if importlib.util.find_spec("venv") is None or importlib.util.find_spec("ensurepip") is None:
         version = f"{sys.version_info[0]}.{sys.version_info[1]}"
         missing.append(f"Python's venv module is missing: on Debian `apt-get install python{version}-venv`")
+    place = Path(environment).absolute()
+    free = shutil.disk_usage(next(folder for folder in place.parents if folder.is_dir())).free / 1e9
+    if free < NEEDED_GB and not place.exists():
+        missing.append(
+            f"{free:.1f} GB are free on this disk and {NEEDED_GB:.0f} are needed, 8 with torch for CUDA: make room, or "
+            "run `make setup VENV=/folder/on/another/disk`"
+        )
     if not (os.environ.get("CC") or any(shutil.which(name) for name in ("cc", "gcc", "clang"))):
         missing.append("no C compiler found: on Debian `apt-get install build-essential`, or set CC")
     return missing
@@ -93,6 +102,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument(
         "when", choices=["before", "after", "gl"], help="the installation; gl prints the renderer to use"
     )
+    parser.add_argument("--environment", default=".venv", help="folder of the environment to install into")
     options = parser.parse_args(arguments)
     if options.when == "gl":
         print(gl_backend() or "disabled")
@@ -100,7 +110,7 @@ def main(arguments: list[str]) -> int:
     if options.when == "after":
         print(size_note(installed_sizes()))
         return 0
-    problems = missing_for_build()
+    problems = missing_for_build(options.environment)
     if gl_backend() is None:
         install_gl()
     if gl_backend() is None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import subprocess
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -62,6 +64,15 @@ def test_a_missing_compiler_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> 
     (sentence,) = installation.missing_for_build()
     assert "no C compiler found" in sentence
     assert "apt-get install build-essential" in sentence
+
+
+def test_a_full_disk_is_one_sentence_before_anything_is_installed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(installation.shutil, "disk_usage", lambda folder: SimpleNamespace(free=287_000_000))
+    assert installation.main(["before", "--environment", str(tmp_path / "new")]) == 1
+    assert "0.3 GB are free on this disk and 4 are needed" in capsys.readouterr().err
+    assert installation.main(["before", "--environment", str(tmp_path)]) == 0  # one that is there needs little more
 
 
 def test_an_old_python_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
