@@ -153,7 +153,7 @@ def _made(read: Sequence[dict[str, Any]]) -> str:
 
 def _time(read: Sequence[dict[str, Any]]) -> str:
     minutes = [result["summary"].get("cpu_min") for result in read]
-    return "" if None in minutes else f", {sum(minutes):.0f} minutes of processor time"
+    return "" if None in minutes else f", {sum(minutes):.0f} min of processor time"
 
 
 def _targets(read: Sequence[dict[str, Any]]) -> str:
@@ -209,7 +209,11 @@ def _short(number: float) -> str:
 
 
 def _limits(read: Sequence[dict[str, Any]]) -> str:
-    return "".join(f"\n- {result['declared']['title']}: {result['declared']['limits']}" for result in read)
+    """A line for each limit, with the claims that have it."""
+    claims: dict[str, list[str]] = {}
+    for result in read:
+        claims.setdefault(result["declared"]["limits"], []).append(result["declared"]["title"])
+    return "".join(f"\n- {'; '.join(titles)}: {limits}" for limits, titles in claims.items())
 
 
 def _rows(read: Sequence[dict[str, Any]]) -> str:
