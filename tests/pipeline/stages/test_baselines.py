@@ -37,7 +37,7 @@ def test_plan_is_the_table_of_the_thesis(tmp_path: Path) -> None:
         f"{a}_{o}" for a in ("ppo", "sac") for o in ("internal", "image", "sequential")
     }
     budgets = {(job.settings.algorithm, job.settings.decisions) for job in jobs}
-    assert budgets == {("ppo", 40_000), ("sac", 4_000)}
+    assert budgets == {("ppo", 20_000), ("sac", 4_000)}
     assert {job.encoder.name for job in jobs} == {"internal.pt", "image.pt", "sequential.pt"}
 
 
