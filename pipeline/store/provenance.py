@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import importlib.metadata
@@ -48,8 +49,13 @@ def hash_anatomy(path: Path) -> str:
 
 
 def _whole(path: Path) -> list[Path]:
+    from cathsim.anatomy.mesh.parts.vessel_parts import surface_files
+    from cathsim.anatomy.mesh.reading import SCENES
     from cathsim.anatomy.volume.files.detached import with_detached_data
 
+    if path.suffix.lower() in SCENES:
+        with contextlib.suppress(ValueError):  # what its reader says, too
+            return surface_files(path)
     return with_detached_data([path])
 
 

@@ -112,6 +112,8 @@ def test_finer_copies_of_voxels_and_axes_upside_down_give_the_same_vessels(
     notes = "; ".join(found.imported.notes)
     assert "voxels repeat each other" in notes
     assert "the heart at the other end of the aorta" in notes
+    assert "by the file's axes its arch points to the feet" in notes
+    assert not any("by the file's axes" in note for note in imported.imported.notes)
     assert list(found.tree.names) == list(imported.tree.names)
     for name, target in imported.targets.items():
         for other in imported.targets.values():

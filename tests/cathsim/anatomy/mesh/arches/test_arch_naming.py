@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from cathsim.anatomy import Branch, MeshRefusedError, VesselTree
+from cathsim.anatomy import Branch, MeshRefusedError, VesselTree, load_phantom
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.generator.aortic_arch import build_arch
 from cathsim.anatomy.generator.random_tree import RandomTree, build_random_tree
 from cathsim.anatomy.generator.scan_arch import sample_parameters
 from cathsim.anatomy.generator.variety_arch import ARCH_TYPES, VarietyArch, build_variety_arch
+from cathsim.anatomy.library import NAMED
 from cathsim.anatomy.mesh.arches.arch_naming import labelled_names, labelled_sides, name_vessels
 from cathsim.anatomy.mesh.branches import RoughVessel, turned
-from cathsim.anatomy.mesh.naming import ordered_names, propose_targets, renamed, world_rotation
+from cathsim.anatomy.mesh.naming import ordered_names, pose_doubts, propose_targets, renamed, world_rotation
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 Array = np.ndarray
@@ -340,3 +341,15 @@ def test_vessels_from_the_groin_to_the_head_have_names(seed: int) -> None:
     for vessel in made["aorta"].every:
         if names[id(vessel)].startswith("internal"):
             assert vessel.length == pytest.approx(tree[names[id(vessel)]].length, abs=0.012)
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_an_arch_that_points_to_the_feet_or_lies_in_front_is_a_doubt(name: str) -> None:
+    aorta = load_phantom(name).tree.root.points
+    assert pose_doubts(aorta) == ()
+    feet, front = "its arch points to the feet", "its descending aorta lies in front"
+    both = f"{feet} and {front}"
+    for signs, doubts in (((1, 1, -1), feet), ((1, -1, 1), front), ((-1, -1, 1), front), ((1, -1, -1), both)):
+        (note,) = pose_doubts(aorta * signs)
+        assert note.startswith(f"by the file's axes {doubts}: they turn or mirror the patient")
+    assert pose_doubts(aorta[: len(aorta) // 3]) == ()  # a stretch without the arch

@@ -16,6 +16,7 @@ from cathsim.anatomy.mesh.parts.vessel_parts import Part, is_folder_of_parts, pi
 from cathsim.anatomy.mesh.reading import Triangles
 from cathsim.anatomy.surface import lumen_surface
 from cathsim.anatomy.vessel_tree import nearest_on_branch
+from cathsim.anatomy.volume.files.reading import is_volume_path
 from tests.cathsim.anatomy.generator.drawn_arch import arch_tree
 from tests.cathsim.anatomy.lumen_report import check_lumen
 
@@ -56,6 +57,18 @@ def test_a_folder_with_a_file_a_vessel(vessels: dict[str, trimesh.Trimesh], tmp_
     drawn = arch_tree(0.03)
     assert float(np.median(found.tree.root.radius)) == pytest.approx(float(np.median(drawn.root.radius)), rel=0.03)
     assert float(found.tree["lcca"].radius[-5]) == pytest.approx(4.0e-3, rel=0.06)
+
+
+def test_a_folder_of_surfaces_may_hold_hidden_files_and_the_ct_beside_them(tmp_path: Path) -> None:
+    nibabel = pytest.importorskip("nibabel")
+    for name in ("aorta.stl", "lcca.stl"):
+        trimesh.creation.icosphere(2, 20.0).export(tmp_path / name)
+    (tmp_path / "._aorta.stl").write_bytes(b"\x00\x05\x16\x07")
+    nibabel.save(nibabel.Nifti1Image(np.zeros((8, 8, 8), np.int16), np.eye(4)), tmp_path / "ct.nii.gz")
+    assert not is_volume_path(tmp_path)
+    assert [part.name for part in read_parts(tmp_path).parts] == ["aorta", "lcca"]
+    nibabel.save(nibabel.Nifti1Image(np.ones((8, 8, 8), np.uint8), np.eye(4)), tmp_path / "aorta.nii.gz")
+    assert is_volume_path(tmp_path)
 
 
 def test_a_scene_names_its_parts(vessels: dict[str, trimesh.Trimesh], tmp_path: Path):

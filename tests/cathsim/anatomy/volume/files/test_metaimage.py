@@ -54,6 +54,8 @@ def test_a_header_without_axes_is_noted(tmp_path: Path) -> None:
     file.write_bytes(b"\n".join(line for line in lines if not line.startswith(b"TransformMatrix")))
     assert "says nothing of the patient's axes" in open_volume(file).notes[0]
     assert not open_volume(written(tmp_path / "b.mha", tubes())).notes
+    file.write_bytes(b"\n".join(line for line in lines if not line.startswith(b"ElementSpacing")))
+    assert open_volume(file).notes == ("the file does not say how large its voxels are along each axis: 1 mm is taken",)
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,10 @@ def test_qform_counts_where_there_is_no_sform_and_neither_is_noted(tmp_path: Pat
     np.testing.assert_allclose(read_labels(tmp_path / "scan.nii.gz").frame, np.diag([-1.0, -1.0, 1.0]))
     image.set_qform(None, code=0)
     nibabel.save(image, tmp_path / "scan.nii.gz")
-    assert "says nothing of the patient's axes" in read_labels(tmp_path / "scan.nii.gz").notes[0]
+    volume = read_labels(tmp_path / "scan.nii.gz")
+    assert "says nothing of the patient's axes: its voxels' order is taken for left, front, up" in volume.notes[0]
+    in_patient = volume.frame @ volume.affine[:3, :3]  # rows left, posterior, superior; a column each axis of the file
+    np.testing.assert_allclose(np.sign(np.diag(in_patient)), [1, -1, 1])
 
 
 SPACES = {
@@ -99,6 +102,52 @@ def test_segments_of_slicer_in_layers_may_overlap_and_are_named_by_their_codes(t
     fractions = tmp_path / "fractions.seg.nrrd"
     fractions.write_bytes(path.read_bytes().replace(b"Representation:=Binary", b"Representation:=Fractional"))
     refused(fractions, "fractions of segments")
+
+
+def layers_of_slicer(path: Path, *fields: dict[str, str]) -> Path:
+    """Writes tubes as segments in a layer each, of value 1, with further fields of each segment."""
+    labels = np.stack([tubes() == 52, tubes() == 58]).astype(np.uint8)
+    header: dict[str, Any] = {
+        "space": "left-posterior-superior",
+        "kinds": ["list", "domain", "domain", "domain"],
+        "space directions": np.vstack([np.full(3, np.nan), np.diag([0.8, 0.9, 2.0])]),
+        "space origin": np.zeros(3),
+    }
+    for number, (name, more) in enumerate(zip(("lcca", "aorta"), fields, strict=True)):
+        header |= {f"Segment{number}_Name": name} | {f"Segment{number}_{key}": value for key, value in more.items()}
+    nrrd.write(str(path), labels[::-1], header)
+    return path
+
+
+def test_layers_of_older_versions_of_slicer_belong_to_their_segments(tmp_path: Path) -> None:
+    volume = read_labels(layers_of_slicer(tmp_path / "older.seg.nrrd", {}, {}))
+    assert set(volume.names) == {"aorta", "lcca"}
+    assert (volume.vessels == 1 + volume.names.index("lcca")).sum() == (tubes() == 58).sum()
+
+
+def test_a_number_that_several_layers_have_is_asked_for_by_name(tmp_path: Path) -> None:
+    fields = [{"Layer": str(layer), "LabelValue": "1"} for layer in (0, 1)]
+    path = layers_of_slicer(tmp_path / "a.seg.nrrd", *fields)
+    refused(path, r"has the label 1 in 2 layers \(aorta, lcca\); give their names", labels={1: "aorta"})
+    assert read_labels(path, {"aorta": "aorta"}).names == ("aorta", "lcca")
+
+
+def test_labels_that_a_file_does_not_name_are_told(tmp_path: Path) -> None:
+    labels = tubes()
+    labels[30:34, 30:34, 4:20] = 7
+    path = save_slicer(tmp_path / "a.seg.nrrd", labels, AFFINE, {52: "aorta", 58: "lcca"})
+    told = "labels without a name are not taken: 7"
+    assert told in read_labels(path).notes
+    assert told in read_labels(path, {58: "lsa"}).notes
+    assert told not in read_labels(path, {7: None}).notes
+
+
+@pytest.mark.parametrize(("spacings", "taken"), [(None, 1.0), ([np.nan] * 3, 1.0), ([-0.7, 0.7, 0.7], 0.7)])
+def test_voxels_without_a_size_are_told(tmp_path: Path, spacings: Any, taken: float) -> None:
+    nrrd.write(str(tmp_path / "a.nrrd"), tubes(), {} if spacings is None else {"spacings": spacings})
+    volume = read_labels(tmp_path / "a.nrrd")
+    np.testing.assert_allclose(volume.spacing, [1e-3 * taken] * 3)
+    assert any("how large its voxels are" in note for note in volume.notes) == (taken == 1.0)
 
 
 def test_names_in_the_header_of_totalsegmentator(tmp_path: Path) -> None:

@@ -32,6 +32,8 @@ _DOWNWARD = 2e-3  # m: a vessel whose end lies further below its ostium goes dow
 _STEPS = 100  # along an aorta, whose directions over tenths of it show whether there is an arch
 _TURNED = math.radians(100)  # between two of them, at least: arches have 140 or more, an abdominal aorta 30
 _USUAL = 3  # branches that an arch usually has
+_ARCH_HIGH = 10e-3  # m that an aorta's middle lies above or below both of its ends, from which on it is an arch
+_CLEARLY_FRONT = 5e-3  # m that a descending aorta lies in front of the ascending one, from which on a header is doubted
 
 Array = NDArray[np.float64]
 
@@ -115,6 +117,25 @@ def has_arch(aorta: RoughVessel) -> bool:
     directions = along[_STEPS // 10 :] - along[: -(_STEPS // 10)]
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
     return bool((directions @ directions.T).min() < math.cos(_TURNED))
+
+
+def pose_doubts(aorta: Array) -> tuple[str, ...]:
+    """Doubts in the axes of a file that names the patient's: the arch points to the feet, or lies in front.
+
+    Args:
+        aorta: (n, 3) m, left, posterior and superior, from the descending end to the heart's.
+    """
+    above = float(aorta[:, 2].max() - aorta[[0, -1], 2].max())
+    below = float(aorta[[0, -1], 2].min() - aorta[:, 2].min())
+    if max(above, below) < _ARCH_HIGH:
+        return ()  # no arch
+    height = -aorta[:, 2] if below > above else aorta[:, 2]
+    top = int(np.argmax(height))
+    descending = aorta[: top + 1][height[: top + 1] >= height[-1]]  # as far down as the ascending one
+    in_front = aorta[top:, 1].mean() - descending[:, 1].mean() > _CLEARLY_FRONT
+    seen = [("its arch points to the feet", below > above), ("its descending aorta lies in front", in_front)]
+    told = " and ".join(words for words, is_so in seen if is_so)
+    return (f"by the file's axes {told}: they turn or mirror the patient; check the header",) if told else ()
 
 
 def arch_branches(aorta: RoughVessel, up: Array | None = None) -> list[RoughVessel]:

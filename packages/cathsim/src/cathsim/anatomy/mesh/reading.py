@@ -108,7 +108,7 @@ def is_mesh_path(name: str | Path) -> bool:
     """Whether a phantom's name is a path to a surface: it ends like one, or is a folder that holds such files."""
     path = Path(name)
     if os.path.isdir(path):  # False, too, for a name that no file can have
-        return any(file.suffix.lower() in SUFFIXES for file in path.iterdir())
+        return any(file.suffix.lower() in SUFFIXES and file.name[0] != "." for file in path.iterdir())
     return path.name.lower().endswith(SUFFIXES)
 
 

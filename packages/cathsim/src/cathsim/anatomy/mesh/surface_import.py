@@ -20,6 +20,7 @@ from cathsim.anatomy.mesh.lattice import Budget, lattice_spacing
 from cathsim.anatomy.mesh.lumen_vessels import count_rings, find_ends, find_vessels
 from cathsim.anatomy.mesh.naming import (
     ordered_names,
+    pose_doubts,
     propose_entries,
     propose_targets,
     renamed,
@@ -191,6 +192,8 @@ class SurfaceImport:
             unit = f"{self.facts.unit} is the unit by an aorta's width, and no arch shows that this is one"
             named += (f"{unit}; give the unit of other vessels",)
         tree, grid, left_out = self._measured(aorta, final, grid_of, pose)
+        if self.frame is not None:
+            self.notes += pose_doubts(tree.root.points)
         extended: tuple[str, ...] = ()
         if self.extend:
             tree, grid, extended = extend_short_branches(tree, grid)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.extension import extend_short_branches
-from cathsim.anatomy.mesh.naming import ordered_names, propose_entries, propose_targets, renamed
+from cathsim.anatomy.mesh.naming import ordered_names, pose_doubts, propose_entries, propose_targets, renamed
 from cathsim.anatomy.mesh.reading import Triangles
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
 from cathsim.anatomy.mesh.request import ONE_AT_A_TIME, check_resolution, content_digest, hashable_names, names_of
@@ -32,7 +32,7 @@ from cathsim.anatomy.volume.lumen.labelled import LabelledLumen
 from cathsim.anatomy.volume.lumen.smoothing import smooth_vessel
 from cathsim.guarded_reading import UnreadableFileError, check_regular
 
-VOLUME_VERSION = 18  # raise it whenever the same volume gives another phantom
+VOLUME_VERSION = 19  # raise it whenever the same volume gives another phantom
 _VOLUME_KEPT = 0.03  # share of a vessel's volume by which the phantom's may differ without a note
 _LEAST_ML = 1.0  # of a vessel whose volume is compared
 
@@ -176,7 +176,15 @@ def build_volume_phantom(
         axes_kept=True,
         automatic_names={found[key]: name for key, name in final.items() if name in tree},
         way_length={name: round(phantom.way_length(name), 4) for name in phantom.targets},
-        notes=(*volume.notes, *lumen.notes, *left_out, *extended, *shortened, *_volume_notes(volumes)),
+        notes=(
+            *volume.notes,
+            *pose_doubts(tree.root.points),
+            *lumen.notes,
+            *left_out,
+            *extended,
+            *shortened,
+            *_volume_notes(volumes),
+        ),
         volumes_ml={name: (round(1e6 * a, 3), round(1e6 * b, 3)) for name, (a, b) in volumes.items()},
     )
     return replace(phantom, imported=report)

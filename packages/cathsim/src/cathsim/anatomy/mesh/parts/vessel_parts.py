@@ -57,7 +57,8 @@ def is_folder_of_parts(path: Path, suffixes: Sequence[str] = SUFFIXES) -> bool:
 
 def folder_files(path: Path, suffixes: Sequence[str] = SUFFIXES) -> list[Path]:
     """The files of a folder that end in one of some suffixes, in order of their names."""
-    return sorted(file for file in path.iterdir() if file.name.lower().endswith(tuple(suffixes)))
+    visible = (file for file in path.iterdir() if not file.name.startswith("."))
+    return sorted(file for file in visible if file.name.lower().endswith(tuple(suffixes)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import numpy as np
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.files.detached import HEADER_BYTES, header_fields, named_files
-from cathsim.anatomy.volume.files.source import LARGEST, Slab, VolumeSource, require_one_volume
+from cathsim.anatomy.volume.files.source import LARGEST, NO_VOXEL_SIZE, Slab, VolumeSource, require_one_volume
 from cathsim.anatomy.volume.files.stream import SLAB_BYTES
 from cathsim.guarded_reading import UnreadableFileError, check_regular, open_regular, referenced_file
 
@@ -49,7 +49,7 @@ def open_metaimage(path: Path) -> VolumeSource:
     affine = np.eye(4)
     affine[:3, :3] = np.reshape(reader.GetDirection(), (axes, axes))[:3, :3] * reader.GetSpacing()[:3]
     affine[:3, 3] = reader.GetOrigin()[:3]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = () if fields.keys() & {"elementspacing", "elementsize"} else (NO_VOXEL_SIZE,)
     if not fields.keys() & set(_AXES):
         notes += ("the file says nothing of the patient's axes: its voxels' order is taken for left, back, up",)
 

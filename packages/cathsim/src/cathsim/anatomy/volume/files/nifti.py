@@ -98,7 +98,7 @@ def _affine(
     if transform is not None and transform not in given:
         raise MeshRefusedError(f"{path.name} has no {transform}; leave transform={transform!r} out.")
     if not given:
-        note = "the file says nothing of the patient's axes: its voxels' order is taken for right, front, up"
+        note = "the file says nothing of the patient's axes: its voxels' order is taken for left, front, up"
         return np.asarray(header.get_best_affine(), dtype=np.float64), (note,)
     affines = {name: np.asarray(getattr(header, f"get_{name}")(), dtype=np.float64) for name in given}
     taken = transform or given[0]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import name_of_segment
 from cathsim.anatomy.volume.files.detached import named_files
-from cathsim.anatomy.volume.files.source import SIDES, UNIT_METRES, Slab, VolumeSource
+from cathsim.anatomy.volume.files.source import NO_VOXEL_SIZE, SIDES, UNIT_METRES, Slab, VolumeSource
 from cathsim.anatomy.volume.files.stream import BROKEN, SLAB_BYTES, ValueStream, in_words
 from cathsim.guarded_reading import UnreadableFileError, referenced_file
 
@@ -102,7 +102,8 @@ def open_nrrd(path: Path) -> VolumeSource:
         except BROKEN as error:
             raise MeshRefusedError(f"{path.name} is damaged: {in_words(error)}; export it again.") from None
 
-    return VolumeSource(path, shape, affine, world, unit, kind.itemsize, slabs, layers, _segments(header), notes)
+    names = _segments(header, layered=layer_axis is not None)
+    return VolumeSource(path, shape, affine, world, unit, kind.itemsize, slabs, layers, names, notes)
 
 
 def _kind(header: dict[str, Any]) -> np.dtype[Any]:
@@ -155,8 +156,10 @@ def _axes(path: Path, header: dict[str, Any], sizes: list[int]) -> tuple[int | N
         )
     affine = np.eye(4)
     if rows is None:
-        spacings = np.asarray(header.get("spacings", np.ones(len(sizes))), float)[spatial]
-        affine[:3, :3] = np.diag(np.where(np.isfinite(spacings) & (spacings > 0), spacings, 1.0))
+        spacings = np.abs(np.asarray(header.get("spacings", np.full(len(sizes), np.nan)), float)[spatial])
+        known = np.isfinite(spacings) & (spacings > 0)
+        affine[:3, :3] = np.diag(np.where(known, spacings, 1.0))
+        notes += () if known.all() else (NO_VOXEL_SIZE,)
         notes += ("the file says nothing of the patient's axes: its voxels' order is taken for left, back, up",)
     else:
         affine[:3, :3] = np.stack([rows[axis] for axis in spatial], axis=1)
@@ -166,8 +169,8 @@ def _axes(path: Path, header: dict[str, Any], sizes: list[int]) -> tuple[int | N
     return (others[0] if others else None), affine, notes
 
 
-def _segments(header: dict[str, Any]) -> dict[tuple[int, int], str]:
-    """Names of segments by layer and label."""
+def _segments(header: dict[str, Any], layered: bool) -> dict[tuple[int, int], str]:
+    """Names of segments by layer and label; where files with layers say neither, each has its own and is 1 there."""
     fields: dict[int, dict[str, str]] = {}
     for key, value in header.items():
         if match := _SEGMENT.match(str(key)):
@@ -175,7 +178,8 @@ def _segments(header: dict[str, Any]) -> dict[tuple[int, int], str]:
     named = {}
     for number, segment in fields.items():
         try:
-            place = (int(segment.get("Layer", 0)), int(segment.get("LabelValue", number + 1)))
+            layer, value = (number, 1) if layered else (0, number + 1)
+            place = (int(segment.get("Layer", layer)), int(segment.get("LabelValue", value)))
         except ValueError:
             continue
         named[place] = name_of_segment(segment.get("Name", segment.get("ID", "")), _meanings(segment.get("Tags", "")))

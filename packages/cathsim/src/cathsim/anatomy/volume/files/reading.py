@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.anatomy.mesh.parts.vessel_parts import is_folder_of_parts
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import AORTA, is_other, not_taken, of_one_name, vessel_name
 from cathsim.anatomy.volume.dicom.files import is_dicom_file, is_dicom_folder
@@ -71,11 +72,16 @@ class LabelVolume:
 
 
 def is_volume_path(path: str | Path) -> bool:
-    """Whether a path is that of a volume's file, or of a folder that holds some."""
+    """Whether a path is that of a volume's file, or of a folder that holds some, not beside surfaces of its vessels."""
     path = Path(path).expanduser()
     if path.name.lower().endswith(SUFFIXES) or is_dicom_file(path):
         return True
-    return os.path.isdir(path) and (bool(volume_files(path)) or is_dicom_folder(path))
+    if not os.path.isdir(path):
+        return False
+    volumes = volume_files(path)
+    if volumes and not any(vessel_name(file_stem(file)) for file in volumes) and is_folder_of_parts(path):
+        return False  # a CT, say, beside the surfaces that were made from it
+    return bool(volumes) or is_dicom_folder(path)
 
 
 def volume_files(folder: Path) -> list[Path]:

@@ -20,6 +20,7 @@ _LEAST_SIDES = 4  # voxels along every axis
 _MOST_SHEAR = 0.05  # cosine of the angle between two of the volume's axes
 _ROUNDING = 1e-6  # cosine of such an angle that is none
 _NOTED = 0.5  # of a voxel's smallest side by which two headers may place a corner apart without a note
+NO_VOXEL_SIZE = "the file does not say how large its voxels are along each axis: 1 mm is taken"
 SIDES = ("LR", "PA", "SI")  # letters of a world's axes: of the patient's left, posterior and superior axis first
 
 Array = NDArray[np.float64]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,7 +81,8 @@ def choose_labels(
     if own:
         return _own_choice(present, names, own, file)
     if known := {key: vessel_name(names[key]) for key in present if vessel_name(names.get(key, ""))}:
-        return _checked(_without_lumina(known), "names in the file", present, file, names)
+        choice = _checked(_without_lumina(known), "names in the file", present, file, names)
+        return replace(choice, notes=(*choice.notes, *_nameless(present, names)))
     if others := {key: count for key, count in present.items() if is_other(names.get(key, ""))}:
         raise MeshRefusedError(
             f"{file} has no label that is named after an artery ({_listed(others, names)}); export the aorta with its "
@@ -149,10 +150,16 @@ def _own_choice(present: Mapping[Key, int], names: Mapping[Key, str], own: Label
         if not keys:
             raise MeshRefusedError(f"{file} has no label {label!r}; it has {_listed(present, names)}.")
         if vessel is not None:
+            if len({names.get(key, "") for key in keys}) > 1:
+                told = _listed({key: present[key] for key in keys}, names)
+                raise MeshRefusedError(
+                    f"{file} has the label {label} in {len(keys)} layers ({told}); give their names."
+                )
             chosen |= dict.fromkeys(keys, vessel_name(str(vessel)) or str(vessel))
     others = {key: vessel_name(names.get(key, "")) for key in present if not any(_is(w, key, names) for w in own)}
     known = {key: name for key, name in others.items() if name not in ("", *chosen.values())}
-    return _checked({**known, **chosen}, "given", present, file, names)
+    choice = _checked({**known, **chosen}, "given", present, file, names)
+    return replace(choice, notes=(*choice.notes, *_nameless((key for key in others if key not in known), names)))
 
 
 def _is(label: int | str, key: Key, names: Mapping[Key, str]) -> bool:
@@ -178,6 +185,13 @@ def _checked(
     left = (names.get(key, "") for key in sorted(present, key=lambda key: -present[key]) if key not in vessels)
     notes = (*not_taken(left, "labels"), *of_one_name((names.get(key, "") for key in vessels), "labels"))
     return LabelChoice(vessels, scheme, named=len(set(vessels.values())) > 1, notes=notes)
+
+
+def _nameless(keys: Iterable[Key], names: Mapping[Key, str]) -> tuple[str, ...]:
+    """A note on labels that are not taken, as nobody names them in a file that names others."""
+    numbers = [str(key[1]) for key in keys if not names.get(key)]
+    more = f" and {len(numbers) - 8} more" if len(numbers) > 8 else ""
+    return (f"labels without a name are not taken: {', '.join(numbers[:8])}{more}",) if numbers else ()
 
 
 def _listed(present: Mapping[Key, int], names: Mapping[Key, str]) -> str:
