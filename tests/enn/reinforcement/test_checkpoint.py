@@ -92,6 +92,17 @@ def test_a_finished_training_is_read_and_not_run_again(point_env: Any, tmp_path:
     assert again.timings == first.timings
     observation = {"place": np.array([0.3, -0.4], np.float32)}
     np.testing.assert_array_equal(again.policy.act(observation), first.policy.act(observation))
+    others: list[tuple[Any, int, str]] = [
+        (settings, 2, "seed 1, not 2"),
+        (dataclasses.replace(settings, decisions=400), 1, "decisions 200, not 400"),
+        (dataclasses.replace(PPO, decisions=200), 1, "algorithm sac, not ppo"),
+    ]
+    for other, seed, told in others:
+        with pytest.raises(CheckpointError, match=rf"holds a finished training of another kind \(.*{told}"):
+            Training(other, must_not_run, tmp_path, seed=seed).run()
+    (tmp_path / "training.csv").unlink()
+    with pytest.raises(CheckpointError, match=r"its training\.json or training\.csv is damaged"):
+        Training(settings, must_not_run, tmp_path, seed=1).run()
 
 
 SCRIPT = """

@@ -52,6 +52,12 @@ def test_a_training_with_demonstrations_is_resumed_as_if_it_had_not_been_interru
         assert torch.equal(value, resumed.module.state_dict()[name]), name
 
 
+def test_an_environment_may_observe_more_than_the_networks_read(point_env: Any) -> None:
+    settings = dataclasses.replace(SMALL, keys=("place",), decisions=300, reset_bank_share=0.0, cloning_weight=0.0)
+    policy = Training(settings, lambda: point_env(("place", "range"), max_steps=10), None, 1).run().policy
+    assert policy.keys == ("place",)
+
+
 def test_the_deviation_of_actions_falls_evenly_to_the_end_of_the_budget(
     point_env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -63,6 +63,24 @@ def test_a_rare_case_is_drawn_as_often_as_a_frequent_one() -> None:
     assert 0.45 < (cases == 2).mean() < 0.55
 
 
+def test_states_of_cases_are_drawn_by_the_seed_and_apart_from_each_other() -> None:
+    def drawn(seed: int) -> dict[int, list[float]]:
+        bank = CaseResetBank(2, share=1.0, capacity=50, seed=seed)
+        for case in (0, 1):
+            bank.add_episode(episode(case, 50))
+        found: dict[int, list[float]] = {0: [], 1: []}
+        for _ in range(60):
+            state = bank.draw()
+            assert state is not None
+            found[int(state[-1])].append(float(state[1]))
+        return {case: places[:20] for case, places in found.items()}
+
+    first, second = drawn(0), drawn(1)
+    assert first == drawn(0)
+    assert first[0] != second[0]
+    assert first[0] != first[1]
+
+
 def test_goes_on_exactly_after_a_restore_of_cases() -> None:
     bank, other = CaseResetBank(3, seed=1, capacity=5), CaseResetBank(3, seed=9, capacity=5)
     bank.add_episode(episode(1, 7))

@@ -134,7 +134,7 @@ class PpoLearner:
         for index in np.flatnonzero(dones).tolist():
             if infos[index]["TimeLimit.truncated"]:
                 last = infos[index]["terminal_observation"]
-                single = {k: v[None] for k, v in last.items()} if isinstance(last, dict) else last[None]
+                single = {key: last[key][None] for key in observations} if isinstance(last, dict) else last[None]
                 with torch.inference_mode():
                     rewards[index] += self.settings.gamma * float(self.policy.predict_values(self._tensors(single)))
         self.rollout.add(observations, self._action.cpu().numpy(), rewards, self._starts, self._value, self._log_prob)

@@ -147,7 +147,7 @@ class CaseResetBank(ResetBank):
         if len(cases) != 1:
             raise ValueError(f"an episode stays in one case, got states of {len(cases)}")
         case = int(cases[0])
-        bank = self._cases.get(case) or ResetBank(1.0, self.capacity)
+        bank = self._cases.get(case) or ResetBank(1.0, self.capacity, int(self._generator.integers(1 << 31)))
         bank.add_episode(states)
         self._cases[case] = bank
 

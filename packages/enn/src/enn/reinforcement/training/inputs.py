@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
     from enn.reinforcement.proximal_policy import PpoLearner
     from enn.reinforcement.soft_actor_critic import SacLearner
-    from enn.reinforcement.training.settings import TrainingSettings
 
 
 WORTH_A_PROCESS = 2_000  # decisions: in fewer it saves less than the three seconds that it takes to start

@@ -6,14 +6,16 @@ import json
 import logging
 import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import gymnasium
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3.common.utils import get_device
 
 from enn.curves import open_writer
@@ -238,6 +240,8 @@ class TrainingRun:
             "seed": self.inputs.seed,
             "encoder": _digest(encoder),
             **({} if initial is None else {"initial": _digest(initial)}),
+            "shown": _digest_of([demonstration.actions for demonstration in self.inputs.demonstrations]),
+            "starts": _digest_of(self.inputs.starts),
         }
 
     def _save(self) -> None:
@@ -305,7 +309,11 @@ class TrainingRun:
 def _digest(network: torch.nn.Module | None) -> int:
     """A number that changes with the weights; of no network, that of no bytes."""
     weights = {} if network is None else network.state_dict()
-    return zlib.adler32(b"".join(value.cpu().numpy().tobytes() for value in weights.values()))
+    return _digest_of([value.cpu().numpy() for value in weights.values()])
+
+
+def _digest_of(arrays: Sequence[NDArray[Any]]) -> int:
+    return zlib.adler32(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays))
 
 
 class Training(TrainingInputs):
@@ -343,9 +351,17 @@ class Training(TrainingInputs):
         try:
             record = json.loads((folder / "training.json").read_text(encoding="utf-8"))
             curve = read_curve(folder / "training.csv")
-            return TrainingResult(policy, curve, dict(record["timings"]), record["evaluation"])
-        except (KeyError, RecursionError, TypeError, ValueError) as error:
+            result = TrainingResult(policy, curve, dict(record["timings"]), record["evaluation"])
+            before = {**record["settings"], "seed": record["metadata"]["seed"]}
+        except (KeyError, OSError, RecursionError, TypeError, ValueError) as error:
             raise CheckpointError(
                 f"the training in {folder} is finished, but its training.json or training.csv is damaged: remove "
                 "both to train again"
             ) from error
+        settings = self.settings if self.encoder is None else replace(self.settings, normalise=False)
+        asked = {**asdict(settings), "seed": (self.metadata or {}).get("seed", self.seed)}
+        mine = json.loads(json.dumps({name: asked[name] for name in asked if name not in CHANGEABLE - {"decisions"}}))
+        if other := [name for name in mine if name in before and before[name] != mine[name]]:
+            told = ", ".join(f"{name} {before[name]}, not {mine[name]}" for name in other[:4])
+            raise CheckpointError(f"{folder} holds a finished training of another kind ({told}): take another folder")
+        return result
