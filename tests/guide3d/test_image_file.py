@@ -43,6 +43,8 @@ def test_deep_images_keep_their_depth(ending: str, tmp_path: Path) -> None:
     assert np.array_equal(read, deep)
     assert np.array_equal(eight_bits(read), GREY)
     assert eight_bits(GREY).dtype == np.uint8
+    with pytest.raises(ImageError, match="its 16-bit values end at 4080 of 65535"):
+        eight_bits(np.full((4, 4), 4080, np.uint16))  # 12 bits
 
 
 @pytest.mark.parametrize("kind", ["float16", "float32", "float64", "int16", "int32", "uint32"])

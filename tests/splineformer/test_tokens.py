@@ -8,6 +8,7 @@ import torch
 
 from guide3d.geometry.bspline import BSplineCurve
 from splineformer.decoding import decode
+from splineformer.image_input import pixels_of_shares
 from splineformer.map_picture import map_picture
 from splineformer.modeling.curve_network import CurveBatch, ImageKind
 from splineformer.tokens import (
@@ -16,6 +17,7 @@ from splineformer.tokens import (
     round_trip_px,
     tokens_of_curve,
     tokens_of_polyline,
+    tokens_px,
 )
 from splineformer.views import VIEWS, best_of_views, points_in, turned, turned_back
 from tests.splineformer.curves import loop, wavy_wire
@@ -83,6 +85,14 @@ def test_knots_out_of_order_are_put_in_order() -> None:
     ordered[0, 2, 0] = ordered[0, 1, 0]
     assert torch.allclose(decode(tokens, n, 40), decode(ordered, n, 40))
     assert torch.isfinite(decode(torch.zeros(1, 5, 3), torch.tensor([5]), 4)).all()  # all knots zero
+
+
+def test_knots_that_are_all_zero_are_taken_as_equal() -> None:
+    points = np.column_stack([np.linspace(0.1, 0.9, 8), np.full(8, 0.5)])
+    tokens = tokens_px(np.column_stack([np.zeros(8), points]), 100.0)
+    curve = curve_of_tokens(tokens)
+    np.testing.assert_allclose(curve.sample(2)[0], pixels_of_shares(points[:1], (100.0, 100.0))[0], atol=1e-9)
+    assert np.diff(curve.knots).min() >= 0
 
 
 VIEWS_SIDE = 64

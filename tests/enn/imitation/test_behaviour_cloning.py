@@ -69,6 +69,9 @@ def test_checkpoint_of_another_architecture_is_refused(episodes: list[Trajectory
     other = replace(settings, network=CloningNetworkSettings(features=64))
     with pytest.raises(FitError, match="is of another architecture: remove it to start again"):
         clone(episodes[:5], other, folder=tmp_path)
+    for shown, changed in ((episodes[1:6], settings), (episodes[:5], replace(settings, noise=3.0))):
+        with pytest.raises(FitError, match="a fit with other samples"):
+            clone(shown, changed, folder=tmp_path)
     (tmp_path / "fit.pt").write_bytes(b"nothing")
     with pytest.raises(FitError, match="damaged"):
         clone(episodes[:5], settings, folder=tmp_path)

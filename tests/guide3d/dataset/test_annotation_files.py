@@ -88,6 +88,15 @@ def test_curves_round_trip_and_damage(tmp_path: Path) -> None:
     damaged: list[str] = []
     assert len(read_curves(tmp_path / "bad.json", damaged)) == 1
     assert "missing" in damaged[0]
+    for entry, change in (("t", lambda knots: [float("nan"), *knots[1:]]), ("k", lambda degree: -1)):
+        content = json.loads(text)
+        space = content[0]["frames"][0]["3d"]
+        tck = space.get("tck", space)
+        tck[entry] = change(tck[entry])
+        (tmp_path / "bad.json").write_text(json.dumps(content))
+        damaged = []
+        assert len(read_curves(tmp_path / "bad.json", damaged)) == 1
+        assert "B-spline" in damaged[0]
     assert data.frames[0].views is not None
 
 

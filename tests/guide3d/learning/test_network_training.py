@@ -203,6 +203,8 @@ def test_command_line_refuses_in_a_sentence(
         ("--settings", '{"sizes": {"layers": 3}}', "unet cannot have the sizes {'layers': 3}"),
         ("--settings", '{"fit": {"epochs": 2}}', "--settings: the fields of the fit are given by --fit"),
         ("--settings", '{"images": -1}', "images must be greater than or equal to 0, got -1"),
+        ("--settings", '{"crop_px": 63}', "crop_px=63: expected a multiple of"),
+        ("--settings", '{"crop_px": 1024}', "crop_px=1024: expected a multiple of"),
         ("--fit", '{"rate": 1}', "rate Unexpected keyword argument, got 1"),
     ):
         words = [str(data.root), "--network", "unet", "--size", "smoke", "--output", str(tmp_path / "fit")]

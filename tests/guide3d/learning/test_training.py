@@ -116,6 +116,12 @@ def test_checkpoints_of_something_else_are_refused(tmp_path: Path) -> None:
         fit(network(), Line(), dataclasses.replace(SETTINGS, batch_size=4), folder=tmp_path)
     with pytest.raises(TrainingError, match="of a training with other items"):
         fit(network(), Line(16), SETTINGS, folder=tmp_path)
+    other = Line()
+    other.validation_items = other.validation_items[::-1]
+    with pytest.raises(TrainingError, match="of a training with other items"):
+        fit(network(), other, SETTINGS, folder=tmp_path)
+    with pytest.raises(TrainingError, match="of a training with other settings"):
+        fit(network(), Line(), SETTINGS, folder=tmp_path, recipe={"mask_px": 30})
     with pytest.raises(TrainingError, match="of another architecture"):
         fit(torch.nn.Linear(1, 1), Line(), SETTINGS, folder=tmp_path)
     (tmp_path / LAST).write_bytes(b"torn")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import hashlib
 import math
 import time
 from collections.abc import Callable
@@ -87,6 +88,7 @@ def fit(
     settings: EpisodeFitSettings,
     *,
     seed: int = 0,
+    samples: str = "",
     folder: Path | str | None = None,
     progress: Callable[[EpisodeFitProgress], None] | None = None,
 ) -> FitReport:
@@ -95,6 +97,7 @@ def fit(
     Args:
         loss: mean loss of samples given by their indices; augmentation only where the flag says training.
         episodes: (N,) number of the episode that each sample is from: whole episodes are held out for validation.
+        samples: digest of the samples and of what the loss depends on; only a fit of the same is resumed.
         folder: for the checkpoint, gone at the end; None: it cannot be resumed.
         progress: called after every epoch; what it raises stops the fit, after a checkpoint.
 
@@ -104,7 +107,7 @@ def fit(
     Raises:
         FitError: a checkpoint of another architecture or other samples, or a loss that is not finite.
     """
-    whole = _Fit(module, loss, episodes, settings, seed, None if folder is None else Path(folder) / FILE)
+    whole = _Fit(module, loss, episodes, settings, seed, samples, None if folder is None else Path(folder) / FILE)
     whole.run(progress)
     return whole.report
 
@@ -114,7 +117,7 @@ class _Fit:
 
     def __init__(
         self, module: nn.Module, loss: Loss, episodes: NDArray[Any], settings: EpisodeFitSettings, seed: int,
-        file: Path | None,
+        samples: str, file: Path | None,
     ) -> None:  # fmt: skip
         self.module, self.loss, self.settings, self.file = module.to(**CHANNELS_LAST), loss, settings, file
         self.generator = np.random.default_rng(seed)
@@ -126,7 +129,7 @@ class _Fit:
         self.best = copy.deepcopy(module.state_dict())
         self.identity = {
             "weights": {name: list(value.shape) for name, value in module.state_dict().items()},
-            "samples": [len(self.training), len(self.held_out)],
+            "samples": [digest_of(self.training, self.held_out), samples],
             "settings": {k: v for k, v in asdict(settings).items() if k != "checkpoint_seconds"},
             "seed": seed,
         }
@@ -223,6 +226,16 @@ class _Fit:
             raise
         except UNFIT as error:
             raise FitError(f"{file} is damaged or no checkpoint of a fit: remove it to start again") from error
+
+
+def digest_of(*content: Any) -> str:
+    """SHA-256 of arrays, and of the words of anything else."""
+    digest = hashlib.sha256()
+    for one in content:
+        is_array = isinstance(one, np.ndarray)
+        digest.update(f"{one.dtype} {one.shape}".encode() if is_array else repr(one).encode())
+        digest.update(np.ascontiguousarray(one).data if is_array and one.size else b"")
+    return digest.hexdigest()
 
 
 def split(

@@ -102,11 +102,13 @@ def eight_bits(levels: GreyLevels) -> NDArray[np.uint8]:
     """Grey levels as uint8: integers by their upper eight bits, real numbers as parts of 1, 255 or 65535.
 
     Raises:
-        ImageError: real numbers beyond that.
+        ImageError: real numbers beyond that, or 12 bits in 16, which would be black.
     """
     if levels.dtype == np.uint8:
         return levels.astype(np.uint8)
     if levels.dtype == np.uint16:
+        if 0 < (highest := int(levels.max())) < 1 << 12:
+            raise ImageError(f"its 16-bit values end at {highest} of 65535: scale them to 16 bits, or save 8 bits")
         return (levels // 256).astype(np.uint8)
     low, high = float(levels.min()), float(levels.max())
     top = next((top for top in (1.0, 255.0, 65535.0) if high <= top), 0.0)

@@ -14,6 +14,8 @@ import argparse
 import json
 import logging
 import time
+import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -65,6 +67,10 @@ def train(given: argparse.Namespace, progress: Callable[[int, float], None] | No
     """Trains what the command line asks for; returns what ``training.json`` holds."""
     cv2.setNumThreads(1)
     recipe = smoke_recipe() if given.size == "smoke" else ReaderRecipe()
+    if "fluoroscopy" in given.settings:
+        raise ValueError("--settings: the fields of the random images are given by --fluoroscopy")
+    if given.images < 1:
+        raise ValueError(f"--images: expected at least 1 to evaluate with, got {given.images}")
     recipe = replace(recipe, fluoroscopy=replace(recipe.fluoroscopy, **given.fluoroscopy), **given.settings)
     if given.steps is not None:
         recipe = replace(recipe, steps=given.steps)
@@ -112,7 +118,7 @@ def backgrounds_of(path: Path) -> list[NDArray[np.float32]]:
     try:
         with np.load(path, allow_pickle=False) as file:
             return [np.asarray(file[name], np.float32) for name in file.files]
-    except (OSError, ValueError, AttributeError) as error:
+    except (OSError, ValueError, AttributeError, TypeError, zipfile.BadZipFile, zlib.error) as error:
         raise ValueError(f"{path} is no .npz of arrays ({error}): save attenuations with numpy.savez") from error
 
 

@@ -158,7 +158,7 @@ def tokens_px(tokens: Array, side_px: float) -> Array:
     knots = np.maximum.accumulate(np.maximum(tokens[:, 0], 0.0))
     points = pixels_of_shares(tokens[:, 1:], (side_px, side_px))
     if knots[-1] <= 0:
-        knots = np.concatenate([np.linspace(0, 1, len(knots) - FEWEST_TOKENS + 1)[1:], np.ones(FEWEST_TOKENS - 1)])
+        knots = np.concatenate([np.linspace(0, 1, len(knots) - FEWEST_TOKENS + 2)[1:], np.ones(FEWEST_TOKENS - 1)])
     curve = curve_of_tokens(np.column_stack([knots, points]))
     length = max(float(arc_length(curve.sample(_LENGTH_SAMPLES))[-1]), 1e-6)
     return np.column_stack([curve.knots[FEWEST_TOKENS:] * (length / curve.knots[-1]), points])

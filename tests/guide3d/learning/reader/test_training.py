@@ -83,10 +83,23 @@ def test_curves_of_a_data_set_are_courses(tmp_path: Path) -> None:
 
 
 def test_bad_commands_are_refused_in_one_sentence(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    np.savez_compressed(tmp_path / "whole.npz", ct=np.random.default_rng(0).random((40, 40)))
+    np.save(tmp_path / "one.npy", np.zeros((4, 4)))
+    (tmp_path / "torn.npz").write_bytes((tmp_path / "whole.npz").read_bytes()[:-40])
     (tmp_path / "x.npz").write_text("no arrays")
-    words = ["--output", str(tmp_path / "a"), "--size", "smoke", "--backgrounds", str(tmp_path / "x.npz")]
-    assert main(words) == 2
-    assert "is no .npz of arrays" in caplog.text
+    no_arrays = [
+        ("--backgrounds", str(tmp_path / name), "is no .npz of arrays") for name in ("x.npz", "one.npy", "torn.npz")
+    ]
+    for option, value, told in (
+        *no_arrays,
+        ("--images", "0", "--images: expected at least 1 to evaluate with, got 0"),
+        ("--settings", '{"fluoroscopy": {}}', "the fields of the random images are given by --fluoroscopy"),
+    ):
+        assert main(["--output", str(tmp_path / "a"), "--size", "smoke", option, value]) == 2
+        assert told in caplog.records[-1].getMessage()
+    start = {"other": torch.zeros(3)}
+    with pytest.raises(ValueError, match="the weights to start from are of another network"):
+        train_reader(small_recipe(1), tmp_path, processes=0, start=start)
 
 
 def test_evaluation_counts_what_is_marked() -> None:

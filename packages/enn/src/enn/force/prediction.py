@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from enn.devices import bfloat16_on_processor, device_of, seeded
-from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, fit
+from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, digest_of, fit
 from enn.force.samples import ForceSamples
 from enn.model_file import FittedNetwork
 from enn.networks.image_network import ImageNetwork, ImageSettings
@@ -174,7 +174,10 @@ def fit_force(
                 value = value + settings.feature_weight * nn.functional.mse_loss(features, target[index].to(device))
             return value
 
-        report = fit(network, loss, samples.episodes, settings.fit, seed=seed, folder=folder, progress=progress)
+        digest = "" if folder is None else digest_of(samples.images, samples.vectors, samples.forces, settings)
+        report = fit(
+            network, loss, samples.episodes, settings.fit, seed=seed, samples=digest, folder=folder, progress=progress
+        )
     return ForcePredictor(network), report
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from enn.devices import bfloat16_on_processor, seeded
-from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, fit
+from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, digest_of, fit
 from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
 from enn.networks.image_network import shifted
 from enn.networks.normalisation import standardised
@@ -129,7 +129,10 @@ def clone(
             take_over(network, initial)
         network.to(device)
         loss = _loss(network, settings, images, expert_actions, target)
-        report = fit(network, loss, episodes, settings.fit, seed=seed, folder=folder, progress=progress)
+        samples = "" if folder is None else digest_of(images.numpy(), actions, settings)
+        report = fit(
+            network, loss, episodes, settings.fit, seed=seed, samples=samples, folder=folder, progress=progress
+        )
     return ClonedPolicy(network), report
 
 

@@ -93,7 +93,7 @@ def decide(
         }
         for pose in poses
     ]
-    rigs = _rigs(lattice, poses, evidence, marked)
+    rigs = _rigs(poses, evidence, marked)
     chosen, certain = [], []
     for pose, scores in zip(poses, evidence, strict=True):
         first = next(iter(pose))
@@ -178,7 +178,6 @@ def _relative(first: Sequence[Candidate], other: Sequence[Candidate]) -> tuple[n
 
 
 def _rigs(
-    lattice: CubeLattice,
     poses: Sequence[Mapping[str, tuple[list[Candidate], list[WireMark], np.ndarray]]],
     evidence: list[dict[str, np.ndarray]],
     marked: Mapping[str, int],

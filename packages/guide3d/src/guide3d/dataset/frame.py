@@ -74,7 +74,10 @@ def read_image(path: Path, size_px: tuple[int, int] | None = None) -> NDArray[np
     Raises:
         ImageError: it is missing, cannot be read, or has another size.
     """
-    pixels = eight_bits(read_grey_levels(path))
+    try:
+        pixels = eight_bits(read_grey_levels(path))
+    except ImageError as error:
+        raise ImageError(str(error) if path.name in str(error) else f"image {path}: {error}") from None
     if size_px is not None and pixels.shape != (size_px[1], size_px[0]):
         raise ImageError(
             f"image {path}: expected {size_px[0]} x {size_px[1]} px, got {pixels.shape[1]} x {pixels.shape[0]}; "

@@ -37,6 +37,10 @@ class BSplineCurve:
                 f"B-spline of degree {self.degree}: expected (n, d) coefficients and n + {self.degree + 1} knots, "
                 f"got {coefficients.shape} and {knots.shape}"
             )
+        if not 1 <= self.degree < len(coefficients):
+            raise ValueError(f"B-spline: expected a degree of 1 to {len(coefficients) - 1}, got {self.degree}")
+        if not (np.isfinite(knots).all() and np.isfinite(coefficients).all()):
+            raise ValueError("B-spline: a knot or a coefficient is not finite")
         if (np.diff(knots) < 0).any():
             raise ValueError("B-spline: expected ascending knots")
         object.__setattr__(self, "knots", knots)

@@ -151,6 +151,8 @@ def evaluate_segmentation(
         places.append((frame, VIEWS[camera]))
         if progress is not None:
             progress(number, len(items))
+    if not scores:
+        raise ValueError("there is no image to evaluate on: the data set's part is empty, or none of it can be read")
     chosen = _at_quantiles([one["dice"] for one in scores], _MASK_QUANTILES)
     examples: dict[str, Any] = {"dice": np.array([scores[place]["dice"] for place in chosen])}
     for k, place in enumerate(chosen):

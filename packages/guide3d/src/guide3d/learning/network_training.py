@@ -68,7 +68,9 @@ def train_network(
     else:
         prepared = _segmenter(data, split, recipe, pictures, seed)
     network, objective, predictor, size, metadata = prepared
-    report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
+    report = fit(
+        network, objective, recipe.fit, folder=folder, seed=seed, recipe=recipe, ranks=ranks, progress=progress
+    )
     return predictor(network, size, recipe.preprocessing, {**metadata, "best_epoch": report.best_epoch}), report
 
 
@@ -122,6 +124,9 @@ def _segmenter(data: Dataset, split: Split, recipe: SegmentationRecipe, pictures
     size = {"name": recipe.network, "crop_px": recipe.crop_px, "sizes": recipe.sizes}
     torch.manual_seed(seed)
     network = built(size)
+    multiple, side = int(list(network.children())[1].multiple_px), recipe.preprocessing.size_px  # type: ignore[arg-type]
+    if recipe.crop_px > side or recipe.crop_px % multiple:
+        raise ValueError(f"crop_px={recipe.crop_px}: expected a multiple of {multiple}, at most {side}")
     sample = training[:: max(1, len(training) // 32)]
     seen = objective.batch(sample, np.random.default_rng(seed))["pictures"]
     _fill(next(network.children()), {"pixel_mean": seen.mean(), "pixel_scale": seen.std().clamp(min=1.0)})

@@ -14,6 +14,7 @@ follows is what would have followed.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -130,6 +131,7 @@ def fit(
     *,
     folder: Path | str,
     seed: int = 0,
+    recipe: Any = None,
     ranks: Ranks | None = None,
     progress: Callable[[FitProgress], None] | None = None,
 ) -> FitReport:
@@ -138,6 +140,7 @@ def fit(
     Args:
         folder: for the checkpoints; `finished` removes them.
         seed: of shuffling, augmentation and dropout.
+        recipe: dataclass of all that the objective depends on; only a checkpoint of the same is gone on with.
         ranks: that train together; None: this process alone, on the processor.
         progress: called after every epoch; what it raises ends the training there, with its checkpoint written.
 
@@ -151,8 +154,8 @@ def fit(
     report = FitReport()
     identity = {
         "weights": {name: list(value.shape) for name, value in module.state_dict().items()},
-        "items": [len(objective.training_items), len(objective.validation_items)],
-        "settings": asdict(settings),
+        "items": [_digest(items) for items in (objective.training_items, objective.validation_items)],
+        "settings": asdict(settings) | {"recipe": repr(recipe)},
         "seed": seed,
     }
     if (folder / LAST).is_file():
@@ -196,6 +199,10 @@ def fit(
         raise TrainingError(f"{folder / BEST} is damaged or missing: remove {folder} to start again") from error
     module.to(**_CHANNELS_FIRST).eval()
     return report
+
+
+def _digest(items: Indices) -> str:
+    return hashlib.sha256(np.asarray(items, np.int64).tobytes()).hexdigest()
 
 
 class _Checkpoint:

@@ -120,7 +120,3 @@ class Reader:
             logits = self._network(seen.contiguous(memory_format=torch.channels_last))
             chance = logits.float().sigmoid()[0, :, :height, :width].contiguous().numpy()
         return ReaderMaps(chance[0], chance[1], chance[2])
-
-
-def _built(description: dict[str, Any]) -> ReaderNetwork:
-    return ReaderNetwork(block_px=description["block_px"], widths=tuple(description["widths"]))

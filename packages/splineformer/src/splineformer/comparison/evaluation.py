@@ -199,7 +199,8 @@ def mm_per_px(frame: Frame, camera: Camera | None) -> float | None:
     if camera is None:
         return None
     points = frame.curve_mm if frame.curve_mm is not None else np.zeros((1, 3))
-    return float(np.mean(camera.depth_mm(points)) / (0.5 * (camera.K[0, 0] + camera.K[1, 1])))
+    # depths are negative where a camera is written with its scale below zero, as that of a C-arm
+    return float(abs(np.mean(camera.depth_mm(points))) / (0.5 * (camera.K[0, 0] + camera.K[1, 1])))
 
 
 def _errors(points: Array, frame: Frame, camera: str, scale: float | None) -> dict[str, float]:

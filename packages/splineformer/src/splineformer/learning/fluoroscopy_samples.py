@@ -40,7 +40,6 @@ class FluoroscopyObjective:
         augmentation: Augmentation,
         background: int,
         weights: Any = None,
-        source_px: int = 1024,
     ) -> None:
         """Args:
         samples: of an epoch.
@@ -59,7 +58,7 @@ class FluoroscopyObjective:
         self.validation_items = np.arange(len(validation))
         self.drawn, self.augmentation, self.background = drawn, augmentation, background
         self.size_px = int(network.settings.image_px)
-        self.targets: Targets = TARGETS[network.variant](network, weights, source_px)
+        self.targets: Targets = TARGETS[network.variant](network, weights)
 
     def loss(self, module: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         """Mean loss of a batch."""

@@ -148,7 +148,7 @@ def train_on_fluoroscopy(
     network = build(recipe.settings)
     objective = FluoroscopyObjective(
         training, validation, network, samples=recipe.samples, drawn=recipe.drawn, augmentation=recipe.augmentation,
-        background=int(WHITE) if recipe.input == "maps" else 0, weights=recipe.weights, source_px=side,
+        background=int(WHITE) if recipe.input == "maps" else 0, weights=recipe.weights,
     )  # fmt: skip
     # the training starts from the mean of random curves
     generator = np.random.default_rng((seed, recipe.samples))
@@ -156,8 +156,14 @@ def train_on_fluoroscopy(
     curves += list(training.curves[training.wires == ONE])
     objective.targets.start(objective.targets(curves, None))
     if start is not None:
-        network.load_state_dict(start)
-    report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
+        try:
+            network.load_state_dict(start)
+        except RuntimeError as error:
+            why = str(error).splitlines()[-1].strip()
+            raise ValueError(f"the weights to start from are of another network: {why}") from None
+    report = fit(
+        network, objective, recipe.fit, folder=folder, seed=seed, recipe=recipe, ranks=ranks, progress=progress
+    )
     return Predictor(network, source_px=side, input=recipe.input), report
 
 

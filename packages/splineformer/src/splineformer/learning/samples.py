@@ -84,14 +84,12 @@ class SplineObjective:
         *,
         augmentation: Augmentation | None = None,
         weights: PublishedWeights | OrderedWeights | None = None,
-        source_px: int = 1024,
     ) -> None:
         """Args:
         stores: of pictures, one a camera, all with as many frames.
         curves: of all images, as `curves_of` gives them.
         training: images to learn from, as `images_of` lists them.
         network: that learns; its variant decides which targets a batch has.
-        source_px: side of the camera's images, in which the tokens' tolerance is meant.
 
         Raises:
             ValueError: nothing to learn from.
@@ -105,7 +103,7 @@ class SplineObjective:
         self.training_items = np.repeat(self.training_items, passes)
         if not len(self.training_items):
             raise ValueError("there is no image to learn from: the data set's training part is empty")
-        self.targets: Targets = TARGETS[network.variant](network, weights, source_px)
+        self.targets: Targets = TARGETS[network.variant](network, weights)
 
     def _with_curves(self, items: Indices) -> Indices:
         return np.array([item for item in items if self.curves[item] is not None], np.int64)

@@ -46,7 +46,7 @@ class PublishedTargets:
     would go on without looking at the image, and its own are never true.
     """
 
-    def __init__(self, network: SplineFormer, weights: Any, source_px: int) -> None:
+    def __init__(self, network: SplineFormer, weights: Any) -> None:
         self.network = network
         self.weights = weights if isinstance(weights, PublishedWeights) else PublishedWeights()
         knots = torch.from_numpy(network.knots)
@@ -88,7 +88,7 @@ class OrderedTargets:
     steps from the end on, "length" (B,) in steps, "starts" (n, queries, 2) and "begins" (n,) of the first n images.
     """
 
-    def __init__(self, network: OrderedSplineFormer, weights: Any, source_px: int) -> None:
+    def __init__(self, network: OrderedSplineFormer, weights: Any) -> None:
         self.network = network
         self.weights = weights if isinstance(weights, OrderedWeights) else OrderedWeights()
         self.shares = network.shares.double().cpu().numpy()

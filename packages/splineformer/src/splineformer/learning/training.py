@@ -65,14 +65,15 @@ def train(
         network,
         augmentation=recipe.augmentation,
         weights=recipe.weights,
-        source_px=data.side_px,
     )
     # the training starts from the mean of the curves that are learnt from
     items = objective.training_items
     chosen = items[np.linspace(0, len(items) - 1, min(_MANY, len(items))).astype(int)]
     targets = objective.targets
     targets.start(targets([np.asarray(objective.curves[item]) for item in chosen], None))
-    report = fit(network, objective, recipe.fit, folder=folder, seed=seed, ranks=ranks, progress=progress)
+    report = fit(
+        network, objective, recipe.fit, folder=folder, seed=seed, recipe=recipe, ranks=ranks, progress=progress
+    )
     for store, camera in zip(stores, VIEWS, strict=True):
         if store.damaged:
             _LOGGER.warning("camera %s: %d images could not be read", camera, len(store.damaged))

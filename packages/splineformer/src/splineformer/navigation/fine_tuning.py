@@ -82,12 +82,19 @@ def fine_tune(
     recipe = recipe_of(variant, "desk")
     objective = SplineObjective(
         stores, list(shown.curves), places[~shown.held_out], places[shown.held_out], predictor.network,
-        augmentation=recipe.augmentation, weights=recipe.weights, source_px=predictor.source_px,
+        augmentation=recipe.augmentation, weights=recipe.weights,
     )  # fmt: skip
     outcome: dict[str, Any] = {f"{name}_before": value for name, value in errors(predictor, shown).items()}
     settings = replace(recipe.fit, epochs=epochs, learning_rate=_LEARNING_RATE)
     fitted = fit(
-        predictor.network, objective, settings, folder=folder, seed=seed, ranks=Ranks.join(device), progress=progress
+        predictor.network,
+        objective,
+        settings,
+        folder=folder,
+        seed=seed,
+        recipe=recipe,
+        ranks=Ranks.join(device),
+        progress=progress,
     )
     predictor = Predictor(predictor.network, source_px=predictor.source_px, device=device)
     outcome |= {"images": len(shown.curves), "cpu_min": fitted.cpu_s / 60}

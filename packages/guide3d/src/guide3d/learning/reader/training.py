@@ -182,7 +182,11 @@ def train_reader(
     torch.manual_seed(seed)
     network = _made(recipe)
     if start is not None:
-        network.load_state_dict(start)
+        try:
+            network.load_state_dict(start)
+        except RuntimeError as error:
+            why = str(error).splitlines()[-1].strip()
+            raise ValueError(f"the weights to start from are of another network: {why}") from None
     averaged = _made(recipe)
     averaged.load_state_dict(network.state_dict())
     optimiser = torch.optim.AdamW(network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay)
