@@ -31,7 +31,6 @@ INSTALL_INPUTS := constraints.txt requirements.txt pyproject.toml $(wildcard pac
 CHAIN = $(if $(SEEDS),--seeds $(SEEDS)) $(if $(BESIDE),--beside $(BESIDE))
 CHOSEN = budget=$(BUDGET) name=$(NAME) pretrained=$(PRETRAINED) $(ARGS)
 GL = MUJOCO_GL=$${MUJOCO_GL:-$$($(PY) pipeline/installation.py gl)}
-RUN = $(GL) $(PY) -m pipeline
 
 .PHONY: help setup ray lerobot all smoke demo thesis-check check test lint format bench-quick fuzz docs wheels clean clean-all console $(STAGES)
 

@@ -41,8 +41,11 @@ def main(arguments: Sequence[str]) -> int:
     except ConfigurationError as error:
         say(f"endonav hub: {error}", error=True)
         return _USAGE
-    except (OSError, ValueError) as error:  # of the Hub's library, its own errors among them
-        say(f"endonav hub: {str(error).splitlines()[0]}", error=True)
+    except Exception as error:
+        if not isinstance(error, (OSError, ValueError)) and "http" not in type(error).__module__:
+            raise
+        words = str(error).strip() or type(error).__name__  # of the Hub's library, or of the one that it sends by
+        say(f"endonav hub: {words.splitlines()[0]}", error=True)
         return _FAILED
     return _FINE
 
@@ -65,6 +68,8 @@ def upload(path: Path, address: str, *, private: bool = False) -> str:
     from pipeline.protocol.board import read_any_policy, require_policy_file
 
     repository = _repository(address)
+    if repository["repo_type"] == "dataset" and not path.exists():
+        raise ConfigurationError(f"there is no folder {path}")
     if path.is_dir() != (repository["repo_type"] == "dataset"):
         raise ConfigurationError(f"a policy goes to USER/NAME, a folder to datasets/USER/NAME: {path} to {address}")
     card = ""

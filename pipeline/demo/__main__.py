@@ -35,9 +35,8 @@ def main(arguments: Sequence[str]) -> int:
     except (PipelineError, ValueError) as error:
         return _say(" ".join(str(error).split()), EXIT_USAGE)
     except OSError as error:
-        return _say(
-            f"{error.filename or options.output}: {error.strerror}: give another folder by --output", EXIT_FAILED
-        )
+        why = error.strerror or " ".join(str(error).split())
+        return _say(f"{error.filename or options.output}: {why}: give another folder by --output", EXIT_FAILED)
     return 0
 
 

@@ -145,17 +145,29 @@ class DemoFilm(Film):
             write_gif(temporary, small, palette, FRAMES_PER_SECOND / _GIF_STRIDE)
 
     def write_mp4(self, path: Path) -> None:
-        """Writes the film as H.264, which browsers play; its last frame stays for a while."""
+        """Writes the film as H.264, which browsers play; its last frame stays for a while.
+
+        Raises:
+            OSError: it could not be written whole, as on a full disk; a film that was there before stays.
+        """
         height, width = self._frames[0].shape[:2]
-        writer = imageio_ffmpeg.write_frames(
-            str(path), (width, height), fps=FRAMES_PER_SECOND, codec="libx264", pix_fmt_in="rgb24",
-            pix_fmt_out="yuv420p", macro_block_size=2, quality=None, ffmpeg_log_level="error",
-            output_params=["-crf", str(_CONSTANT_RATE_FACTOR), "-preset", "veryfast", "-movflags", "+faststart"],
-        )  # fmt: skip
-        writer.send(None)
-        for frame in [*self._frames, *[self._frames[-1]] * _LAST_FRAME]:
-            writer.send(np.ascontiguousarray(frame))
-        writer.close()
+        frames = [*self._frames, *[self._frames[-1]] * _LAST_FRAME]
+        with atomic_path(path) as temporary:
+            writer = imageio_ffmpeg.write_frames(
+                str(temporary), (width, height), fps=FRAMES_PER_SECOND, codec="libx264", pix_fmt_in="rgb24",
+                pix_fmt_out="yuv420p", macro_block_size=2, quality=None, ffmpeg_log_level="error",
+                output_params=["-crf", str(_CONSTANT_RATE_FACTOR), "-preset", "veryfast", "-movflags", "+faststart"],
+            )  # fmt: skip
+            writer.send(None)
+            for frame in frames:
+                writer.send(np.ascontiguousarray(frame))
+            writer.close()  # which says nothing of a failure
+            try:
+                written, _ = imageio_ffmpeg.count_frames_and_secs(str(temporary))
+            except RuntimeError:
+                written = 0
+            if written != len(frames):
+                raise OSError(f"{path} could not be written whole: is there room on the disk?")
 
 
 def _line(panel: np.ndarray, places: np.ndarray, colour: tuple[int, int, int]) -> None:

@@ -23,7 +23,7 @@ from pydantic import ValidationError
 from pipeline.jobs.machine import CPU, CUDA, CUDA_CONTEXT_BYTES, VISIBLE
 from pipeline.settings.kinds import sentence
 from pipeline.store.costs import Cost, CostMeter
-from pipeline.store.errors import PipelineError
+from pipeline.store.errors import PipelineError, system_sentence
 from pipeline.store.written_files import noted
 
 _MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of malloc.h
@@ -175,6 +175,9 @@ def work(
         pass  # whoever stopped it does not wait for an answer
     except (PipelineError, ValidationError) as error:
         reason = sentence(error) if isinstance(error, ValidationError) else str(error)
+        send(Message("failed", reason, cost=meter.read(reason)))
+    except OSError as error:
+        reason = system_sentence(error)
         send(Message("failed", reason, cost=meter.read(reason)))
     except Exception as error:
         first = next((line for line in str(error).splitlines() if line.strip()), "")

@@ -142,7 +142,7 @@ def _made(read: Sequence[dict[str, Any]]) -> str:
     """How figures were made: the commands, with commits and versions of the protocol."""
     of_origin: dict[tuple[str, str, int], list[dict[str, Any]]] = {}
     for result in read:
-        origin = (_seeds(result), result["made_by"]["commit"][:12], result["protocol"])
+        origin = (_seeds(result), result["made_by"]["commit"], result["protocol"])
         of_origin.setdefault(origin, []).append(result)
     return " ".join(
         f"`endonav evaluate {' '.join(result['claim'] for result in own)}{seeds}`, commit `{commit}`, "

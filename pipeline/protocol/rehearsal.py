@@ -41,10 +41,15 @@ def play(claim: Rehearsal, case: dict[str, Any], *overrides: str, budget: str = 
             "name=run",
             *overrides,
         ]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as stage:
+            try:
+                _, said = stage.communicate()
+            except BaseException:
+                stage.terminate()
+                raise
         left = list(Path(folder).glob("run/rehearsal*/results.json"))
         if not left:
-            raise ValueError((done.stderr.strip().splitlines() or ["the stage left no results"])[-1])
+            raise ValueError((said.strip().splitlines() or ["the stage left no results"])[-1])
         tables = read_json(left[0])
     rows, cost = tables["rehearsal"], tables["rehearsal_cost"][case["anatomy"]]
     after = rows[f"{case['anatomy']}/after copies"]

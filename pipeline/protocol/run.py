@@ -8,7 +8,8 @@ import os
 import re
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from datetime import UTC, datetime
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 from cathsim.metrics.episodes import wilson_interval
 from pipeline.protocol import calibration, forces, navigation, reconstruction, rehearsal, speed, xray
 from pipeline.protocol.claims import Claim, Navigation, Protocol, RealXray, Rehearsal, declared
-from pipeline.store.atomic_files import atomic_path
+from pipeline.store.atomic_files import write_text
 from pipeline.store.interruption import end_with_parent
 from pipeline.store.provenance import hash_file, hash_value, present_commit, software_versions, uncommitted_changes
 
@@ -49,8 +50,8 @@ def measure(
 ) -> dict[str, Any]:
     """Plays the cases of a claim that were not played yet, and writes `<folder>/<name>.json`.
 
-    Cases that another commit, other weights or another entry of the protocol gave are moved to `<name>.old.jsonl`: code
-    is not mixed.
+    Cases of another commit, other libraries, weights or entry of the protocol are moved to `<name>.old-<time>.jsonl`:
+    code is not mixed.
 
     Args:
         seeds: how many times the claim is measured, on other anatomies each time.
@@ -68,11 +69,12 @@ def measure(
         "claim": hash_value(declared(claim, words=False)),
     }
     journal = folder / f"{name}.jsonl"
-    played = _played(journal, made_by)
+    played = _played(journal, {**made_by, "versions": software_versions()})
     wanted = [case for seed in range(seeds) for case in KINDS[claim.kind].cases(claim, seed)]
     left = [case for case in wanted if hash_value(case) not in played]
     tell(name, len(wanted) - len(left), len(wanted))
-    with journal.open("a", encoding="utf-8") as file, _pool(workers) as pool:
+    with journal.open("a", encoding="utf-8") as file:
+        pool = _pool(workers)
         try:
             futures = {pool.submit(play, claim, case): case for case in left}
             for done, future in enumerate(as_completed(futures), len(wanted) - len(left) + 1):
@@ -82,8 +84,11 @@ def measure(
                 file.flush()
                 tell(name, done, len(wanted))
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
+            for process in active_children():  # of the pool, or of one that has ended
+                process.terminate()
             raise
+        finally:
+            pool.shutdown(cancel_futures=True)
     outcomes = [{**case, **played[hash_value(case)]} for case in wanted]
     result = {
         "claim": name,
@@ -95,8 +100,7 @@ def measure(
         "summary": summary(outcomes),
         "cases": outcomes,
     }
-    with atomic_path(folder / f"{name}.json") as path:
-        path.write_text(result_text(result), encoding="utf-8")
+    write_text(folder / f"{name}.json", result_text(result))
     return result
 
 
@@ -192,8 +196,8 @@ def _played(journal: Path, made_by: Mapping[str, Any]) -> dict[str, dict[str, An
     lines = journal.read_text("utf-8", "replace").splitlines() if journal.is_file() else []
     if not lines or lines[0] != json.dumps(made_by):
         if lines:
-            journal.replace(journal.with_suffix(".old.jsonl"))
-        journal.write_text(json.dumps(made_by) + "\n", encoding="utf-8")
+            journal.replace(journal.with_suffix(f".old-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}.jsonl"))
+        write_text(journal, json.dumps(made_by) + "\n")
         return {}
     found, whole = {}, lines[:1]
     for line in lines[1:]:
@@ -202,5 +206,5 @@ def _played(journal: Path, made_by: Mapping[str, Any]) -> dict[str, dict[str, An
             found[hash_value(record["case"])] = record["outcome"]
             whole.append(line)
     if len(whole) < len(lines):
-        journal.write_text("\n".join(whole) + "\n", encoding="utf-8")
+        write_text(journal, "\n".join(whole) + "\n")
     return found

@@ -22,10 +22,6 @@ class StageError(PipelineError):
     """A stage that cannot run as things are: its input is missing, or its package is."""
 
 
-class FolderBusyError(PipelineError):
-    """Another process is working in the same run folder."""
-
-
 @contextmanager
 def stopping_the_stage(*kinds: type[Exception]) -> Iterator[None]:
     """Lets errors of a package, whose message is a sentence for the user, stop the stage with that sentence."""

@@ -11,10 +11,12 @@ import os
 import signal
 import sys
 import threading
+import time
 from multiprocessing import parent_process
 from types import FrameType
 
 _AGAIN_S = 0.02
+_SECONDS_TO_END = 10.0  # that what a process runs has after the process that started it has ended
 _interrupted = threading.Event()
 
 
@@ -65,11 +67,14 @@ def _unraisable(error: sys.UnraisableHookArgs) -> None:
 
 
 def end_with_parent() -> None:
-    """Lets a pool's process end when its parent was killed."""
+    """Lets a pool's process end when its parent ends it or was killed, and first what it runs itself."""
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
 
     def watch() -> None:
         if parent := parent_process():
             parent.join()
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(_SECONDS_TO_END)
             os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()

@@ -16,6 +16,7 @@ from typing import Any
 from pipeline.store.atomic_files import open_file
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
+_CODE = (".", ":(exclude)results", ":(exclude)docs", ":(exclude)*.md")  # what no result depends on is left out
 _REPORTED_DISTRIBUTIONS = ("numpy", "scipy", "mujoco", "gymnasium", "dm_control", "scikit-image", "trimesh", "torch",
                            "stable-baselines3", "mcap", "hydra-core")  # fmt: skip
 
@@ -62,14 +63,14 @@ def _whole(path: Path) -> list[Path]:
 @functools.cache
 def present_commit() -> str:
     """Names the commit of the code: hex, with "+" where files differ from it; "unknown" outside a repository."""
-    commit = _git("rev-parse", "--short=12", "HEAD")
-    return "unknown" if commit is None else f"{commit}+" if _git("status", "--porcelain") else commit
+    commit, changed = _git("rev-parse", "--short=12", "HEAD"), _git("status", "--porcelain", "--", *_CODE)
+    return "unknown" if commit is None or changed is None else f"{commit}+" if changed else commit
 
 
 @functools.cache
 def uncommitted_changes() -> str:
-    """A hash of what differs from the commit in files that it has; "" where nothing does, or outside a repository."""
-    changes = _git("diff", "HEAD")
+    """A hash of what differs from the commit in files that it has; "" where nothing does, or where there is none."""
+    changes = _git("diff", "HEAD", "--", *_CODE)
     return hash_value(changes) if changes else ""
 
 
@@ -78,8 +79,9 @@ def _git(*arguments: str) -> str | None:
         return None
     try:
         done = subprocess.run(
-            ["git", "-C", str(PROJECT_ROOT), *arguments], capture_output=True, text=True, timeout=10, check=False
-        )
+            ["git", "-C", str(PROJECT_ROOT), *arguments], capture_output=True, text=True, errors="replace", timeout=60,
+            check=False,
+        )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout.strip() if done.returncode == 0 else None

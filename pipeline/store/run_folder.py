@@ -32,7 +32,7 @@ from tqdm import tqdm
 
 from pipeline.store.atomic_files import remove_unfinished, write_json, write_text
 from pipeline.store.costs import kept_costs
-from pipeline.store.errors import FolderBusyError, StageError
+from pipeline.store.errors import StageError
 from pipeline.store.file_cache import CACHE
 from pipeline.store.finished_items import FinishedItems
 from pipeline.store.interruption import stop_if_interrupted
@@ -98,7 +98,7 @@ class RunFolder(FinishedItems):
             except BlockingIOError:
                 lock.seek(0)
                 holder = lock.read().strip() or "another process"
-                raise FolderBusyError(
+                raise StageError(
                     f"{self.path} is in use by {holder}: wait for it, or give this run another name=…"
                 ) from None
             lock.truncate(0)
@@ -152,7 +152,7 @@ class RunFolder(FinishedItems):
                 continue
             if results:
                 aside.mkdir(parents=True, exist_ok=True)
-                entry.rename(aside / entry.name)
+                shutil.move(entry, aside / entry.name)  # the folder may be a link to another disk
             else:
                 shutil.rmtree(entry) if entry.is_dir() and not entry.is_symlink() else entry.unlink()
         if results:

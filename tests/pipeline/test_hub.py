@@ -151,9 +151,12 @@ def test_what_cannot_be_is_one_sentence(
 
     assert "is not USER/NAME" in told(2, "upload", file, "mine")
     assert "a policy goes to USER/NAME" in told(2, "upload", file, "datasets/me/mine")
+    assert "there is no folder" in told(2, "upload", tmp_path / "none", "datasets/me/none")
     assert "there is no policy" in told(2, "upload", tmp_path / "none.pt", "me/mine")
     assert "404" in told(1, "download", "me/none", "--to", tmp_path / "back")
     repositories["models/me/bad"] = {"bad.pt": file.read_bytes()[:-1] + b"0"}
     assert "bad.pt" in told(1, "download", "me/bad", "--to", tmp_path / "bad")
     monkeypatch.setenv("HF_TOKEN", "hf_wrong")
     assert "401" in told(1, "upload", file, "me/mine")
+    monkeypatch.setattr("huggingface_hub.constants.ENDPOINT", "http://127.0.0.1:9")  # where nobody answers
+    assert told(1, "upload", file, "me/mine")

@@ -150,7 +150,7 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
     )
     with stopping_the_stage(CheckpointError):
         result = training.run(lambda progress: report(trained * progress.decisions / progress.total, words(progress)))
-    if shared is not None and not taken:
+    if shared is not None and not taken and not begun:  # what was begun before may be of other code
         shared.offer(job.folder)
     outcome: dict[str, Any] = {"training_s": result.timings["wall_s"], "decisions": result.timings["decisions"]}
     evaluated = trained + (1.0 - trained) * job.tested / (job.tested + job.expert_episodes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,6 +26,28 @@ def find_everything(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     mask[:, 40:, 32], lumen[:, 20:44] = 255, 1.0
     monkeypatch.setattr(perception, "mask", lambda seen: mask)
     monkeypatch.setattr(perception.segmenter, "lumen", lambda image: lumen)
+
+
+def test_a_film_that_the_disk_has_no_room_for_is_refused_and_the_last_one_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ship(tmp_path, monkeypatch)
+    film = DemoFilm(open_scene("generalist", seed=2))
+    film._frames = [np.full((64, 64, 3), level, np.uint8) for level in (10, 200)]
+    film.write_mp4(tmp_path / "film.mp4")
+    before = (tmp_path / "film.mp4").read_bytes()
+
+    def cut_off(path: str, size: tuple[int, int], **given: Any) -> Any:
+        while True:
+            yield
+            Path(path).write_bytes(before[: len(before) // 2])
+
+    monkeypatch.setattr("imageio_ffmpeg.write_frames", cut_off)
+    with pytest.raises(OSError, match=r"film\.mp4 could not be written whole: is there room on the disk"):
+        film.write_mp4(tmp_path / "film.mp4")
+    assert (tmp_path / "film.mp4").read_bytes() == before
+    assert not list(tmp_path.glob(".tmp*"))
+    film.close()
 
 
 @pytest.mark.parametrize("model", ["navigator", "generalist"])

@@ -108,14 +108,17 @@ def test_a_job_whose_result_is_known_does_not_run(folder: RunFolder) -> None:
 def test_a_failing_or_killed_job_stops_no_other_and_is_named(folder: RunFolder, tmp_path: Path, caplog) -> None:
     jobs = [
         Job("error", train, Toy(tmp_path / "error", fails="error")),
+        Job("disk", train, Toy(tmp_path / "disk", fails="disk")),
         Job("kill", train, Toy(tmp_path / "kill", fails="kill")),
         Job("good", train, Toy(tmp_path / "good")),
     ]
     with folder.locked():
         folder.prepare()
-        with pytest.raises(StageError, match="2 of 3 toys failed") as raised:
+        with pytest.raises(StageError, match="3 of 4 toys failed") as raised:
             run_jobs(folder, jobs, workers=1, label="toys")
         assert "error (ZeroDivisionError: a toy's trouble)" in str(raised.value)
+        assert "disk (no room left while writing weights.pt: free some space" in str(raised.value)
+        assert "No space left on device" not in caplog.text  # no traceback
         assert "kill (its process was killed by signal 9)" in str(raised.value)
         assert folder.result_of("good")["count"] == 3
         assert "in train" in caplog.text  # where it failed stands in the log

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import time
@@ -24,7 +25,7 @@ class Toy:
     steps: int = 3
     seconds_a_step: float = 0.0
     checkpoint_every: int = 1
-    fails: str = ""  # "error", "sentence" or "kill"
+    fails: str = ""  # "error", "sentence", "disk" or "kill"
 
 
 def train(toy: Toy, report: Report) -> dict[str, Any]:
@@ -37,6 +38,8 @@ def train(toy: Toy, report: Report) -> dict[str, Any]:
         raise ZeroDivisionError("a toy's trouble")
     if toy.fails == "sentence":
         raise StageError("the toy is broken: mend it")
+    if toy.fails == "disk":
+        raise OSError(errno.ENOSPC, "No space left on device", "weights.pt")
     if toy.fails == "kill":
         os.kill(os.getpid(), 9)
     try:

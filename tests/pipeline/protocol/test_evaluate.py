@@ -5,13 +5,18 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from pipeline.data.sources import Source, SourceFile, Sources
-from pipeline.protocol import navigation, rehearsal
+from pipeline.protocol import navigation, rehearsal, run
 from pipeline.protocol.claims import Rehearsal, read_protocol
 from pipeline.protocol.command import main
 from pipeline.protocol.run import KINDS, play, result_text, summary
@@ -120,8 +125,31 @@ def test_every_case_is_written_and_none_is_played_twice_unless_the_claim_changes
     assert second["summary"]["anatomies"] == 12
     protocol.write_text(SCENES.replace("noise_px: 1.0", "noise_px: 0.0"))
     assert _evaluate(protocol) == 0
-    assert len(journal.with_suffix(".old.jsonl").read_text().splitlines()) == 13
+    (old,) = journal.parent.glob("wires.old-*.jsonl")
+    assert len(old.read_text().splitlines()) == 13
     assert json.loads(results.read_text())["summary"]["mean_mm_mean"]["mean"] < first["summary"]["mean_mm_mean"]["mean"]
+
+
+def test_ctrl_c_ends_it_at_once_and_other_libraries_begin_anew(protocol: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    protocol.write_text(SCENES.replace("count: 6", "count: 900"))
+    journal = protocol.parent / "results" / "wires.jsonl"
+    words = ["--protocol", str(protocol), "--to", str(journal.parent), "--workers", "1"]
+    command = [sys.executable, "-c", f"from pipeline.protocol.command import main; main({words!r})"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        deadline = time.monotonic() + 120
+        while not journal.is_file() or len(journal.read_text().splitlines()) < 3:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=30)
+    assert "stopped; the cases that were played are kept" in said
+    kept = journal.read_text().splitlines()[1:]
+    assert 2 <= len(kept) < 800
+    protocol.write_text(SCENES.replace("count: 6", "count: 2"))
+    for versions, aside in ({"mujoco": "98"}, 1), ({"mujoco": "99"}, 2), ({"mujoco": "99"}, 2):
+        monkeypatch.setattr(run, "software_versions", lambda versions=versions: versions)
+        assert _evaluate(protocol) == 0
+        assert len(list(journal.parent.glob("wires.old-*.jsonl"))) == aside
 
 
 def test_a_damaged_journal_is_set_aside_and_an_unknown_policy_is_one_sentence(
@@ -131,7 +159,8 @@ def test_a_damaged_journal_is_set_aside_and_an_unknown_policy_is_one_sentence(
     journal.parent.mkdir()
     journal.write_text('{"commit": "ab')
     assert _evaluate(protocol) == 0
-    assert journal.with_suffix(".old.jsonl").read_text() == '{"commit": "ab'
+    (old,) = journal.parent.glob("wires.old-*.jsonl")
+    assert old.read_text() == '{"commit": "ab'
     protocol.write_text(
         "version: 1\nclaims: {steer: {kind: navigation, title: T, limits: L, arches: random, first: 690000, count: 1, "
         "targets: [bca], policies: [nobody]}}"

@@ -18,7 +18,7 @@ import pytest
 
 from pipeline.store import file_cache
 from pipeline.store.atomic_files import write_json, write_text
-from pipeline.store.errors import FolderBusyError, StageError
+from pipeline.store.errors import StageError
 from pipeline.store.file_cache import FileCache
 from pipeline.store.manifest import Identity, Manifest, files_below, read_manifest
 from pipeline.store.provenance import hash_file
@@ -196,7 +196,7 @@ def test_similar_keys_do_not_share_a_marker(folder: RunFolder) -> None:
 
 def test_two_processes_do_not_share_a_folder(folder: RunFolder) -> None:
     second = RunFolder(folder.path, IDENTITY)
-    busy = pytest.raises(FolderBusyError, match=r"in use by process \d+ on .*: wait for it")
+    busy = pytest.raises(StageError, match=r"in use by process \d+ on .*: wait for it")
     with folder.locked(), busy, second.locked():
         pass
     with second.locked():
