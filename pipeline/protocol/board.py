@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
+from pipeline.protocol.navigation import steered
 from pipeline.store.atomic_files import write_text
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_file, present_commit, software_versions, uncommitted_changes
@@ -200,16 +199,4 @@ def _play(policy: Any, environment: Any, episode: Episode) -> dict[str, Any]:
     own = {"deterministic": False, "seed": episode.seed} if isinstance(policy, Policy) else {}
     controller = policy.controller(**own)
     controller.reset()
-    observation, info = environment.reset(seed=episode.seed, options=episode.options)
-    forces: list[float] = []
-    ended = success = False
-    while not ended:
-        observation, _, success, truncated, info = environment.step(controller(observation, info))
-        forces.append(float(info["force"]))
-        ended = success or truncated
-    return {
-        "success": bool(success),
-        "steps": len(forces),
-        "force_p95_n": round(float(np.percentile(forces, 95)), 3),
-        "force_max_n": round(max(forces), 3),
-    }
+    return steered(environment, controller, seed=episode.seed, options=episode.options)[0]

@@ -71,25 +71,39 @@ def play(claim: Navigation, case: dict[str, Any]) -> dict[str, Any]:
         return policy.controller(deterministic=False, seed=seed) if isinstance(policy, Policy) else policy.controller()
 
     controller = RetryingController(attempt, claim.steps, claim.attempts, case["seed"])
-    observation, info = environment.reset(seed=case["seed"])
-    forces: list[float] = []
-    ended = success = straight = False
-    while not ended:
-        observation, _, success, truncated, info = environment.step(controller(observation, info))
-        forces.append(float(info["force"]))
-        straight |= bool(info["distance"] <= radius)
-        ended = success or truncated
+    outcome, infos = steered(environment, controller, seed=case["seed"])
     environment.close()
     return {
-        "success": bool(success),
-        "straight": straight,
-        "branch": info["branch"],
-        "depth_mm": round(1e3 * float(info["depth"]), 1),
-        "steps": len(forces),
-        "force_p95_n": round(float(np.percentile(forces, 95)), 3),
-        "force_max_n": round(max(forces), 3),
+        "success": outcome.pop("success"),
+        "straight": any(info["distance"] <= radius for info in infos),
+        "branch": infos[-1]["branch"],
+        "depth_mm": round(1e3 * float(infos[-1]["depth"]), 1),
+        **outcome,
         "policy": name,
     }
+
+
+def steered(environment: Any, controller: Any, **start: Any) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Plays an episode that begins by `reset(**start)`.
+
+    Returns:
+        `success`, `steps`, `force_p95_n` and `force_max_n`; and the info of each step.
+    """
+    observation, info = environment.reset(**start)
+    infos: list[dict[str, Any]] = []
+    ended = success = False
+    while not ended:
+        observation, _, success, truncated, info = environment.step(controller(observation, info))
+        infos.append(info)
+        ended = success or truncated
+    forces = [float(info["force"]) for info in infos]
+    outcome = {
+        "success": bool(success),
+        "steps": len(infos),
+        "force_p95_n": round(float(np.percentile(forces, 95)), 3),
+        "force_max_n": round(max(forces), 3),
+    }
+    return outcome, infos
 
 
 def _anatomies(claim: Navigation, seed: int) -> Iterator[tuple[str, Sequence[str]]]:
