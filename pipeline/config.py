@@ -184,7 +184,10 @@ def settings_beside(key: str, chosen: Mapping[str, str]) -> list[str]:
 def anatomy_not_taken(config: RunConfig) -> list[str]:
     """Settings of an anatomy that were given, in a stage whose anatomies are those of its own settings alone."""
     names = {item.name for item in dataclasses.fields(config.stage)}
-    if "file" in names or not names & {"phantom", "phantoms"}:
+    if not names & {"phantom", "phantoms"}:
         return []
-    items = dataclasses.fields(config.phantom)
-    return [f"phantom.{item.name}" for item in items if getattr(config.phantom, item.name) is not None]
+    given = [item.name for item in dataclasses.fields(config.phantom) if getattr(config.phantom, item.name) is not None]
+    # one that is chosen by name, seed and entry, and one of a file
+    unused = [name for name in given if ("entry" if name in ("name", "seed", "entry") else "file") not in names]
+    targets = ["target"] if config.target is not None and "targets" in names and "entry" not in names else []
+    return [*(f"phantom.{name}" for name in unused), *targets]

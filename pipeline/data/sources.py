@@ -133,5 +133,5 @@ def read_sources(path: Path | None = None) -> Sources:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         raise ConfigurationError(f"{path}: sources.{place}: {first['msg']}") from None
-    except (yaml.YAMLError, KeyError, TypeError) as error:
+    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
         raise ConfigurationError(f"{path} has no sources: expected `address` and `sources` ({error})") from None

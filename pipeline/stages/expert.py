@@ -158,7 +158,8 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
         arrays = [
             EpisodeReader(folder / trial.log).load_arrays(pictures=False) for trial in trials if trial.task == task
         ]
-        draw_task(phantom, target, arrays, folder / task / "episodes.png")
+        radius = settings.task.success_radius_mm
+        draw_task(phantom, target, arrays, folder / task / "episodes.png", radius_mm=radius)
         shown.append(
             Figure(
                 f"{task}: path of the tip and contact force",

@@ -55,7 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error("a stage is a part of the project: call this in a clone that is installed with pip install -e")
     files = {template: folder / target.replace("NAME", name) for template, target in kind.files.items()}
     text = registry.read_text(encoding="utf-8") if given.kind == "stage" else ""
-    taken = [path for path in files.values() if path.exists()]
+    package = folder / "pipeline/stages" / name  # would hide the stage's module
+    taken = [path for path in (*files.values(), package) if path.exists()]
     if taken or f'    "{name}": (' in text:
         parser.error(f"{taken[0] if taken else f'a stage {name!r}'} is there already: choose another name")
     if given.kind != "stage" and importlib.util.find_spec(name) is not None:

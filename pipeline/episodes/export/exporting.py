@@ -80,6 +80,10 @@ def export_logs(
     name = destination.name if name is None else name
     if not _NAME.fullmatch(name):
         raise ExportError(f"a data set cannot be called {name!r}: use letters, digits, _ and - (--name)")
+    if folder.resolve().is_relative_to(destination.resolve()):
+        raise ExportError(f"{destination} holds the logs, which it would replace: give another folder")
+    if masks and not pictures:
+        raise ExportError("masks are pictures: ask for both, or for neither")
     if destination.exists() and not overwrite and (destination.is_file() or any(destination.iterdir())):
         raise ExportError(f"{destination} is there already: give another folder, or --overwrite to replace it")
     layout = common_layout(logs, pictures=pictures, masks=masks)

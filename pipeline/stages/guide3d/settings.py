@@ -54,7 +54,7 @@ class Guide3dSettings:
                 if path is not None and not Path(path).exists():
                     raise ConfigurationError(f"guide3d.{key}={path} is missing: give the folder of a data set")
             _require_annotation(Path(self.root))
-            self.root_sha256 = _content(Path(self.root), self.calibration)
+            self.root_sha256 = _content(self.root, self.image_root, self.calibration)
         elif self.image_root is not None or self.calibration is not None or self.undistorted is not None:
             raise ConfigurationError(
                 "guide3d.images, guide3d.calibration and guide3d.undistorted belong to a data set of your own: give "
@@ -72,10 +72,10 @@ def _require_annotation(root: Path) -> None:
         )
 
 
-def _content(root: Path, calibration: str | None) -> str:
-    """Hash over annotations and calibration; images count by their number."""
-    folders = [root] if calibration is None else [root, Path(calibration)]
+def _content(*places: str | None) -> str:
+    """Hash over annotations and calibration; images count by their names and sizes."""
+    folders = [Path(place) for place in places if place is not None]
     files = sorted({file for folder in folders for file in ([folder] if folder.is_file() else folder.rglob("*"))})
     read = [hash_file(file) for file in files if file.is_file() and file.suffix.lower() in _READ]
-    images = sum(1 for file in files if file.suffix.lower() == ".png")
+    images = sorted((file.name, file.stat().st_size) for file in files if file.suffix.lower() == ".png")
     return hash_value({"read": read, "images": images})

@@ -33,8 +33,17 @@ def note_of(rows: Mapping[str, Sequence[str]]) -> str:
 
 
 def note(jobs: Iterable[Any], aids: Callable[[Any], list[str]]) -> str:
-    """The note of a table of jobs, each named by its row, whose aids a function words."""
-    return note_of({job.origin.row: aids(job) for job in jobs})
+    """The note of a table of jobs, each named by its row, whose aids a function words; tasks of a row may differ."""
+    of_rows: dict[str, dict[str, list[str]]] = {}
+    for job in jobs:
+        of_rows.setdefault(job.origin.row, {}).setdefault("; ".join(words := aids(job)), words)
+    return note_of(
+        {
+            row if len(variants) == 1 else f"{row} (some tasks)": words
+            for row, variants in of_rows.items()
+            for words in variants.values()
+        }
+    )
 
 
 def of_training(job: PolicyTrainingJob) -> list[str]:

@@ -331,12 +331,11 @@ def count_failures(logs: Iterable[Path], phantom: Phantom) -> dict[str, int]:
     return counts
 
 
-def summary(metrics: Sequence[EpisodeMetrics]) -> dict[str, Any]:
+def summary(metrics: Sequence[EpisodeMetrics], step_s: float) -> dict[str, Any]:
     """Success in %, median depth in mm, mean time of the successful trials in s (None without), forces in N, number."""
     from cathsim.metrics import median_depth_mm
-    from cathsim.simulation import CONTROL_STEP
 
-    times = [CONTROL_STEP * one.steps for one in metrics if one.success]
+    times = [step_s * one.steps for one in metrics if one.success]
     return {
         "success_pct": 100.0 * float(np.mean([one.success for one in metrics])),
         "depth_mm": median_depth_mm(metrics),

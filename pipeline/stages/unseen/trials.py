@@ -151,7 +151,7 @@ def misregistered(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
     """The tests of the roadmap policy with errors of the registration, on the same arches and starts as without."""
     arches = tuple(unseen_arches(settings.test_anatomies))
     return tuple(
-        HeldOutSet(f"{MISREGISTERED} {noise:g} mm", arches, registration_noise=noise / 1e3)
+        HeldOutSet(f"{MISREGISTERED} {noise:g} mm", arches, wire=settings.task.wire, registration_noise=noise / 1e3)
         for noise in settings.registration_noise_mm
         if noise
     )
