@@ -13,7 +13,7 @@ from cathsim.anatomy.point_target import Point, as_target, points_beyond_root
 from cathsim.guidewire import Guidewire
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.navigation import NEAR, NavigationTask
-from cathsim.robot.pace import PACES, Pace
+from cathsim.robot.pace import Pace
 from cathsim.validation import Count, Unit, settings
 from cathsim.vector import ThreadedVectorEnv
 
@@ -71,8 +71,6 @@ class ArchVarietyEnv(NavigateManyEnv):
     Raises:
         ValueError: a type or seed that there is not.
     """
-
-    metadata = {**NavigateManyEnv.metadata, "render_fps": 1 / PACES[VARIETY].interval}  # noqa: RUF012
 
     def __init__(
         self,

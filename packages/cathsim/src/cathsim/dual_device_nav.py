@@ -17,7 +17,6 @@ from cathsim.environment import NavigateEnv
 from cathsim.guidewire import load_guidewire
 from cathsim.navigation import NavigationTask
 from cathsim.registration.usage import exclusive
-from cathsim.robot.pace import PACES
 from cathsim.validation import Count, settings
 from cathsim.vector import ThreadedVectorEnv
 
@@ -65,8 +64,6 @@ class DualDeviceNavEnv(NavigateEnv):
     Raises:
         ValueError: the files are not there; says where to get them.
     """
-
-    metadata = {**NavigateEnv.metadata, "render_fps": 1 / PACES["arch_variety"].interval}  # noqa: RUF012
 
     def __init__(
         self,

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import gymnasium
 import numpy as np
+from annotated_types import Interval
 
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.entry import EntryLike, entry_name
@@ -34,7 +36,7 @@ from cathsim.robot.feeders import TRANSLATION_STEP as TRANSLATION_STEP
 from cathsim.robot.feeders import Feeders
 from cathsim.robot.pace import Pace, named_pace
 from cathsim.simulation import CONTROL_STEP
-from cathsim.validation import Count, quantity
+from cathsim.validation import Count, Listed, quantity
 from cathsim.viewing.display import MODES, Display, modes_here
 
 if TYPE_CHECKING:
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
     from cathsim.robot.follower import FollowerRobot
 
 ACTIONS = ("feeder", "tip_motors")
+_Degrees = Annotated[float, Interval(ge=-360, le=360)]
 
 
 class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
@@ -228,10 +231,11 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             blood=None if blood is None else chosen("blood", blood, BloodFlow, blood_flow),
             wall_stiffness=wall_stiffness,
             pace=chosen("pace", pace, Pace, named_pace),
-            breathing=None if breathing is None else chosen("breathing", breathing, Breathing, _no_named_breathing),
+            breathing=None if breathing is None else chosen("breathing", breathing, Breathing),
         )
         self.render_mode, self._contact_info = render_mode, contact_info
-        self.metadata = {**self.metadata, "render_modes": modes_here()}
+        fps = 1 / self.simulation.pace.interval
+        self.metadata = {**self.metadata, "render_modes": modes_here(), "render_fps": fps}
         self.usage = Usage()
         self._observe_every, self._observed = quantity("observe_every", observe_every, Count), None
         self.feeders = Feeders(self.simulation, drive)
@@ -252,8 +256,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             channels_last=channels_last,
             registration_noise=registration_noise,
             biplane=biplane,
-            scan=scan,
-            view=(float(view[0]), float(view[1])),
+            scan=None if scan is None else chosen("scan", scan, Scan),
+            view=quantity("view", view, Annotated[tuple[_Degrees, _Degrees], Listed]),
         )
         self.fluoroscope, self.biplane = self.sensors.fluoroscope, self.sensors.biplane
         self.roadmap, self.history = self.sensors.roadmap, self.sensors.history
@@ -386,6 +390,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             "remaining": self._remaining,
             "sensors": self.sensors.state(),
             "robots": self.feeders.state(),
+            "observed": copy.deepcopy(self._observed),
         }
 
     @exclusive
@@ -399,7 +404,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.steps, self.ended, self._remaining = state["steps"], state["ended"], state["remaining"]
         self.sensors.restore(state["sensors"])
         self.feeders.restore(state["robots"])
-        self._observed = self.observe()
+        self._observed = copy.deepcopy(state["observed"])
         return self._observed
 
     def _reward(self, before_step: np.ndarray, action: np.ndarray, info: dict[str, Any]) -> float:
@@ -460,7 +465,3 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     def close(self) -> None:
         """Frees the renderer and closes the window."""
         self.usage.close(self._display.close)
-
-
-def _no_named_breathing(name: str) -> Breathing:
-    raise ValueError(f"breathing must be None or a Breathing, got {name!r}")

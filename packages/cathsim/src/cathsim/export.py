@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -71,7 +72,7 @@ def export_mjcf(
             "contact='sdf' is native code of this package and does not travel in an MJCF file: export contact='hulls'"
         )
     folder = Path(folder)
-    if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / MODEL).is_file())):
+    if folder.exists() and not (folder.is_dir() and _holds_an_export_alone(folder)):
         raise ValueError(f"{folder} is there and is no earlier export: name a new or an empty folder")
     vessel = dataclasses.replace(
         hull_vessel(phantom, entry_name(entry), decomposition(contact)), sheath_length=wire.length + 0.02
@@ -115,6 +116,15 @@ def export_mjcf(
             shutil.rmtree(folder)
         os.replace(finished, folder)
     return folder / MODEL
+
+
+def _holds_an_export_alone(folder: Path) -> bool:
+    """Whether a folder may be replaced: it is empty, or has what an export writes and nothing else."""
+    names = {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
+    needed = {MODEL, MESHES, f"{MESHES}/{LUMEN}.stl"}
+    return not names or (
+        needed <= names and all(re.fullmatch(rf"{MESHES}/hull\d+\.stl", name) for name in names - needed)
+    )
 
 
 def _portable(xml: str) -> str:

@@ -126,7 +126,7 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.current = self._build(0)
         self.action_space, self.observation_space = self.current.action_space, self.current.observation_space
         self.render_mode = self.current.render_mode
-        self.metadata = {**self.metadata, "render_modes": self.current.metadata["render_modes"]}
+        self.metadata = self.current.metadata
 
     @property
     def cases(self) -> int:
@@ -158,8 +158,11 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         if case == self.case:
             return
         current = self._build(case)
-        if current.observation_space != self.observation_space:
-            raise ValueError("all wires and phantoms must give the same observation space: take other observations")
+        if (current.observation_space, current.action_space) != (self.observation_space, self.action_space):
+            raise ValueError(
+                "all wires and phantoms must give the same spaces of observations and actions: take other observations "
+                "or devices"
+            )
         _let_go(self.current)
         self.case, self.current = case, current
 

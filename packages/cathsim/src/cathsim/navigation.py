@@ -15,9 +15,10 @@ from pydantic import BeforeValidator
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.branch_depth import Place
 from cathsim.anatomy.point_target import Point, TargetLike, as_target, target_name
-from cathsim.devices.arena import PROTRUSION
+from cathsim.devices.arena import PROTRUSION, max_insertion
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.simulation import DualSimulation
+from cathsim.guidewire import Guidewire
 from cathsim.simulation import Simulation
 from cathsim.validation import Count, Turn, Unit, check_fields, settings
 
@@ -166,7 +167,7 @@ class NavigationTask:
         Args:
             info: of the step, with at least `distance` (m) and `force` (N).
             progress, moved: as of `step_reward`.
-            action: as it was given.
+            action: clipped to -1 to 1.
 
         Raises:
             ValueError: the function has not given one finite number.
@@ -239,28 +240,33 @@ def straight_distance(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def require_reach(task: NavigationTask, simulation: Simulation) -> None:
+    """As `require_length` of a simulation's wire, or of the chain in which its devices lie."""
+    alone = isinstance(simulation, DualSimulation) and simulation.pair.wire is None
+    require_length(task, simulation.phantom, simulation.entry, simulation.wire, alone=alone)
+
+
+def require_length(task: NavigationTask, phantom: Phantom, entry: str, wire: Guidewire, *, alone: bool) -> None:
     """Refuses a wire that is too short for the task's target, fed in all the way and on the shortest way.
 
     Args:
-        simulation: with the phantom, its entry and the wire.
+        alone: whether it is what a catheter without a wire is simulated over.
 
     Raises:
         ValueError: says how long a wire is needed.
     """
-    phantom, reach = simulation.phantom, simulation.max_insertion + PROTRUSION + task.success_radius
-    if phantom.way_length(task.target, simulation.entry) <= reach:
+    reach = max_insertion(wire) + PROTRUSION + task.success_radius
+    if phantom.way_length(task.target, entry) <= reach:
         return  # along the centrelines, which is quick to know and longer than the shortest way
-    start = phantom.entry(simulation.entry).position
+    start = phantom.entry(entry).position
     shortest = float(phantom.geodesic_distance(start, task.target))
     if shortest > reach:
         lacking = shortest - reach + WAY_MARGIN
-        length = math.ceil((simulation.wire.length + lacking) * 100 - 1e-9) / 100
-        alone = isinstance(simulation, DualSimulation) and simulation.pair.wire is None
+        length = math.ceil((wire.length + lacking) * 100 - 1e-9) / 100
         device = "catheter is simulated over" if alone else "wire of"
         verdict = "which is too short for" if alone else "is too short for"
         raise ValueError(
-            f"the {device} {simulation.wire.length * 1e3:.0f} mm{',' if alone else ''} {verdict} {task.target_name} of "
-            f"{phantom.name}, {shortest * 1e3:.0f} mm from {simulation.entry}: pass "
+            f"the {device} {wire.length * 1e3:.0f} mm{',' if alone else ''} {verdict} {task.target_name} of "
+            f"{phantom.name}, {shortest * 1e3:.0f} mm from {entry}: pass "
             f"wire=load_guidewire(...).scaled({length:.2f})"
         )
 

@@ -16,7 +16,6 @@ from cathsim.dual_device_nav import CATHETER, PLACEHOLDER, VIEW, WIRE, DualDevic
 from cathsim.guidewire import Guidewire
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.navigation import NavigationTask
-from cathsim.robot.pace import PACES
 from cathsim.vector import ThreadedVectorEnv
 
 LENGTH = 1.05  # m of both devices: some vessels end farther from the groin than the published devices reach
@@ -46,8 +45,6 @@ class RandomTreesEnv(NavigateManyEnv):
     Raises:
         ValueError: a seed that there is not.
     """
-
-    metadata = {**NavigateManyEnv.metadata, "render_fps": 1 / PACES["arch_variety"].interval}  # noqa: RUF012
 
     def __init__(
         self,

@@ -68,7 +68,7 @@ def open_writer(folder: Path, logger: Logger | None = None, after: int = 0) -> W
         raise ModuleNotFoundError(
             "TensorBoard's files are written with tensorboard: pip install tensorboard", name=error.name
         ) from None
-    return SummaryWriter(str(folder / FOLDER), purge_step=after or None)
+    return SummaryWriter(str(folder / FOLDER), purge_step=after + 1 if after else None)
 
 
 class _WandbRun:

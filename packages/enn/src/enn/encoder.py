@@ -139,8 +139,10 @@ def _optimise(
     optimiser = torch.optim.AdamW(
         encoder.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, fused=True
     )
+    steps = settings.epochs * per_epoch
+    # of ten steps the first phase would have none
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, settings.learning_rate, total_steps=settings.epochs * per_epoch, pct_start=0.1
+        optimiser, settings.learning_rate, total_steps=steps + (steps == 10), pct_start=0.1
     )
     generator = torch.Generator().manual_seed(settings.seed)
     device = device_of(encoder)

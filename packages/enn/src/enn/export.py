@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,10 +15,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from enn.model_file import write_whole
-from enn.policy import Observation, Policy
+from enn.policy import Observation, Policy, PolicyController
 
 _ONE = "observation"  # name of the input where a policy sees one array
-_REPEAT = "action_repeat"
+_REPEAT, _LOW, _HIGH = "action_repeat", "action_low", "action_high"
 
 
 class _Actions(nn.Module):
@@ -54,7 +55,9 @@ def export_onnx(policy: Policy, path: Path | str) -> Path:
     assert program is not None
     model = program.model_proto
     model.metadata_props.add(key=_REPEAT, value=str(policy.action_repeat))
-    file = Path(path).with_suffix(".onnx")
+    for name, bound in ((_LOW, policy.action_space.low), (_HIGH, policy.action_space.high)):
+        model.metadata_props.add(key=name, value=json.dumps(bound.tolist()))
+    file = Path(path) if Path(path).suffix == ".onnx" else Path(f"{path}.onnx")
     write_whole(file, model.SerializeToString())
     return file
 
@@ -85,42 +88,35 @@ class OnnxPolicy:
         if len(self._session.get_outputs()) != 1:
             raise ValueError(f"{file} must have one output, the actions, got {len(self._session.get_outputs())}")
         self.keys = () if self._inputs == [_ONE] else tuple(self._inputs)
-        self.action_repeat = int(self._session.get_modelmeta().custom_metadata_map.get(_REPEAT, 1))
+        told = self._session.get_modelmeta().custom_metadata_map
+        self.action_repeat = int(told.get(_REPEAT, 1))
+        bounds = (told.get(_LOW, "-1"), told.get(_HIGH, "1"))
+        self._low, self._high = (np.asarray(json.loads(bound), np.float32) for bound in bounds)
 
-    def act(self, observation: Observation) -> NDArray[np.float32]:
-        """The action for one observation, cut to -1 and 1. Shape (actions,).
+    def act(
+        self, observation: Observation, deterministic: bool = True, generator: np.random.Generator | None = None
+    ) -> NDArray[np.float32]:
+        """The action for one observation, cut to the range in the file's metadata, or to -1 and 1; never drawn.
+
+        Returns:
+            Shape (actions,).
 
         Raises:
-            ValueError: the observations have other shapes or types than the model's inputs.
+            ValueError: the observations have other shapes or types than the model's inputs, or the action is not finite.
         """
         seen = observation if isinstance(observation, Mapping) else dict.fromkeys(self._inputs, observation)
         try:
             [action] = self._session.run(None, {name: seen[name][None] for name in self._inputs})
         except Exception as error:  # as above
             raise ValueError(f"the ONNX model does not take these observations: {error}") from error
-        return np.asarray(action, np.float32).reshape(-1).clip(-1.0, 1.0)
+        flat = np.asarray(action, np.float32).reshape(-1)
+        if not np.isfinite(flat).all():
+            raise ValueError("the ONNX model's action is not finite: check the observations")
+        return flat.clip(self._low, self._high).astype(np.float32)
 
-    def controller(self) -> OnnxController:
+    def controller(self) -> PolicyController:
         """The policy over episodes."""
-        return OnnxController(self)
-
-
-class OnnxController:
-    """Holds each action of an ONNX policy for its action repeat; call `reset()` at the start of each episode."""
-
-    def __init__(self, policy: OnnxPolicy) -> None:
-        self.policy, self._left = policy, 0
-
-    def reset(self) -> None:
-        """Starts an episode: the next call decides again."""
-        self._left = 0
-
-    def __call__(self, observation: Observation, info: Mapping[str, Any] | None = None) -> NDArray[np.float32]:
-        """The action of this step. Shape (actions,)."""
-        if self._left == 0:
-            self._action, self._left = self.policy.act(observation), self.policy.action_repeat
-        self._left -= 1
-        return self._action
+        return PolicyController(self)
 
 
 def _require(*modules: str) -> None:

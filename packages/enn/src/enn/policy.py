@@ -21,6 +21,7 @@ from enn.networks.network import NetworkSettings, action_distribution, actor_fea
 
 if TYPE_CHECKING:
     from enn.encoder import Encoder
+    from enn.export import OnnxPolicy
 
 FORMAT = "enn-policy-1"
 _LARGEST_SPACE = 1 << 24  # numbers of an observation or action: an image of 4,096 x 4,096 px
@@ -252,11 +253,11 @@ class Policy:
 class PolicyController:
     """A policy over an episode: holds each action for the policy's action repeat."""
 
-    def __init__(self, policy: Policy, deterministic: bool = True, seed: int = 0) -> None:
+    def __init__(self, policy: Policy | OnnxPolicy, deterministic: bool = True, seed: int = 0) -> None:
         self.policy, self.deterministic = policy, deterministic
         self._generator = np.random.default_rng(seed)
         self._left = 0
-        self._action: NDArray[np.float32] = np.zeros(policy.action_space.shape, np.float32)
+        self._action: NDArray[np.float32]
 
     def reset(self) -> None:
         """Starts an episode: the next call decides again."""

@@ -20,9 +20,10 @@ from cathsim.devices.catheter import Catheter
 from cathsim.devices.choice import chosen_catheter, chosen_wire, device_pair
 from cathsim.environment import ACTIONS, ROTATION_STEP, TRANSLATION_STEP
 from cathsim.guidewire import Guidewire
-from cathsim.navigation import Goal, NavigationTask, navigation_task
+from cathsim.navigation import Goal, NavigationTask, navigation_task, require_length
 from cathsim.observations.fluoroscopes import camera, outside_sheath
-from cathsim.presets import Accuracy
+from cathsim.presets import Accuracy, accuracy
+from cathsim.registration.description import chosen
 from cathsim.simulation import CONTROL_STEP, SETTLE_STEPS, vessel_of
 
 STEPPING = Accuracy(timestep=0.0025, refinement=1, mass_scale=10.0)
@@ -57,12 +58,13 @@ class NavigateTask(composer.Task):
         catheter: Catheter | None = None,
         torsion: str = "elastic",
         image_size: int = 80,
-        numerics: Accuracy = STEPPING,
+        numerics: str | Accuracy = STEPPING,
         visual: bool = False,
     ) -> None:
         self.phantom, self.task = phantom, task
         self._goal = Goal(task, phantom)
         self.goal = self._goal.position
+        numerics = chosen("numerics", numerics, Accuracy, accuracy)
         pair = device_pair(wire, catheter, torsion)
         if pair is not None and tip_motors:
             raise ValueError("two devices are simulated without tip motors: leave out the catheter for them")
@@ -71,6 +73,7 @@ class NavigateTask(composer.Task):
         self.devices = TwoDevices(vessel, pair, numerics) if pair else None
         chain = self.devices.chain if self.devices else wire
         assert chain is not None
+        require_length(task, phantom, gate, chain, alone=pair is not None and pair.wire is None)
         parts = model_parts(vessel, chain, numerics, tip_motors=tip_motors)
         self.arena = VesselArena(parts.arena, vessel, chain.length)
         if visual:
@@ -174,8 +177,7 @@ class NavigateTask(composer.Task):
             raise ValueError(f"expected an action of shape {(self._actions,)}, got {action.shape}")
         if not np.isfinite(action).all():
             raise ValueError(f"expected a finite action, got {action.tolist()}")
-        self._action = action
-        action = action.clip(-1.0, 1.0)
+        self._action = action = action.clip(-1.0, 1.0)
         if self.guidewire.motors:
             self.feeder.command(physics, TRANSLATION_STEP * action[-1], 0.0)
             self.guidewire.bend(physics, action[:-1])
@@ -207,27 +209,32 @@ class NavigateTask(composer.Task):
         model, data = physics.model.ptr, physics.data.ptr
         if self.devices is not None:
             self.devices.hubs.arrive()
-        if not np.isfinite(data.qpos).all():
+        invalid = not np.isfinite(data.qpos).all()
+        if invalid:
             mujoco.mj_resetData(model, data)  # the episode ends here; so that its last observation is at least finite
         mujoco.mj_kinematics(model, data)  # poses of the state that the step has reached
         self.steps += 1
         tip, before, moved_from = self._tip(physics), self._remaining, self._tip_before
         self._tip_before = tip
         arrival = self._goal.arrival(tip)
-        self.success = arrival.success
+        self.success = arrival.success and not invalid
         if self.task.reads_progress:
             self._remaining = self.task.remaining(self.phantom, tip)
         force = float(np.linalg.norm(self.force))
         moved = float(np.linalg.norm(tip - moved_from))
+        insertion, rotation = (float(value) for value in np.asarray(physics.bind(self.feeder.joints).qpos))
         info = {
             "tip": tip,
             "distance": arrival.distance,
             "branch": arrival.place.branch,
             "depth": arrival.place.depth,
+            "insertion": insertion,
+            "rotation": rotation,
             "force": force,
             "force_vector": self.force.copy(),
             "success": self.success,
-            "success_lumen": arrival.success_lumen,
+            "success_lumen": arrival.success_lumen and not invalid,
+            "invalid": invalid,
         }
         progress = before - self._remaining
         self._reward = self.task.reward_of(info, progress, moved, self._action, success=self.success)
@@ -259,7 +266,7 @@ def load(
     torsion: str = "elastic",
     actions: str = "feeder",
     image_size: int = 80,
-    numerics: Accuracy = STEPPING,
+    numerics: str | Accuracy = STEPPING,
     phantom_seed: int | None = None,
     visual: bool = False,
     task: NavigationTask | None = None,

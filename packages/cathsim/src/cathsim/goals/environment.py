@@ -84,6 +84,8 @@ class NavigateGoalEnv(NavigateEnv):
         task = GoalTask() if task is None else described(task)
         if not isinstance(task, GoalTask):
             raise ValueError(f"task must be a GoalTask, got {task!r}")
+        if arguments.get("observe_every", 1) != 1:
+            raise ValueError("observe_every must be 1: a goal that is kept from an earlier step has another reward")
         super().__init__(phantom, wanted[0], observation=names, task=task, **arguments)
         if goals is None:
             reach = self.simulation.max_insertion + PROTRUSION + self.task.success_radius

@@ -48,6 +48,21 @@ class GoalTask(NavigationTask):
         """No reward of this task depends on the progress along the lumen."""
         return False
 
+    def step_reward(
+        self, distance: float, progress: float, force: float, moved: float = 0.0, *, success: bool
+    ) -> float:
+        """Reward of a step towards the task's own target, as `goal_reward` gives it; of distance and force alone."""
+        reached = 0.0 if distance <= self.success_radius else MISSED
+        return self.penalised(-distance if self.reward == "dense" else reached, force, moved)
+
+    def reward_of(
+        self, info: Mapping[str, Any], progress: float, moved: float, action: np.ndarray, *, success: bool
+    ) -> float:
+        """As of `NavigationTask`; a function of goals is refused with a ValueError: only `NavigateGoalEnv` has them."""
+        if not isinstance(self.reward, str):
+            raise ValueError(f"{reward_name(self.reward)} is a function of goals: take NavigateGoalEnv")
+        return super().reward_of(info, progress, moved, action, success=success)
+
     def goal_reward(
         self, achieved: NDArray[np.floating], desired: NDArray[np.floating], info: Infos
     ) -> NDArray[np.float64]:

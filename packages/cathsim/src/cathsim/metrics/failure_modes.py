@@ -35,7 +35,7 @@ def places(phantom: Phantom, tips: np.ndarray) -> tuple[list[str], np.ndarray]:
         The name of the branch that each is in, and (n,) its place along the aorta, m from the aorta's first point.
     """
     tree = phantom.tree
-    root = next(branch for branch in tree.branches if branch.parent is None)
+    root = tree.root
     names, relative = [], []
     along = np.zeros(len(tips))
     for branch in tree.branches:
@@ -63,20 +63,17 @@ def failure_mode(phantom: Phantom, target: str, tips: np.ndarray, *, steps_allow
     """
     if len(tips) - 1 < steps_allowed:
         return ABORTED
-    tree = {branch.name: branch for branch in phantom.tree.branches}
-    way = [tree[phantom.target(target).branch]]
-    while way[-1].parent is not None:
-        way.append(tree[way[-1].parent])
-    on_way, root = {branch.name for branch in way}, way[-1]
+    tree, root = phantom.tree, phantom.tree.root
+    way = tree.ancestry(phantom.target(target).branch)
     last = tips[-max(1, round(_LAST_PART * len(tips))) :]
     branches, along = places(phantom, last)
     # towards the heart is away from a descending entry
     came_in = phantom.entry(entry).position
     forwards = 1.0 if np.linalg.norm(root.points[0] - came_in) < np.linalg.norm(root.points[-1] - came_in) else -1.0
-    take_off = way[-2].parent_arc if len(way) > 1 else root.length
+    take_off = tree[way[1]].parent_arc if len(way) > 1 else root.length
     votes = Counter[str]()
     for name, place in zip(branches, along, strict=True):
-        if name not in on_way:
+        if name not in way:
             votes[WRONG_BRANCH] += 1
         elif name == root.name and forwards * (place - take_off) > PAST:
             votes[OVERSHOOT] += 1

@@ -101,9 +101,20 @@ static int warnings(const mjData* d) {
   return d->warning[mjWARN_BADQPOS].number + d->warning[mjWARN_BADQVEL].number + d->warning[mjWARN_BADQACC].number;
 }
 
+/* Displaces the vessel to where breathing brings it by the end of the step that comes: (1 - cos) / 2 of the way. */
+static void move_vessel(const Simulation* s, double timestep) {
+  const double phase = s->breath_rate * (s->data->time + timestep);
+  double* motion = s->data->userdata;
+  for (int k = 0; k < 3; k++) {
+    motion[VESSEL_DISPLACEMENT + k] = 0.5 * s->breath[k] * (1 - cos(phase));
+    motion[VESSEL_VELOCITY + k] = 0.5 * s->breath[k] * s->breath_rate * sin(phase);
+  }
+}
+
 /* Sets the blood's drag for the next substep; where that is repeated in shorter ones, it keeps the same. Positions are
  * those of the last substep's end, unless the state was set from outside or nothing has computed them since. */
 static void apply_drag(Simulation* s, const Engine* engine, int first) {
+  if (s->breath_rate > 0) move_vessel(s, 0); /* of this moment: a restored state has none yet */
   if (first || s->refinement <= 1) engine->kinematics(s->model, s->data);
   const Vessel* v = vessel_of_geom(s->model, s->vessel_geom, NULL);
   blood_drag(s->drag, s->model, s->data, s->first_geom, s->last_geom, v, s->loads);
@@ -148,16 +159,6 @@ static void take_back_account(const Account* a, const Before* before) {
   *a->summary = before->summary;
   memcpy(a->points, a->kept_points, sizeof(double) * count);
   memcpy(a->forces, a->kept_forces, sizeof(double) * count);
-}
-
-/* Displaces the vessel to where breathing brings it by the end of the step that comes: (1 - cos) / 2 of the way. */
-static void move_vessel(const Simulation* s, double timestep) {
-  const double phase = s->breath_rate * (s->data->time + timestep);
-  double* motion = s->data->userdata;
-  for (int k = 0; k < 3; k++) {
-    motion[VESSEL_DISPLACEMENT + k] = 0.5 * s->breath[k] * (1 - cos(phase));
-    motion[VESSEL_VELOCITY + k] = 0.5 * s->breath[k] * s->breath_rate * sin(phase);
-  }
 }
 
 /* Tells the contacts with the wall how fast that moves along itself, for its friction. */

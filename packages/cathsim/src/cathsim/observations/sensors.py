@@ -55,9 +55,10 @@ class Sensors:
         view: tuple[float, float] = VIEW,
     ) -> None:
         self._simulation, self._remaining = simulation, remaining
-        names = [observation] if isinstance(observation, str) else list(observation)
+        several = isinstance(observation, Sequence) and all(isinstance(name, str) for name in observation)
+        names = [observation] if isinstance(observation, str) else list(observation) if several else []
         if not names:
-            raise ValueError("observation must name at least one observable")
+            raise ValueError(f"observation must name at least one observable, got {observation!r}")
         self.reads_way = "history" in names
         self.fluoroscope = Fluoroscope(simulation, image_size)
         self.biplane = None if biplane is None else BiplaneView(simulation, biplane)

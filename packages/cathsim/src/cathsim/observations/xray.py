@@ -189,7 +189,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
 
     Raises:
         ValueError: `every` is not a positive whole number; no view, one twice, or an unknown one; a field that is no
-            positive length.
+            positive length; an environment whose observation is a single array.
     """
 
     def __init__(
@@ -211,9 +211,11 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         require_field(field)
         self.environment, self.size, self.draw_clutter, self.every = environment, size, clutter, every
         self.views, self.field, self.room = tuple(views), field, room
-        # of the episode, where there is clutter
+        # of the episode, a view each, where there is clutter
+        self._clutter: list[Clutter | None] | None = None
         self._rooms: list[tuple[BiplaneFluoroscope, ContrastRun]] | None = None
-        assert isinstance(environment.observation_space, gymnasium.spaces.Dict)
+        if not isinstance(environment.observation_space, gymnasium.spaces.Dict):
+            raise ValueError("an environment with X-ray images has a dictionary of observations: name them in a tuple")
         masks = ("mask",) if catheter_in(environment.simulation) is None else ("mask", "mask_wire", "mask_catheter")
         self._masks = masks if with_mask else ()
         dots = ("goal_image",) if self._draws_dots else ()
@@ -223,6 +225,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
             {**environment.observation_space.spaces, **dict.fromkeys(names, picture)}
         )
         self.action_space = environment.action_space
+        self.render_mode, self.metadata = environment.render_mode, environment.metadata
         self._noise, self._step = 0, 0
         self._pictures: dict[str, NDArray[np.uint8]] = {}
         self._dots: dict[str, NDArray[np.uint8]] = {}
@@ -239,7 +242,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         self._noise, self._step = int(self.np_random.integers(2**63)), 0
         observation, info = self.environment.reset(seed=seed, options=options)
         if self.draw_clutter is not None:
-            self._rooms = [self._seen_by(view, self.draw_clutter(self.np_random, self.size)) for view in self.views]
+            self._put_among([self.draw_clutter(self.np_random, self.size) for _ in self.views])
         self._dots = self._drawn_dots() if self._draws_dots else {}
         return self._seen(observation), info
 
@@ -248,6 +251,40 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         observation, reward, terminated, truncated, info = self.environment.step(action)
         self._step += 1
         return self._seen(observation), reward, terminated, truncated, info
+
+    def observe(self) -> dict[str, Any]:
+        """The observation of the moment, with the last images."""
+        return self._with_pictures(self.environment.observe())
+
+    def render(self) -> np.ndarray | None:
+        """As the environment's."""
+        return self.environment.render()
+
+    def state(self) -> dict[str, Any]:
+        """Everything that the rest of the episode depends on, to be pickled; for `restore`."""
+        return {
+            "environment": self.environment.state(),
+            "generator": self.np_random.bit_generator.state,
+            "noise": self._noise,
+            "step": self._step,
+            "pictures": {name: picture.copy() for name, picture in self._pictures.items()},
+            "dots": {name: dot.copy() for name, dot in self._dots.items()},
+            "clutter": None if self._clutter is None else list(self._clutter),
+        }
+
+    def restore(self, state: dict[str, Any]) -> dict[str, Any]:
+        """Goes on where an environment with the same arguments was saved by `state`; returns the observation."""
+        observation = self.environment.restore(state["environment"])
+        self.np_random.bit_generator.state = state["generator"]
+        self._noise, self._step = state["noise"], state["step"]
+        self._pictures, self._dots = dict(state["pictures"]), dict(state["dots"])
+        self._put_among(state["clutter"])
+        return self._with_pictures(observation)
+
+    def _put_among(self, clutter: list[Clutter | None] | None) -> None:
+        self._clutter = clutter
+        pairs = None if clutter is None else zip(self.views, clutter, strict=True)
+        self._rooms = None if pairs is None else [self._seen_by(view, one) for view, one in pairs]
 
     @property
     def _draws_dots(self) -> bool:
@@ -269,7 +306,11 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
     def _seen(self, observation: dict[str, Any]) -> dict[str, Any]:
         if self._step % self.every == 0:
             self._pictures = self._drawn() | self._dots
-        return {**observation, **self._pictures}
+        return self._with_pictures(observation)
+
+    def _with_pictures(self, observation: dict[str, Any]) -> dict[str, Any]:
+        # copies: those of the contrast run are shared by all episodes
+        return {**observation, **{name: picture.copy() for name, picture in self._pictures.items()}}
 
     def _drawn(self) -> dict[str, NDArray[np.uint8]]:
         rooms = self._rooms or [self._seen_by(view, None) for view in self.views]

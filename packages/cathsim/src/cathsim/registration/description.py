@@ -109,18 +109,22 @@ def _found(place: str) -> Any:
         return None
 
 
-def chosen(argument: str, value: Any, kind: type[Kind], named: Callable[[str], Kind]) -> Kind:
-    """An argument that is a name, an object of a kind, or an object's description; `named` gives the object of a name.
+def chosen(argument: str, value: Any, kind: type[Kind], named: Callable[[str], Kind] | None = None) -> Kind:
+    """An argument that is a name, an object of a kind, or an object's description.
+
+    Args:
+        named: gives the object of a name; None: it has none.
 
     Raises:
         ValueError: it is something else.
     """
-    if isinstance(value, str):
+    if named is not None and isinstance(value, str):
         return named(value)
     value = described(value)
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise ValueError(f"{argument} must be a name or {article} {kind.__name__}, got {value!r}")
+        name = "" if named is None else "a name or "
+        raise ValueError(f"{argument} must be {name}{article} {kind.__name__}, got {value!r}")
     return value
 
 

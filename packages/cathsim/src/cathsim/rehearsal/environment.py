@@ -60,7 +60,9 @@ class NavigateCopiesEnv(NavigateManyEnv):
                 raise ValueError(f"copies bring their own {name}: leave it out, or change the perturbation")
         named = partial(load_phantom, seed=phantom_seed, resolution=resolution)
         self.scan = chosen("phantom", phantom, Phantom, named)
-        self.perturbation = Perturbation() if perturbation is None else chosen_perturbation(perturbation)
+        self.perturbation = (
+            Perturbation() if perturbation is None else chosen("perturbation", perturbation, Perturbation)
+        )
         guidewire = chosen_wire(wire)
         if guidewire is None:
             raise ValueError(
@@ -90,16 +92,3 @@ class NavigateCopiesEnv(NavigateManyEnv):
         changed = copy_of(self.scan, guidewire, self.perturbation, seed)
         self._kept[seed] = changed["phantom"]
         return NavigateEnv(target=self.targets[target], **changed, **self._arguments)
-
-
-def chosen_perturbation(value: Any) -> Perturbation:
-    """A perturbation from itself or its description.
-
-    Raises:
-        ValueError: it is something else.
-    """
-
-    def unknown(name: str) -> Perturbation:
-        raise ValueError(f"perturbation must be a Perturbation, got {name!r}")
-
-    return chosen("perturbation", value, Perturbation, unknown)

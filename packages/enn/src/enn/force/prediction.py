@@ -174,7 +174,11 @@ def fit_force(
                 value = value + settings.feature_weight * nn.functional.mse_loss(features, target[index].to(device))
             return value
 
-        digest = "" if folder is None else digest_of(samples.images, samples.vectors, samples.forces, settings)
+        digest = (
+            ""
+            if folder is None
+            else digest_of(samples.images, samples.vectors, samples.forces, samples.features, settings)
+        )
         report = fit(
             network, loss, samples.episodes, settings.fit, seed=seed, samples=digest, folder=folder, progress=progress
         )

@@ -129,7 +129,11 @@ def clone(
             take_over(network, initial)
         network.to(device)
         loss = _loss(network, settings, images, expert_actions, target)
-        samples = "" if folder is None else digest_of(images.numpy(), actions, settings)
+        samples = (
+            ""
+            if folder is None
+            else digest_of(images.numpy(), actions, None if target is None else target.numpy(), settings)
+        )
         report = fit(
             network, loss, episodes, settings.fit, seed=seed, samples=samples, folder=folder, progress=progress
         )

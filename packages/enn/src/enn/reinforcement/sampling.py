@@ -72,6 +72,7 @@ class SampledEnvs(VecEnv):
         self._checked = [name for name, space in spaces.items() if np.issubdtype(space.dtype, np.floating)]
         self.workers = Workers(min(threads, len(self.envs)))
         self._stepping: SharedWork | None = None
+        self._seed = seed
         self._env_seeds: list[int] = np.random.SeedSequence(seed).generate_state(self.num_envs).tolist()
         self._actions = np.zeros((self.num_envs, *(first.action_space.shape or ())))
         self._returns, self._lengths = np.zeros(self.num_envs), np.zeros(self.num_envs, int)
@@ -230,6 +231,8 @@ class SampledEnvs(VecEnv):
             self.reset_bank.restore(state["reset_bank"])
         if any(saved is None for saved in state["envs"]):
             logger.warning("environments without state() cannot go on exactly: they start new episodes")
+            again = np.random.SeedSequence((self._seed, self.decisions))
+            self._env_seeds = again.generate_state(self.num_envs).tolist()
             return self.reset()
         self._returns[:], self._lengths[:], self._fresh[:] = state["returns"], state["lengths"], state["fresh"]
         self._paths = [[] if path is None else list(path) for path in state["paths"]]
@@ -237,12 +240,14 @@ class SampledEnvs(VecEnv):
         def back(index: int) -> Any:
             env = self.envs[index]
             observation_wrappers = []
+            if env is not env.unwrapped:
+                env.reset()  # wrappers want to have seen one
             while env is not env.unwrapped:
                 if isinstance(env, gymnasium.ObservationWrapper):
                     observation_wrappers.append(env)
+                if isinstance(env, gymnasium.wrappers.TimeLimit):
+                    env._elapsed_steps = int(self._lengths[index])
                 env = env.env  # type: ignore[attr-defined]
-            if observation_wrappers:
-                self.envs[index].reset()  # wrappers want to have seen one
             observation = env.restore(state["envs"][index])  # type: ignore[attr-defined]
             for wrapper in reversed(observation_wrappers):
                 observation = wrapper.observation(observation)

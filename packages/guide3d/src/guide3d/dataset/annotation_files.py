@@ -123,7 +123,7 @@ def read_raw(path: Path, damaged: list[str]) -> list[Annotation]:
         try:
             views = _by_camera(frame)
             points = {
-                camera: checked(view["points"], 2, f"annotation of camera {camera.upper()}")
+                camera: checked(view.get("points", ()), 2, f"annotation of camera {camera.upper()}")
                 for camera, view in views.items()
             }
             images = {camera: str(view["image"]) for camera, view in views.items()}

@@ -44,9 +44,10 @@ def read_cvat(path: Path, damaged: list[str]) -> list[Annotation]:
                 raise ValueError("expected an image below the folder of images")
             if camera is None:
                 raise ValueError("expected a folder ending in -1 or -2, the camera")
-            line = image.find("polyline")
-            if line is None:
+            lines = image.findall("polyline")
+            if not lines:
                 raise ValueError("it has no polyline")
+            line = next((one for one in lines if one.get("label") == LABEL), lines[0])
             points = [[float(value) for value in point.split(",")] for point in line.get("points", "").split(";")]
             views[camera][acquisition_of(name), Path(name).stem] = name, checked(points, 2, "polyline")
         except ValueError as error:

@@ -10,7 +10,7 @@ import numpy as np
 
 from guide3d.dicom.header import Header, OtherKindError, pydicom_reader
 from guide3d.dicom.stored_pixels import frame_count
-from guide3d.dicom.xray_run import XrayRun, moment_of, run_of
+from guide3d.dicom.xray_run import STEP_MS, XrayRun, moment_of, run_of
 from guide3d.files import files_in, numeric_order
 from guide3d.geometry.polyline import Array
 from guide3d.guarded_reading import call_in_child
@@ -69,6 +69,9 @@ def read_folder(folder: Path) -> XrayRun:
     moments = [_moment(header) for header in headers]
     order = _order(headers, moments, warnings)
     frames = [run_of(headers[place]) for place in order]
+    several = [headers[place].path for place, run in zip(order, frames, strict=True) if len(run.frames) > 1]
+    if several and len(headers) > 1:  # without a number of frames in their headers
+        raise ValueError(f"{folder} holds files of several frames ({_names(several)}): give one of them, not the folder")
     shapes = {(run.frames.shape[1:], run.grey.shape[1]) for run in frames}
     if len(shapes) > 1:
         listed = ", ".join(f"{width} x {height} px" for (height, width), _ in sorted(shapes))
@@ -76,12 +79,14 @@ def read_folder(folder: Path) -> XrayRun:
     for run in frames:
         warnings += [warning for warning in run.warnings if warning not in warnings]
     first = frames[0]
+    moments = [moments[place] for place in order]
+    times = first.times_ms if len(frames) == 1 else _times(headers[order[0]], moments, warnings)
     tables = [run.grey for run in frames]
     values = {name: np.concatenate([getattr(run, name) for run in frames]) for name in _BY_FRAME}
     return XrayRun(
         path=folder,
         grey=tables[0] if all(np.array_equal(tables[0], table) for table in tables) else np.concatenate(tables),
-        times_ms=first.times_ms if len(frames) == 1 else _times(headers[order[0]], [moments[place] for place in order]),
+        times_ms=times,
         field_of_view_mm=first.field_of_view_mm,
         field_of_view_shape=first.field_of_view_shape,
         orientation=first.orientation,
@@ -126,12 +131,15 @@ def _order(headers: list[Header], moments: list[datetime | None], warnings: list
     return places
 
 
-def _times(first: Header, moments: list[datetime | None]) -> Array | None:
+def _times(first: Header, moments: list[datetime | None], warnings: list[str]) -> Array | None:
     """(n,) ms from the first frame, by the files' times, else by the first one's time between frames."""
     known = [moment for moment in moments if moment is not None]
     if len(known) == len(moments) and all(a < b for a, b in pairwise(known)):
         return np.array([(moment - known[0]).total_seconds() * 1e3 for moment in known])
     step = first.number("FrameTime")
+    if step > 0 and not STEP_MS[0] <= step <= STEP_MS[1]:
+        warnings.append(f"its FrameTime is {step:g} ms, which is taken as not known")
+        return None
     return step * np.arange(len(moments), dtype=np.float64) if step > 0 else None
 
 

@@ -13,7 +13,7 @@ from guide3d.dicom.header import Header, silent
 from guide3d.dicom.stored_pixels import grey_tables, has_empty_window, stored_frames
 from guide3d.geometry.polyline import Array
 
-_STEP_MS = (1.0, 60_000.0)  # from frame to frame
+STEP_MS = (1.0, 60_000.0)  # from frame to frame
 _RATES_APART = 0.1  # of two statements of one frame rate, as a share
 _CONSTANT_DEG = 0.05  # angles that differ by less are the same: systems write them to a tenth
 
@@ -140,10 +140,10 @@ def _angles(header: Header, axis: str, n: int) -> Array:
     """
     angles = _each(header, (f"Positioner{axis}Angle",), n)
     added = header.numbers(f"Positioner{axis}AngleIncrement")
-    if len(added) == n:
-        return angles + added
     if len(added) == 1:
         return angles + added[0] * np.arange(n)
+    if len(added) == n:
+        return angles + added
     if len(added):
         raise ValueError(
             f"{header.path}: Positioner{axis}AngleIncrement should have one value or one for each of {n} frames, "
@@ -171,7 +171,7 @@ def _table(header: Header, n: int) -> Array:
         if np.isnan(places).all() and axis == "Vertical":
             places = _each(header, ("TableHeight",), n)
         if len(added) in (1, n):
-            steps = added if len(added) == n else added[0] * np.arange(n)
+            steps = added[0] * np.arange(n) if len(added) == 1 else added
             places = np.where(np.isnan(places), 0.0, places) + steps
         table[:, column] = places
     return table
@@ -208,7 +208,7 @@ def _times(header: Header, n: int, warnings: list[str]) -> Array | None:
         return np.asarray(np.cumsum(steps) - steps[0], dtype=np.float64)
     if len(steps) not in (0, n):
         warnings.append(f"its FrameTimeVector has {len(steps)} values for {n} frames and is left out")
-    if n > 1 and not np.isnan(step) and not _STEP_MS[0] <= step <= _STEP_MS[1]:
+    if n > 1 and not np.isnan(step) and not STEP_MS[0] <= step <= STEP_MS[1]:
         warnings.append(f"its FrameTime is {step:g} ms, which is taken as not known")
         step = np.nan
     if n > 1 and abs(step * header.number("CineRate") / 1e3 - 1.0) > _RATES_APART:

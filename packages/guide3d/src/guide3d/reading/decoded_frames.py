@@ -65,6 +65,8 @@ def film_frames(path: Path, most: int | None = None) -> Generator[Frame, None, t
     film = cv2.VideoCapture(str(path)) if known else None
     if film is None or not film.isOpened():
         raise ImageError(f"film {path} cannot be read: it is damaged, or no film")
+    film.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # frames as they were recorded, as pictures are read
+    turn = film.get(cv2.CAP_PROP_ORIENTATION_META)
     promised = film.get(cv2.CAP_PROP_FRAME_COUNT)
     width, height = film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)
     if max(width, height) > _LARGEST_PX:
@@ -80,7 +82,7 @@ def film_frames(path: Path, most: int | None = None) -> Generator[Frame, None, t
         film.release()
     if not count:
         raise ImageError(f"film {path} holds no frame")
-    notes = []
+    notes = [f"{path.name}: a turn by {turn:g} degrees, which its header asks for, is not made"] if turn else []
     if most is None and count < promised < 1e9:  # of which FFmpeg speaks, too
         notes.append(
             f"{path.name}: its header promises {promised:.0f} frames, {count} of them are there: the film is cut off"

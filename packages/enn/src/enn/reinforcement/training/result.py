@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import os
 import time
 from collections import deque
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from enn.curves import Writer
+from enn.model_file import write_whole
 from enn.policy import Policy
 
 COLUMNS = (
@@ -65,21 +65,13 @@ def write_curve(path: Path, curve: list[Row]) -> None:
     """Writes rows, what was not measured as an empty cell; atomically."""
     lines = [",".join(COLUMNS)]
     lines += [",".join("" if row[name] is None else str(row[name]) for name in COLUMNS) for row in curve]
-    replace_text(path, "\n".join(lines) + "\n")
+    write_whole(path, ("\n".join(lines) + "\n").encode())
 
 
 def read_curve(path: Path) -> list[Row]:
     """Reads what `write_curve` wrote."""
     with path.open(newline="", encoding="utf-8") as stream:
         return [{name: _number(value) for name, value in row.items()} for row in csv.DictReader(stream)]
-
-
-def replace_text(path: Path, text: str) -> None:
-    """Writes a small file at once: a reader sees the former text or this one."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.unlink(missing_ok=True)  # a link of that name would be written through
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
 
 
 def _number(text: str) -> float | int | None:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.utils import get_device
 
 from enn.curves import open_writer
-from enn.model_file import UNFIT
+from enn.model_file import UNFIT, write_whole
 from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointError, CheckpointFolder, random_states, restore_random_states
 from enn.reinforcement.evaluation import BestPolicy, LatestPolicy
@@ -29,7 +29,7 @@ from enn.reinforcement.replay import ReplayBuffer, demonstration_replay
 from enn.reinforcement.sampling import without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training.inputs import TrainingInputs, start_from
-from enn.reinforcement.training.result import Progress, TrainingLog, TrainingResult, read_curve, replace_text
+from enn.reinforcement.training.result import Progress, TrainingLog, TrainingResult, read_curve
 from enn.reinforcement.training.settings import PpoSettings, SacSettings
 
 logger = logging.getLogger(__name__)
@@ -293,7 +293,7 @@ class TrainingRun:
                 "timings": timings,
                 "evaluation": evaluation,
             }
-            replace_text(self.folder / "training.json", json.dumps(record, indent=2))
+            write_whole(self.folder / "training.json", json.dumps(record, indent=2).encode())
         if self.checkpoint is not None:
             self.checkpoint.remove()
         return TrainingResult(self.policy, self.log.curve, timings, evaluation)
