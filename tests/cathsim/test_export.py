@@ -88,6 +88,13 @@ def test_export_refuses(bend: Phantom, prisms: list[Hull], tmp_path: Path) -> No
     with pytest.raises(ValueError, match="is there and is no earlier export: name a new or an empty folder"):
         export_mjcf(tmp_path, bend, wire)
     assert (tmp_path / "notes.txt").read_text() == "mine"
+    project = tmp_path / "project"
+    (project / "meshes").mkdir(parents=True)
+    for name in ("model.xml", "meshes/lumen.stl", "meshes/own.stl"):
+        (project / name).write_text("mine")
+    with pytest.raises(ValueError, match="is there and is no earlier export"):
+        export_mjcf(project, bend, wire)
+    assert (project / "model.xml").read_text() == "mine"
     with pytest.raises(ValueError, match="unknown entry 'radial'"):
         export_mjcf(tmp_path / "new", bend, wire, entry="radial")
 

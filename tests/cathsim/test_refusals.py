@@ -10,11 +10,13 @@ from cathsim.anatomy.generator.scan_arch import ScanArch
 from cathsim.blood.field import blood_field
 from cathsim.blood.flow import FLOWS
 from cathsim.devices.shelf import catheter_shape
+from cathsim.goals.environment import NavigateGoalEnv
 from cathsim.goals.task import GoalTask
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.metrics.load_cell import LoadCell
 from cathsim.observations.c_arm_view import CArmClutter, CArms
 from cathsim.observations.observables import make_observable
+from cathsim.observations.xray import XrayEnvironment
 from tests.cathsim.drawn_vessels import tube
 
 
@@ -64,8 +66,21 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
         lambda: NavigateManyEnv((arch(),), ("bca",), ("default", "thesis"), observation="joints").reset(
             options={"case": 1}
         ),
-        "must give the same observation space",
+        "must give the same spaces of observations and actions",
     ),
+    (
+        lambda: NavigateManyEnv((arch(),), ("bca",), ("default", None), catheter="vertebral", observation="tip").reset(
+            options={"case": 1}
+        ),
+        "must give the same spaces of observations and actions",
+    ),
+    (lambda: NavigateEnv(arch(), scan="x"), "scan must be a Scan, got 'x'"),
+    (lambda: NavigateEnv(arch(), view=25.0), "view must be a list, got 25.0"),
+    (lambda: NavigateEnv(arch(), view=(float("nan"), 0)), "view.*finite number"),
+    (lambda: NavigateEnv(arch(), observation=None), "observation must name at least one observable, got None"),
+    (lambda: NavigateEnv(arch(), observation=("tip", 3)), r"observation must name .*, got \('tip', 3\)"),
+    (lambda: NavigateGoalEnv(arch(), observe_every=3), "observe_every must be 1"),
+    (lambda: XrayEnvironment(NavigateEnv(arch(), observation="tip"), 64), "has a dictionary of observations"),
     (lambda: LoadCell().read(np.zeros((4, 2)), interval=0.1, generator=np.random.default_rng(0)), "finite loads"),
     (lambda: NavigationTask(reward=3), "reward must be a name, distance or geodesic, or a function, got 3"),
     (lambda: NavigationTask(success="near"), "success: input should be 'lumen' or 'straight', got 'near'"),

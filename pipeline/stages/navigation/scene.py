@@ -276,6 +276,8 @@ def run_tests(
         A row for each set and target: success, mean time of successful trials, forces, failure modes, number, and in
         how many anatomies the target lies outside the cameras' images, where there is no trial.
     """
+    from cathsim.robot.pace import named_pace
+
     rows = []
     cells = [(test, target) for test in tests for target in settings.targets]
     total, done = sum(len(test.anatomies) for test, _ in cells), 0
@@ -306,7 +308,13 @@ def run_tests(
             report(done / total, f"{test.name} {target} {sum(one.success for one in metrics)}/{len(metrics)}")
         if not metrics:
             raise StageError(f"the cameras see the {target} in none of {test.name}; choose other stage.cameras.")
-        row = {"test": test.name, "target": target, **summary(metrics), **failures, "out_of_view": out_of_view}
+        row = {
+            "test": test.name,
+            "target": target,
+            **summary(metrics, named_pace(test.task.pace).interval),
+            **failures,
+            "out_of_view": out_of_view,
+        }
         rows.append(row)
     return rows
 

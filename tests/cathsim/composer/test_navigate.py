@@ -7,7 +7,7 @@ import dm_env
 import numpy as np
 import pytest
 
-from cathsim import Accuracy, NavigateEnv
+from cathsim import Accuracy, NavigateEnv, load_guidewire
 
 pytest.importorskip("dm_control")
 
@@ -131,6 +131,25 @@ def test_an_invalid_state_ends_the_episode(make_composer: MakeComposer) -> None:
     assert np.isfinite(env.step(FORWARD).reward)
 
 
+def test_a_reward_of_ones_own_is_given_what_navigate_env_gives(make_composer: MakeComposer) -> None:
+    seen: list[dict[str, Any]] = []
+
+    def reward(info: dict[str, Any]) -> float:
+        seen.append(info)
+        return -info["insertion"]
+
+    env = make_composer(reward=reward)
+    env.reset()
+    env.step(np.array([3.0, 0.0]))
+    environment = NavigateEnv("type_1", reward=reward, accuracy="fast")
+    environment.reset(seed=0)
+    environment.step(np.array([3.0, 0.0]))
+    for one in seen:
+        np.testing.assert_array_equal(one["action"], [1, 0])
+    assert seen[0].keys() >= {"insertion", "rotation", "invalid", "progress", "moved"}
+    assert seen[0]["insertion"] == pytest.approx(seen[1]["insertion"], abs=3e-3)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -139,6 +158,8 @@ def test_an_invalid_state_ends_the_episode(make_composer: MakeComposer) -> None:
         ({"wire": "steel"}, "unknown guidewire 'steel'"),
         ({"actions": "tip"}, "unknown actions 'tip'; there are feeder, tip_motors"),
         ({"entry": "radial"}, "unknown entry 'radial'"),
+        ({"numerics": "exact"}, "unknown accuracy 'exact'"),
+        ({"wire": load_guidewire("default").scaled(0.12)}, "the wire of 120 mm is too short for bca of type_1"),
         ({"colour": "red"}, "the environment has no argument colour"),
     ],
     ids=str,

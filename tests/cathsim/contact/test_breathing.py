@@ -39,7 +39,7 @@ def test_bad_breathing_is_refused(type_1: Phantom) -> None:
         Breathing(amplitude=5)
     with pytest.raises(ValueError, match="direction must not be zero"):
         Breathing(direction=(0, 0, 0))
-    with pytest.raises(ValueError, match="breathing must be None or a Breathing, got 'deep'"):
+    with pytest.raises(ValueError, match="breathing must be a Breathing, got 'deep'"):
         NavigateEnv(type_1, breathing="deep")
     with pytest.raises(ValueError, match="a vessel breathes with contact 'sdf'"):
         Simulation(type_1, load_guidewire("default"), ACCURACY["fast"], contact="hulls", breathing=Breathing())

@@ -11,6 +11,7 @@ import pytest
 
 from cathsim import ENVIRONMENT, NavigateEnv, NavigationTask, Phantom, load_guidewire
 from cathsim.blood.flow import BloodFlow
+from cathsim.contact.breathing import Breathing
 from cathsim.fluoroscopy import BiplaneFluoroscope
 from cathsim.observations.observables import OBSERVABLES
 from cathsim.vector import ThreadedVectorEnv
@@ -23,6 +24,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "everything seen": {"observation": OBSERVABLES, "start_rotation": 2.0, "registration_noise": 1e-3},
     "cameras": {"observation": ("image_a", "mask_a", "image_b", "sequential"), "cameras": "guide3d"},
     "blood": {"observation": "joints", "blood": "pulsatile"},
+    "blood and breathing": {"observation": "joints", "blood": "steady", "breathing": Breathing()},
     "robot": {"observation": ("feeder", "shape"), "drive": "robot"},
     "tip motors": {"actions": "tip_motors", "observation": ("internal", "image")},
     "own wire and task": {
@@ -103,7 +105,7 @@ def test_copies_of_wrapped_and_of_vector_environments(way: str) -> None:
     other.close()
 
 
-@pytest.mark.parametrize("variant", ["robot", "everything seen"])
+@pytest.mark.parametrize("variant", ["robot", "everything seen", "blood and breathing"])
 def test_states_move_to_another_environment(make_env: MakeEnv, variant: str) -> None:
     arguments = {**SMALL, **VARIANTS[variant]}
     env, other = make_env(**arguments), make_env(**arguments)

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
-from cathsim import NavigationTask
+from cathsim import NavigateEnv, NavigationTask
 from cathsim.contact.breathing import Breathing
 from cathsim.goals.environment import NavigateGoalEnv
 from cathsim.goals.task import GoalTask
@@ -107,6 +107,18 @@ def test_wrong_arguments_are_refused(arguments: dict[str, object], message: str)
 
 REACHED = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 WANTED = np.array([[0.0, 0.0, 0.007], [0.0, 0.008, 0.0], [0.03, 0.0, 0.04]])
+
+
+def test_a_goal_task_rewards_its_own_target_alike_in_an_environment_of_one_target() -> None:
+    for reward in ("sparse", "dense"):
+        env = NavigateEnv("type_1", task=GoalTask(reward=reward), accuracy="fast")
+        env.reset(seed=0)
+        _, given, _, _, info = env.step(np.array([1.0, 0.0]))
+        assert given == pytest.approx(-1.0 if reward == "sparse" else -info["distance"])
+    own = NavigateEnv("type_1", task=GoalTask(reward=lambda achieved, desired, info: 0.0), accuracy="fast")
+    own.reset(seed=0)
+    with pytest.raises(ValueError, match="is a function of goals: take NavigateGoalEnv"):
+        own.step(np.array([1.0, 0.0]))
 
 
 def test_sparse_and_dense_rewards() -> None:

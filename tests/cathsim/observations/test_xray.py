@@ -1,5 +1,6 @@
 """X-ray observations: images, clutter, views, masks of each device, the frame of the arch."""
 
+import pickle
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -116,6 +117,33 @@ def test_pulsed_images_are_those_of_every_step() -> None:
             shown, kept = every.step(FORWARD)[0], pulsed.step(FORWARD)[0]
     with pytest.raises(ValueError, match="at least 1"):
         environment(every=0)
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_a_saved_moment_goes_on_alike_with_its_noise_and_clutter(every: int) -> None:
+    one, other = (environment(clutter=stripes, every=every, with_mask=True) for _ in range(2))
+    one.reset(seed=4, options={"case": 0})
+    for _ in range(4):
+        seen = one.step(FORWARD)[0]
+    other.reset(seed=9, options={"case": 1})
+    restored = other.restore(pickle.loads(pickle.dumps(one.state())))
+    assert restored.keys() == seen.keys() == other.observation_space.spaces.keys()
+    for _ in range(3):
+        for name in seen:
+            np.testing.assert_array_equal(seen[name], restored[name], err_msg=name)
+            np.testing.assert_array_equal(seen[name], one.observe()[name])
+        seen, restored = one.step(FORWARD)[0], other.step(FORWARD)[0]
+
+
+def test_it_renders_as_its_environment_and_gives_images_of_its_own() -> None:
+    inner = NavigateEnv(load_phantom("type_1"), observation=("tip",), render_mode="fluoroscopy", accuracy="fast")
+    env = XrayEnvironment(inner, 64)
+    seen, _ = env.reset(seed=1)
+    assert env.render_mode == "fluoroscopy" in env.metadata["render_modes"]
+    assert env.render().ndim == 3
+    before = seen["plain"].copy()
+    seen["plain"][:] = 0
+    np.testing.assert_array_equal(env.reset(seed=1)[0]["plain"], before)
 
 
 def test_several_views_show_the_same_moment() -> None:

@@ -185,6 +185,21 @@ def test_observation_wrappers_are_kept_in_a_restore(point_env: Any) -> None:
         np.testing.assert_array_equal(one, two)
 
 
+def test_wrappers_with_a_count_go_on_counting_after_a_restore(point_env: Any) -> None:
+    def make() -> SampledEnvs:
+        limited = gymnasium.wrappers.TimeLimit
+        return SampledEnvs([lambda: limited(gymnasium.wrappers.OrderEnforcing(point_env()), 5)] * 2, seed=3)
+
+    envs, other = make(), make()
+    envs.reset()
+    for _ in range(3):
+        envs.step(np.zeros((2, 2)))
+    other.restore(envs.state())
+    for _ in range(4):
+        for one, two in zip(envs.step(np.zeros((2, 2)))[1:3], other.step(np.zeros((2, 2)))[1:3], strict=True):
+            np.testing.assert_array_equal(one, two)
+
+
 def test_environments_without_state_start_new_episodes(point_env: Any, caplog: pytest.LogCaptureFixture) -> None:
     class Forgetful(point_env):  # type: ignore[misc]
         state = restore = property()
@@ -192,6 +207,7 @@ def test_environments_without_state_start_new_episodes(point_env: Any, caplog: p
     envs = SampledEnvs([Forgetful] * 2, seed=0)
     envs.reset()
     envs.step(np.zeros((2, 2)))
-    observations = envs.restore(envs.state())
+    observations, again = (SampledEnvs([Forgetful] * 2, seed=0).restore(envs.state()) for _ in range(2))
     assert observations["place"].shape == (2, 2)
+    np.testing.assert_array_equal(observations["place"], again["place"])
     assert "they start new episodes" in caplog.text

@@ -116,6 +116,14 @@ def test_cvat_round_trip_and_incomplete_pairs(tmp_path: Path) -> None:
         read_cvat(path, [])
 
 
+def test_a_catheter_before_the_wire_is_not_the_wire(tmp_path: Path) -> None:
+    line = '<polyline label="catheter" points="9,9;8,8"/><polyline label="guidewire" points="1,2;3,4"/>'
+    images = "".join(f'<image name="1-bca-angle-3-{camera}/000.png">{line}</image>' for camera in (1, 2))
+    (tmp_path / "cvat.xml").write_text(f"<annotations>{images}</annotations>")
+    (one,) = read_cvat(tmp_path / "cvat.xml", [])
+    assert one.points_a.tolist() == [[1, 2], [3, 4]]
+
+
 def test_only_the_first_polyline_of_an_image_counts(tmp_path: Path) -> None:
     path = tmp_path / "cvat.xml"
     line = '<polyline points="1,2;3,4"/><polyline points="9,9;8,8"/>'

@@ -66,6 +66,7 @@ def test_instance_numbers_give_the_order(tmp_path: Path) -> None:
         ),
         ([{"InstanceNumber": n} for n in ("1", "2", "5")], [0, 1, 2], ["2 instance numbers"]),
         ([{"InstanceNumber": "7"}], [0], []),
+        ([{"InstanceNumber": n, "FrameTime": "0.05"} for n in ("1", "2")], [0, 1], ["FrameTime is 0.05 ms, which"]),
     ],
 )
 def test_other_orders_are_said(

@@ -125,6 +125,10 @@ def test_one_increment_is_a_step_and_one_a_frame_are_offsets(tmp_path: Path) -> 
     assert np.allclose(run.secondary_deg, [-20, -18, -15])
     assert np.allclose(run.table_mm[:, 2], [0, 1, 4])
     assert run.moves
+    single = xray_dataset(frames_of(1), PositionerPrimaryAngleIncrement="2", TableLateralIncrement="3")
+    alone = read_xray(write(single, tmp_path / "single.dcm"))
+    assert np.allclose(alone.primary_deg, 30)
+    assert np.allclose(alone.table_mm[:, 2], 0)
     dataset = xray_dataset(frames_of(3), PositionerPrimaryAngleIncrement=["1", "2"])
     wrong = write(dataset, tmp_path / "wrong.dcm")
     with pytest.raises(ValueError, match=r"PositionerPrimaryAngleIncrement should have one value or one .* found 2"):

@@ -102,7 +102,7 @@ class OnnxPolicy:
             Shape (actions,).
 
         Raises:
-            ValueError: the observations have other shapes or types than the model's inputs, or the action is not finite.
+            ValueError: the observations have other shapes or types than the inputs, or the action is not finite.
         """
         seen = observation if isinstance(observation, Mapping) else dict.fromkeys(self._inputs, observation)
         try:

@@ -246,7 +246,7 @@ class SampledEnvs(VecEnv):
                 if isinstance(env, gymnasium.ObservationWrapper):
                     observation_wrappers.append(env)
                 if isinstance(env, gymnasium.wrappers.TimeLimit):
-                    env._elapsed_steps = int(self._lengths[index])
+                    env._elapsed_steps = int(self._lengths[index])  # type: ignore[assignment]
                 env = env.env  # type: ignore[attr-defined]
             observation = env.restore(state["envs"][index])  # type: ignore[attr-defined]
             for wrapper in reversed(observation_wrappers):

@@ -71,7 +71,7 @@ def read_folder(folder: Path) -> XrayRun:
     frames = [run_of(headers[place]) for place in order]
     several = [headers[place].path for place, run in zip(order, frames, strict=True) if len(run.frames) > 1]
     if several and len(headers) > 1:  # without a number of frames in their headers
-        raise ValueError(f"{folder} holds files of several frames ({_names(several)}): give one of them, not the folder")
+        raise ValueError(f"{folder} holds files of several frames ({_names(several)}): give one, not the folder")
     shapes = {(run.frames.shape[1:], run.grey.shape[1]) for run in frames}
     if len(shapes) > 1:
         listed = ", ".join(f"{width} x {height} px" for (height, width), _ in sorted(shapes))
