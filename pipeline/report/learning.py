@@ -22,6 +22,7 @@ from pipeline.report.learning_figures import Material, draw_learning
 from pipeline.report.learning_plots import read_curves
 from pipeline.report.tables import join_sweep
 from pipeline.store.atomic_files import read_json
+from pipeline.store.manifest import read_manifest
 from pipeline.tables import Table, read_results, write_figures
 
 _EXPERT, _HUMAN = "expert", "human"
@@ -34,6 +35,7 @@ class LearningSection:
     """What the report takes from here."""
 
     results: list[dict[str, Table]]  # the tables from the logs, then those that each stage folder wrote
+    variants: list[str]  # of each: see `join_sweep`
     # seed -> the same tables, joined, of stages that ran with several seeds alone
     by_seed: dict[int, dict[str, Table]] = field(default_factory=dict)
     remarks: dict[str, str] = field(default_factory=dict)  # table -> what is to be said of it
@@ -51,19 +53,21 @@ def learning_section(
     people = set(read_json(selected)) if selected.is_file() else set()
     evaluations = [one for one in found.evaluations if one.stage != _HUMAN or one.log in people]
     shortest = shortest_paths(found.evaluations)
-    results = _results(run_path, finished, evaluations, shortest)
+    results, variants = _results(run_path, finished, evaluations, shortest), _variants(run_path, finished)
     by_seed = {
         seed: join_sweep(
-            _results(run_path, names, [one for one in evaluations if one.log.split("/", 1)[0] in names], shortest)
+            _results(run_path, names, [one for one in evaluations if one.log.split("/", 1)[0] in names], shortest),
+            _variants(run_path, names),
         )
         for seed, names in _repeated(seeds or {}).items()
     }
     learnt = [name for name in finished if stage_of(name) in LEARNING_STAGES]
     if not learnt:
-        return LearningSection(results, by_seed, left_out(found))
+        return LearningSection(results, variants, by_seed, left_out(found))
     curves = read_curves([run_path / name for name in learnt])
-    write_figures(figures, draw_learning(Material(run_path, evaluations, curves, join_sweep(results)), figures))
-    return LearningSection(results, by_seed, left_out(found), figures)
+    joined = join_sweep(results, variants)
+    write_figures(figures, draw_learning(Material(run_path, evaluations, curves, joined), figures))
+    return LearningSection(results, variants, by_seed, left_out(found), figures)
 
 
 def _results(
@@ -72,6 +76,13 @@ def _results(
     """The tables from logs, then those that each folder wrote."""
     tables = learning_tables(evaluations, shortest)
     return [tables, *(read_results(run_path / name) for name in folders)]
+
+
+def _variants(run_path: Path, folders: Collection[str]) -> list[str]:
+    """What a sweep changed in each part of `_results`, but for its seed."""
+    manifests = [read_manifest(run_path / name) for name in folders]
+    changed = [[] if manifest is None else manifest.variant for manifest in manifests]
+    return ["", *(", ".join(word for word in words if not word.startswith("seed=")) for words in changed)]
 
 
 def _repeated(seeds: Mapping[str, int]) -> dict[int, list[str]]:

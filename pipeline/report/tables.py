@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import functools
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
@@ -139,24 +140,36 @@ def row_labels(table: str) -> dict[str, str]:
     return specs[table].labels if table in specs else {}
 
 
-def join_sweep(parts: Iterable[dict[str, Table]]) -> dict[str, Table]:
-    """Joins what folders measured: different cells side by side, equal ones pooled; sample counts become ``n``."""
-    collected: dict[tuple[str, str, str], list[tuple[Cell, int | None]]] = {}
-    for results in parts:
+def join_sweep(parts: Iterable[dict[str, Table]], variants: Sequence[str] = ()) -> dict[str, Table]:
+    """Joins what folders measured: different cells side by side, equal ones pooled; sample counts become ``n``.
+
+    Args:
+        variants: what each part's settings differ in, seeds left out; where parts of several have the same cell, each
+            has a row of its own, with its variant in brackets.
+    """
+    collected: dict[tuple[str, str], dict[str, dict[str, list[tuple[Cell, int | None]]]]] = {}
+    for results, variant in zip(parts, chain(variants, repeat("")), strict=False):
         for table, rows in results.items():
             for row, columns in rows.items():
                 samples = columns.get(SAMPLES)
                 count = int(samples) if isinstance(samples, int | float) else None
                 for column, cell in columns.items():
                     if column != SAMPLES:
-                        collected.setdefault((table, row, column), []).append((cell, count))
+                        of_variants = collected.setdefault((table, row), {}).setdefault(column, {})
+                        of_variants.setdefault(variant, []).append((cell, count))
     joined: dict[str, Table] = {}
-    for (table, row, column), cells in collected.items():
-        cell, count = pool(cells)
-        target = joined.setdefault(table, {}).setdefault(row, {})
-        target[column] = cell
-        if count is not None:
-            target[SAMPLES] = count
+    for (table, row), of_columns in collected.items():
+        differ = any(len(of_variants) > 1 for of_variants in of_columns.values())
+        exact: set[str] = set()  # rows whose number of samples is known
+        for column, of_variants in of_columns.items():
+            for variant, cells in of_variants.items():
+                name = f"{row} ({variant.replace('/', '·')})" if differ and variant else row
+                target = joined.setdefault(table, {}).setdefault(name, {})
+                target[column], samples_of = pool(cells)
+                of_samples = all(isinstance(cell, list) and count for cell, count in cells)
+                if samples_of is not None and (of_samples or name not in exact):
+                    target[SAMPLES] = samples_of
+                    exact |= {name} if of_samples else set()
     return joined
 
 

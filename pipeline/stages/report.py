@@ -57,7 +57,7 @@ def run_report(settings: ReportSettings, context: StageContext) -> None:
     finished = finished_stages(context.run_path)
     seeds = {name: manifest.seed for name, manifest in finished.items()}
     learning = learning_section(context.run_path, finished, context.path / LEARNING_FOLDER, seeds)
-    measured = join_sweep([*learning.results, {"environment": _environment()}])
+    measured = join_sweep([*learning.results, {"environment": _environment()}], learning.variants)
     tables = report_tables(measured, over_seeds(learning.by_seed))
     for table in tables:
         write_text(context.path / TABLES_FOLDER / f"{table.key}.csv", as_csv(table))

@@ -33,17 +33,16 @@ def note_of(rows: Mapping[str, Sequence[str]]) -> str:
 
 
 def note(jobs: Iterable[Any], aids: Callable[[Any], list[str]]) -> str:
-    """The note of a table of jobs, each named by its row, whose aids a function words; tasks of a row may differ."""
-    of_rows: dict[str, dict[str, list[str]]] = {}
+    """The note of a table of jobs, each named by its row, whose aids a function words; tasks that differ are named."""
+    rows: dict[str, dict[tuple[str, ...], list[str]]] = {}
     for job in jobs:
-        of_rows.setdefault(job.origin.row, {}).setdefault("; ".join(words := aids(job)), words)
-    return note_of(
-        {
-            row if len(variants) == 1 else f"{row} (some tasks)": words
-            for row, variants in of_rows.items()
-            for words in variants.values()
-        }
-    )
+        tasks = rows.setdefault(job.origin.row, {}).setdefault(tuple(aids(job)), [])
+        tasks.append(getattr(getattr(job, "task", None), "name", ""))
+    return note_of({
+        row if len(of_row) == 1 else f"{row} in {', '.join(tasks)}": words
+        for row, of_row in rows.items()
+        for words, tasks in of_row.items()
+    })  # fmt: skip
 
 
 def of_training(job: PolicyTrainingJob) -> list[str]:

@@ -38,6 +38,18 @@ def test_sweep_jobs_are_joined_cell_by_cell() -> None:
     assert joined == {"t": {"r": {"x": 1.0, "y": 2.0}, "s": {"x": 3.0}}}
 
 
+def test_jobs_with_other_settings_have_rows_of_their_own() -> None:
+    parts = [{"t": {"r": {"x": share, "n": 3}}} for share in (100.0, 20.0)]
+    joined = join_sweep([{}, *parts], ["", "target=bca", "phantom.file=a/b.stl"])
+    assert joined == {"t": {"r (target=bca)": {"x": 100.0, "n": 3}, "r (phantom.file=a·b.stl)": {"x": 20.0, "n": 3}}}
+    assert join_sweep(parts, ["", ""])["t"]["r"]["x"] == [60.0, 40.0]  # two seeds
+
+
+def test_the_number_of_samples_is_that_of_the_samples() -> None:
+    parts = [{"t": {"r": {"max_ed": [1.0, 0.5], "epochs": 30, "n": 40}}}] * 2
+    assert join_sweep(parts)["t"]["r"]["n"] == 80
+
+
 @pytest.mark.parametrize(
     ("cell", "decimals", "expected"),
     [(None, None, ""), ("text", 2, "text"), ([0.1234, 0.05], None, "0.123 ± 0.050"), ([-70, 28], 0, "-70 ± 28"),

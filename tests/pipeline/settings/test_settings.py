@@ -192,11 +192,11 @@ def test_a_package_s_settings_are_refused_with_their_class_s_name() -> None:
 
 @pytest.mark.parametrize(
     ("stage", "unused"),
-    [("force", ["phantom.name", "phantom.entry"]), ("guide3d", ["phantom.name", "phantom.entry"]), ("expert", []),
-     ("report", [])],
+    [("force", ["phantom.name", "phantom.entry", "target"]), ("guide3d", ["phantom.name", "phantom.entry", "target"]),
+     ("phantoms", ["phantom.name", "phantom.entry"]), ("expert", []), ("report", [])],
 )  # fmt: skip
 def test_an_anatomy_for_a_stage_that_takes_none(stage: str, unused: list[str]) -> None:
-    config = run_config(unchecked(f"stage={stage}", "phantom.name=bovine", "phantom.entry=ascending"))
+    config = run_config(unchecked(f"stage={stage}", "phantom.name=bovine", "phantom.entry=ascending", "target=lsa"))
     assert anatomy_not_taken(config) == unused
 
 

@@ -80,6 +80,17 @@ def test_the_files_content_counts(tmp_path: Path):
     assert digest == PhantomsSettings(file=str(second)).file_sha256
 
 
+def test_what_a_scene_refers_to_counts(tmp_path: Path):
+    import trimesh
+
+    path = tmp_path / "model.gltf"
+    trimesh.Scene(trimesh.creation.icosphere(1, 20.0)).export(path)
+    digest = PhantomsSettings(file=str(path)).file_sha256
+    for data in tmp_path.glob("*.bin"):
+        data.write_bytes(bytes(len(data.read_bytes())))
+    assert digest != PhantomsSettings(file=str(path)).file_sha256
+
+
 def test_wrong_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     with pytest.raises(ConfigurationError, match=r"phantom.file=none.stl is no file"):
         PhantomsSettings(file="none.stl")

@@ -55,6 +55,17 @@ def test_a_destination_is_replaced_only_when_asked(wire_logs: Path, tmp_path: Pa
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+def test_logs_are_not_replaced_by_their_export(wire_logs: Path, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    shutil.copytree(wire_logs, run / "expert")
+    for destination in (run / "expert", run):
+        with pytest.raises(ExportError, match="holds the logs, which it would replace: give another folder"):
+            export_logs(run / "expert", "hdf5", destination, pictures=False, overwrite=True)
+    assert len(list(run.rglob("*.mcap"))) == len(list(wire_logs.rglob("*.mcap")))
+    with pytest.raises(ExportError, match="masks are pictures"):
+        export_logs(wire_logs, "hdf5", tmp_path / "out", pictures=False, masks=True)
+
+
 def test_wrong_folders_and_names_are_refused(
     wire_logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -138,7 +138,15 @@ def test_an_edited_data_set_is_another_one(own: Path) -> None:
     before = Guide3dSettings(root=str(own)).root_sha256
     assert before == Guide3dSettings(root=str(own)).root_sha256
     (own / "raw.json").write_text((own / "raw.json").read_text().replace("[", "[ ", 1))
-    assert before != Guide3dSettings(root=str(own)).root_sha256
+    edited = Guide3dSettings(root=str(own)).root_sha256
+    assert before != edited
+    images = own.parent / "images elsewhere"
+    images.mkdir()
+    (images / "1.png").write_bytes(b"one")
+    apart = Guide3dSettings(root=str(own), image_root=str(images)).root_sha256
+    assert apart != edited
+    (images / "1.png").write_bytes(b"another")
+    assert Guide3dSettings(root=str(own), image_root=str(images)).root_sha256 != apart
 
 
 def test_failed_pairs_count_as_not_accepted() -> None:

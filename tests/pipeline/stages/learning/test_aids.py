@@ -42,6 +42,16 @@ THESIS = replace(
 )
 
 
+def test_tasks_of_a_row_that_differ_are_told_apart() -> None:
+    without = replace(DESK, task=replace(DESK.task, phantom="type_2"), demonstrations=())
+    for jobs in ([DESK, without], [without, DESK]):
+        note = note_of_jobs(jobs, of_training)
+        assert "I+V+M in type_1/bca: " in note
+        assert "I+V+M in type_2/bca: " in note
+        assert "states of demonstrations and own successes" in note
+        assert "to states of own successes" in note
+
+
 def test_a_desk_training_names_every_aid() -> None:
     note = note_of_jobs([DESK], of_training)
     for aid in (
