@@ -38,8 +38,8 @@ COUNTED = "counted.json"  # of the stage user_study: people's logs that count, r
 MODES = DETERMINISTIC, STOCHASTIC = "deterministic", "stochastic"
 DEMONSTRATION = "demonstration"  # mode of what belongs to no row
 # Overrides of a sweep that choose which cells a job fills, and change none of them.
-_CHOOSING = {"seed", "target", "modality", "stage.phantoms", "stage.targets", "stage.modalities", "stage.seeds",
-             "task.catheter", "stage.catheter"}  # fmt: skip
+_CHOOSING = {"seed", "target", "modality", "phantom.name", "phantom.seed", "phantom.file", "stage.phantoms",
+             "stage.targets", "stage.modalities", "stage.seeds", "task.catheter", "stage.catheter"}  # fmt: skip
 
 Task = tuple[str, str, str, str, float, float, float]
 
@@ -106,11 +106,7 @@ def evaluation_folders(run_path: Path) -> list[Path]:
 def changed_settings(folder: str) -> str:
     """Names what a sweep job changed beyond choosing cells: `stage.decisions=5` of `enn@seed=1,stage.decisions=5`."""
     overrides = folder.partition("@")[2].split(",")
-    return ", ".join(
-        override
-        for override in overrides
-        if override and override.partition("=")[0] not in _CHOOSING and not override.startswith("phantom.")
-    )
+    return ", ".join(override for override in overrides if override and override.partition("=")[0] not in _CHOOSING)
 
 
 def read_evaluation(path: Path, run_path: Path) -> Evaluation:
@@ -202,7 +198,8 @@ def _origin(info: EpisodeInfo, relative: Path) -> dict[str, Any]:
             raise UnusableLogError(f"it is an episode of {info.operator!r}, expected {operator!r}")
         is_demonstration = stage == "expert" and "evaluation" not in relative.parts[1:-1]
         mode = DEMONSTRATION if is_demonstration else DETERMINISTIC
-        return {"stage": stage, "row": row, "variant": "", "mode": mode, "training_seed": 0, "force_weight": None}
+        variant = changed_settings(folder)
+        return {"stage": stage, "row": row, "variant": variant, "mode": mode, "training_seed": 0, "force_weight": None}
     is_demonstration = "expert" in relative.parts[1:-1]
     missing = [key for key in ("row", "mode", "training_seed") if key not in known]
     if missing and not is_demonstration:
@@ -222,7 +219,7 @@ def _origin(info: EpisodeInfo, relative: Path) -> dict[str, Any]:
 
 
 CACHE = Path(".cache", "learning.json")  # below the run: a stage's own folder is emptied when it runs again
-METRICS_VERSION = "2"  # raised by hand where the same log gives other metrics
+METRICS_VERSION = "3"  # raised by hand where the same log gives other metrics
 PARALLEL_FROM = 200  # logs; fewer are read sooner than processes start
 
 _LOGGER = logging.getLogger(__name__)

@@ -131,7 +131,7 @@ def named_rows(evaluations: Sequence[Evaluation]) -> Rows:
         name = one.row
         if one.force_weight is not None and len(weights[one.stage, one.row]) > 1:
             name += f" {one.force_weight:g}"
-        if one.variant != plain[one.stage, one.row]:
+        if one.variant and one.variant != plain[one.stage, one.row]:
             name += f" ({one.variant})".replace("/", "·")
         name = with_device(name, one.device)
         place = one.test_set.replace("/", "·") if one.stage == "unseen" else one.phantom
@@ -238,12 +238,12 @@ def _own_row(evaluations: Sequence[Evaluation], shortest: Shortest) -> dict[str,
 def _of_operator(rows: Rows, stage: str, shortest: Shortest) -> Table:
     """Every metric of the sampling expert's or people's episodes."""
     table: Table = {}
-    for (of_stage, phantom, target, _), evaluations in rows.items():
+    for (of_stage, phantom, target, name), evaluations in rows.items():
         if of_stage == stage:
             values = summary(evaluations, shortest)
             samples = values.pop("episodes")
-            place = with_device(f"{phantom}/{target}", evaluations[0].device)
-            table[place] = {**values, SAMPLES: samples}
+            further = name.removeprefix(COMPARED[stage][1])  # variant and devices, in brackets
+            table[f"{phantom}/{target}{further}"] = {**values, SAMPLES: samples}
     return table
 
 

@@ -14,7 +14,7 @@ from pipeline.settings import kinds
 from pipeline.stages.learning.settings import StartingPolicySettings
 from pipeline.stages.unseen.task import TEST_PHANTOM, TRAINING_KINDS, VARIETY
 from pipeline.store.errors import ConfigurationError
-from pipeline.store.provenance import hash_file
+from pipeline.store.provenance import hash_anatomy, hash_file
 from pipeline.task import DESCENDING, NO_WIRE, Task, task_in_random_arches
 
 if TYPE_CHECKING:
@@ -96,6 +96,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
     )
     named_episodes: kinds.Episodes = 5  # on each, for each target
     mesh: kinds.PathText | None = None  # scanned anatomy; left out where the file is missing
+    mesh_sha256: str | None = None  # of that, filled in
     mesh_episodes: Annotated[int, Ge(1), Le(500)] = 10
     # further wires: presets, "softer", "stiffer"
     wires: kinds.FolderNames = field(default_factory=lambda: ["thesis", "softer", "stiffer"])
@@ -108,6 +109,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
         """Takes the choices of the command line over."""
         ChosenAnatomies.__post_init__(self)
         self.navigator_sha256 = None
+        self.mesh_sha256 = hash_anatomy(Path(self.mesh)) if self.mesh and Path(self.mesh).exists() else None
         if self.shipped:
             self._take_shipped()
         StartingPolicySettings.__post_init__(self)

@@ -157,7 +157,8 @@ def test_sweep_folders_join_by_seed_but_never_across_other_settings(tmp_path: Pa
         "type_1/bca/I (desk)": (4, 2),
         "type_1/bca/I (desk, stage.decisions=500)": (1, 1),
     }
-    assert changed_settings("enn") == changed_settings("enn@seed=1,phantom.mesh=a.stl") == ""
+    assert changed_settings("enn") == changed_settings("enn@seed=1,phantom.file=a.stl") == ""
+    assert changed_settings("expert@phantom.entry=ascending,target=bca") == "phantom.entry=ascending"
 
 
 def test_weights_of_the_force_are_rows_of_their_own(tmp_path: Path) -> None:
@@ -216,6 +217,19 @@ def test_the_experts_episodes_are_told_apart(tmp_path: Path) -> None:
     tables = tables_from_logs(tmp_path)
     assert {row: cells["n"] for row, cells in tables["expert"].items()} == {"type_1/lcca": 1, "type_1/lcca (jb2)": 1}
     assert list(tables["devices"]) == [f"type_1/lcca/expert/sampling_expert/{device}" for device in ("wire", "jb2")]
+
+
+def test_the_experts_tasks_of_a_sweep_have_rows_of_their_own(tmp_path: Path) -> None:
+    folders = ("expert", "expert@task.success=lumen", "expert@task.success=straight")
+    for folder in folders:
+        log = tmp_path / folder / "type_1/bca/evaluation/000.mcap"
+        write_evaluation(log, success=folder == folders[1], operator="sampling_expert")
+    table = tables_from_logs(tmp_path)["expert"]
+    assert {row: (cells["success_pct"], cells["n"]) for row, cells in table.items()} == {
+        "type_1/bca": ([0.0, 0.0], 1),
+        "type_1/bca (task.success=lumen)": ([100.0, 0.0], 1),
+        "type_1/bca (task.success=straight)": ([0.0, 0.0], 1),
+    }
 
 
 def test_the_wire_alone_needs_no_table_of_devices(tmp_path: Path) -> None:
