@@ -20,6 +20,7 @@ KINDS = (  # of files and folders
 )
 RESOLUTION = 1e-3  # m, of the distance grid
 _LONGEST_NAME = 60  # letters of a name that is made of a path
+TEST_SETS = {"unseen", "real_mesh", "unseen_arches", "unseen_arches_clutter"}  # of stages, beside anatomies by name
 _KEPT = 4  # phantoms of files that a process keeps
 _MM = 1e3
 
@@ -74,7 +75,8 @@ class AnatomyFile:
 
         stem = re.sub(r"(\.seg)?(\.nii\.gz|\.[A-Za-z]+)$", "", Path(self.path).resolve().name)
         name = re.sub(r"[^A-Za-z0-9_.+-]", "_", stem).lstrip("._+-")[:_LONGEST_NAME] or "anatomy"
-        return f"{name}_file" if name in PHANTOMS or seed_in_name(name)[1] is not None else name
+        taken = name in PHANTOMS or name in TEST_SETS or seed_in_name(name)[1] is not None
+        return f"{name}_file" if taken else name
 
     def load(self, resolution: float = RESOLUTION) -> Phantom:
         """Its phantom, grid nodes `resolution` m apart; a ValueError says why it cannot be imported."""

@@ -127,6 +127,10 @@ def _of_logs(logs: Iterable[Path], settings: NavigationSettings, operator: str) 
             continue
         if info.operator != operator or info.phantom != settings.phantoms[0] or outcome.success is None:
             continue
+        asked = {"success_radius": 1e-3 * settings.task.success_radius_mm, "max_steps": settings.task.max_steps}
+        differs = any(abs(float(info.configuration.get(key, value)) - value) > 1e-9 for key, value in asked.items())
+        if operator == "human" and differs:
+            continue
         steps.setdefault(info.target, []).append((bool(outcome.success), outcome.steps, info.control_dt))
     cells: dict[str, Any] = {}
     for target in settings.targets:

@@ -114,6 +114,7 @@ def test_states_move_to_another_environment(make_env: MakeEnv, variant: str) -> 
         env.step(action)
     other.reset(seed=9)
     other.restore(pickle.loads(pickle.dumps(env.state())))
+    assert same(env.simulation.blood_forces(), other.simulation.blood_forces())
     for action in actions(env, 25, seed=2):
         assert same(env.step(action), other.step(action))
 

@@ -113,6 +113,7 @@ def test_what_cannot_be_meant_is_one_sentence(values: dict[str, Any], message: s
         ("/data/s0011/segmentations/", "segmentations"),
         ("low_tortuosity.stl", "low_tortuosity_file"),  # a name of the library, which it must not be taken for
         ("random_7.glb", "random_7_file"),
+        ("unseen.stl", "unseen_file"),  # the stage unseen calls its random arches so
         (".stl", "anatomy"),
         ("Ünïcode.ply", "n_code"),
         ("a" * 200 + ".stl", "a" * 60),

@@ -153,7 +153,6 @@ class Simulation:
             "arguments": (self._positional(), self._keywords()),
             "state": self.state(),
             "data": self.data,
-            "loads": self._chain.loads,
             "forces": self.force_state(),
             "depths": self.depths,
         }
@@ -163,7 +162,7 @@ class Simulation:
         self.__init__(*positional, **arguments)  # type: ignore[misc]
         self.restore(state["state"])
         mujoco.mj_copyData(self.data, self.model, state["data"])
-        self._chain.loads[:], self.depths[:] = state["loads"], state["depths"]
+        self.depths[:] = state["depths"]
         self.restore_forces(state["forces"])
 
     def _positional(self) -> tuple[Any, Any, Any]:
@@ -430,13 +429,14 @@ class Simulation:
         mujoco.mj_kinematics(self.model, data)
         self.measured.clear()
 
-    def force_state(self) -> tuple[bytes, np.ndarray, np.ndarray]:
-        """What the last control step measured: forces and contacts, which no continuation depends on."""
-        return self.measured.state()
+    def force_state(self) -> tuple[bytes, np.ndarray, np.ndarray, np.ndarray]:
+        """What the last control step measured: forces, contacts and drag, which no continuation depends on."""
+        return *self.measured.state(), self._chain.loads.copy()
 
-    def restore_forces(self, state: tuple[bytes, np.ndarray, np.ndarray]) -> None:
+    def restore_forces(self, state: tuple[bytes, np.ndarray, np.ndarray, np.ndarray]) -> None:
         """Returns to a measurement of `force_state`."""
-        self.measured.restore(state)
+        self.measured.restore(state[:3])
+        self._chain.loads[:] = state[3]
 
 
 def not_finite(*movement: float) -> str:

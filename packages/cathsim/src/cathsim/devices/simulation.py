@@ -308,13 +308,13 @@ class DualSimulation(Simulation):
         rod.place(self._hubs.lead, self._hubs.angles)
         rod.untwist(self.data, most=0)  # the model is that of the lead, also before the next step
 
-    def force_state(self) -> tuple[bytes, Array, Array]:
+    def force_state(self) -> tuple[bytes, Array, Array, Array]:
         """As of `Simulation`, with forces and torques of the feeders."""
-        summary, points, forces = super().force_state()
+        summary, points, forces, loads = super().force_state()
         rod = self._rod.struct
-        return summary + bytes(rod.feeder_force) + bytes(rod.hub_torque), points, forces
+        return summary + bytes(rod.feeder_force) + bytes(rod.hub_torque), points, forces, loads
 
-    def restore_forces(self, state: tuple[bytes, Array, Array]) -> None:
+    def restore_forces(self, state: tuple[bytes, Array, Array, Array]) -> None:
         """Returns to a measurement of `force_state`."""
         super().restore_forces(state)
         held = np.frombuffer(state[0], np.float64, 2 * DEVICES, len(state[0]) - 2 * DEVICES * 8)
