@@ -162,16 +162,20 @@ def test_a_full_disk_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.Monkey
     assert not list(tmp_path.iterdir())
 
 
-def test_a_film_is_a_sequence(data: Path, tmp_path: Path) -> None:
-    film = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10, (1024, 1024))
-    if not film.isOpened():
-        pytest.skip("this OpenCV writes no films")
-    image = read_grey_levels(data / "a.png").astype(np.uint8)
-    for _ in range(2):
-        film.write(np.repeat(image[..., None], 3, axis=2))
-    film.release()
+def test_a_film_is_a_sequence(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for letter, rate in (("a", 10), ("b", 20)):
+        film = cv2.VideoWriter(str(tmp_path / f"{letter}.avi"), cv2.VideoWriter.fourcc(*"MJPG"), rate, (1024, 1024))
+        if not film.isOpened():
+            pytest.skip("this OpenCV writes no films")
+        image = read_grey_levels(data / f"{letter}.png").astype(np.uint8)
+        for _ in range(2):
+            film.write(np.repeat(image[..., None], 3, axis=2))
+        film.release()
     assert command.main([str(tmp_path / "a.avi"), "--video", "--output", str(tmp_path / "out")]) == 0
     assert (tmp_path / "out" / "frames.csv").read_text().count("\n") == 3
+    both = [str(tmp_path / f"{letter}.avi") for letter in "ab"]
+    assert command.main([*both, "--cameras", str(data / "cameras"), "--video", "--output", str(tmp_path / "pair")]) == 0
+    assert "A has 10 frames a second and B 20: frames of one number, taken as one moment" in capsys.readouterr().err
 
 
 def test_images_that_are_not_read_are_said(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

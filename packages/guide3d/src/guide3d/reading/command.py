@@ -144,6 +144,10 @@ def _run(given: argparse.Namespace) -> None:
 def _say_of_sources(given: argparse.Namespace, *sources: Source) -> None:
     """Says what is to be said about the files, and which of their images were not read."""
     _say([note for source in sources for note in source.notes])
+    rates = [source.rate for source in sources]
+    if given.video and min(rates) > 0 and max(rates) > 1.1 * min(rates):
+        told = f"A has {rates[0]:.4g} frames a second and B {rates[1]:.4g}"
+        _say([f"{told}: frames of one number, taken as one moment, are not"])
     counts = [source.count for source in sources]
     if given.video and len(set(counts)) > 1:
         _say([f"A has {counts[0]} frames and B {counts[1]}: those without a partner were not read"])

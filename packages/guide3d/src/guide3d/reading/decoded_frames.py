@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ _SECONDS = 600.0
 _QUICKTIME = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")  # the first box of .mp4 and .mov
 
 Frame = NDArray[np.generic]
-Decoder = Callable[[Path, int | None], Generator[Frame, None, tuple[int, list[str]]]]
+Decoder = Callable[[Path, int | None], Generator[Frame, None, tuple[Any, ...]]]  # fields of `Decoded` after the first
 
 
 @dataclass(frozen=True)
@@ -30,11 +31,13 @@ class Decoded:
     kinds: of each frame, its number type and shape
     count: how many frames the file says to have
     notes: what is to be said about them, as sentences
+    rate: frames a second, 0 where the file does not say
     """
 
     kinds: list[tuple[str, tuple[int, ...]]]
     count: int
     notes: list[str]
+    rate: float = 0.0
 
 
 def decoded_frames(path: Path, decoder: Decoder, most: int | None = None) -> Generator[Frame, None, Decoded]:
@@ -56,7 +59,7 @@ def decoded_frames(path: Path, decoder: Decoder, most: int | None = None) -> Gen
     return decoded
 
 
-def film_frames(path: Path, most: int | None = None) -> Generator[Frame, None, tuple[int, list[str]]]:
+def film_frames(path: Path, most: int | None = None) -> Generator[Frame, None, tuple[int, list[str], float]]:
     """Reads a film by OpenCV as grey frames (h, w); at most some of them. To be called in a child process."""
     with open_regular(path) as file:
         mark = file.read(12)
@@ -66,7 +69,7 @@ def film_frames(path: Path, most: int | None = None) -> Generator[Frame, None, t
     if film is None or not film.isOpened():
         raise ImageError(f"film {path} cannot be read: it is damaged, or no film")
     film.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # frames as they were recorded, as pictures are read
-    turn = film.get(cv2.CAP_PROP_ORIENTATION_META)
+    turn, rate = film.get(cv2.CAP_PROP_ORIENTATION_META), film.get(cv2.CAP_PROP_FPS)
     promised = film.get(cv2.CAP_PROP_FRAME_COUNT)
     width, height = film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)
     if max(width, height) > _LARGEST_PX:
@@ -89,7 +92,7 @@ def film_frames(path: Path, most: int | None = None) -> Generator[Frame, None, t
         )
     elif words:  # FFmpeg speaks of errors only
         notes.append(f"{path.name}: it is damaged: some frames show what its decoder filled up")
-    return (int(promised) if most is not None and 0 < promised < 1e9 else count), notes
+    return (int(promised) if most is not None and 0 < promised < 1e9 else count), notes, rate
 
 
 def _store(path: Path, decoder: Decoder, store: Path, most: int | None) -> Decoded:

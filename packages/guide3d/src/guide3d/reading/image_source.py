@@ -32,12 +32,14 @@ class Source:
             numbers in their names, or of single DICOM files of one run.
         count: how many images it has, known once an image was read.
         notes: what is to be said about them, as sentences; complete once all were read.
+        rate: frames a second of a film that says so, once all were read; 0 of others.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.count = 0
         self.notes: list[str] = []
+        self.rate = 0.0
 
     def is_dicom(self) -> bool:
         """Whether it is a DICOM file or a folder of them, by names or by the mark."""
@@ -89,7 +91,7 @@ class Source:
             if not self.path.exists():
                 raise ImageError(f"{'image' if is_tiff(self.path) else 'film'} {self.path} is missing")
             decoded = yield from decoded_frames(self.path, tiff_pages if is_tiff(self.path) else film_frames, most)
-            self.count = decoded.count
+            self.count, self.rate = decoded.count, decoded.rate
             self._note(*decoded.notes)
         else:
             self.count = 1
