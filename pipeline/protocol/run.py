@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import re
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from datetime import UTC, datetime
@@ -37,6 +38,7 @@ _MEANS = ("before_pct", "after_pct", "depth_mm", "force_p95_n", "steps", "mean_m
 _MEDIANS = ("resultant_error_pct", "sum_error_pct")
 _FOLDERS = re.compile(r"(?<![\w.])~?(/[^\s/:;,]+)*/(?=[^\s/])")
 _DRAWS = 4000  # of the bootstrap
+_SECONDS_TO_END = 20.0  # that processes have before they are killed
 
 
 def measure(
@@ -84,11 +86,9 @@ def measure(
                 file.flush()
                 tell(name, done, len(wanted))
         except BaseException:
-            for process in active_children():  # of the pool, or of one that has ended
-                process.terminate()
+            _end(pool)
             raise
-        finally:
-            pool.shutdown(cancel_futures=True)
+        pool.shutdown()
     outcomes = [{**case, **played[hash_value(case)]} for case in wanted]
     result = {
         "claim": name,
@@ -170,6 +170,16 @@ def _interval(values: Sequence[tuple[str, float]], digits: int, statistic: str =
 
 def _pool(workers: int) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=end_with_parent)
+
+
+def _end(pool: ProcessPoolExecutor) -> None:
+    """Ends a pool's processes, each of which may begin a further case that waits in its queue."""
+    pool.shutdown(wait=False, cancel_futures=True)
+    deadline = time.monotonic() + _SECONDS_TO_END
+    while processes := active_children():
+        for process in processes:
+            process.terminate() if time.monotonic() < deadline else process.kill()
+        processes[0].join(0.2)
 
 
 def inputs(claim: Claim) -> dict[str, str]:

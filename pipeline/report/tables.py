@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import functools
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain, repeat
 from pathlib import Path
@@ -145,7 +145,7 @@ def join_sweep(parts: Iterable[dict[str, Table]], variants: Sequence[str] = ()) 
 
     Args:
         variants: what each part's settings differ in, seeds left out; where parts of several have the same cell, each
-            has a row of its own, with its variant in brackets.
+            has a row of its own, with its variant in brackets, unless the cell is a setting that they share.
     """
     collected: dict[tuple[str, str], dict[str, dict[str, list[tuple[Cell, int | None]]]]] = {}
     for results, variant in zip(parts, chain(variants, repeat("")), strict=False):
@@ -159,7 +159,7 @@ def join_sweep(parts: Iterable[dict[str, Table]], variants: Sequence[str] = ()) 
                         of_variants.setdefault(variant, []).append((cell, count))
     joined: dict[str, Table] = {}
     for (table, row), of_columns in collected.items():
-        differ = any(len(of_variants) > 1 for of_variants in of_columns.values())
+        differ = any(_differ(of_variants.values()) for of_variants in of_columns.values())
         exact: set[str] = set()  # rows whose number of samples is known
         for column, of_variants in of_columns.items():
             for variant, cells in of_variants.items():
@@ -171,6 +171,12 @@ def join_sweep(parts: Iterable[dict[str, Table]], variants: Sequence[str] = ()) 
                     target[SAMPLES] = samples_of
                     exact |= {name} if of_samples else set()
     return joined
+
+
+def _differ(cells: Collection[list[tuple[Cell, int | None]]]) -> bool:
+    """Whether a cell of several variants is measured, or a setting that they do not share."""
+    known = [one for of_variant in cells for one in of_variant]
+    return len(cells) > 1 and (any(count for _, count in known) or len({repr(cell) for cell, _ in known}) > 1)
 
 
 def report_tables(

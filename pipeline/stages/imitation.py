@@ -42,6 +42,7 @@ from pipeline.stages.learning.shared_training import CURVE, RECORD
 from pipeline.stages.learning.task import LearningTask
 from pipeline.stages.learning.training import both_modes, evaluate
 from pipeline.store.atomic_files import atomic_path, write_json
+from pipeline.store.errors import stopping_the_stage
 from pipeline.tables import Figure, Results
 from pipeline.task import TASK, require_known_task
 
@@ -97,21 +98,23 @@ def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:
 
 def _student(job: ImitationJob, report: Report) -> tuple[ClonedPolicy, dict[str, Any]]:
     """Fits the student and keeps it with a record of the fit."""
+    from enn.fitting import FitError
     from enn.imitation.distillation import distil
 
     began, worked, seed = time.monotonic(), time.process_time(), job.origin.training_seed
-    distilled = distil(
-        load_expert(job.expert, report.device),
-        read_episodes(expert_logs(job.expert), job.episodes),
-        job.settings,
-        functools.partial(job.task.environment, training=True),
-        disturbed_seeds=disturbed_seeds(seed, job.disturbed_episodes),
-        rounds=job.rounds,
-        seed=seed,
-        folder=job.folder / "fit",
-        progress=report.part(0.0, _FITTING),
-        device=report.device,
-    )
+    with stopping_the_stage(FitError):
+        distilled = distil(
+            load_expert(job.expert, report.device),
+            read_episodes(expert_logs(job.expert), job.episodes),
+            job.settings,
+            functools.partial(job.task.environment, training=True),
+            disturbed_seeds=disturbed_seeds(seed, job.disturbed_episodes),
+            rounds=job.rounds,
+            seed=seed,
+            folder=job.folder / "fit",
+            progress=report.part(0.0, _FITTING),
+            device=report.device,
+        )
     student = distilled.student
     student.metadata |= {
         "phantom": job.task.phantom,

@@ -77,5 +77,6 @@ def _content(*places: str | None) -> str:
     folders = [Path(place) for place in places if place is not None]
     files = sorted({file for folder in folders for file in ([folder] if folder.is_file() else folder.rglob("*"))})
     read = [hash_file(file) for file in files if file.is_file() and file.suffix.lower() in _READ]
-    images = sorted((file.name, file.stat().st_size) for file in files if file.suffix.lower() == ".png")
+    pictures = [file for file in files if file.suffix.lower() == ".png"]
+    images = sorted((file.name, file.stat().st_size if file.is_file() else 0) for file in pictures)
     return hash_value({"read": read, "images": images})

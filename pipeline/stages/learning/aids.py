@@ -39,7 +39,7 @@ def note(jobs: Iterable[Any], aids: Callable[[Any], list[str]]) -> str:
         tasks = rows.setdefault(job.origin.row, {}).setdefault(tuple(aids(job)), [])
         tasks.append(getattr(getattr(job, "task", None), "name", ""))
     return note_of({
-        row if len(of_row) == 1 else f"{row} in {', '.join(tasks)}": words
+        row if len(of_row) == 1 else f"{row} in {', '.join(dict.fromkeys(tasks))}": words
         for row, of_row in rows.items()
         for words, tasks in of_row.items()
     })  # fmt: skip

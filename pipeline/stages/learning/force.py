@@ -20,6 +20,7 @@ from pipeline.seeds import force_seed
 from pipeline.stages.learning.expert_episodes import load_expert, read_episodes
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.atomic_files import write_json
+from pipeline.store.errors import stopping_the_stage
 
 if TYPE_CHECKING:
     from enn.fitting import EpisodeFitProgress
@@ -94,6 +95,7 @@ def record_disturbed(job: RecordingJob, report: Report) -> dict[str, Any]:
 
 def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
     """Fits a network and tests it on other episodes: `enn.force.evaluate_predictor`, ``samples``, times, ``loss``."""
+    from enn.fitting import FitError
     from enn.force import evaluate_predictor, fit_force
 
     record = job.folder / RECORD
@@ -106,7 +108,7 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
         curves.add(now.epoch, loss=now.loss, validation=now.validation)
         report(now.epoch / (now.epochs + 1), f"epoch {now.epoch}, loss {now.loss:.3f}")
 
-    with Curves(job.folder) as curves:
+    with Curves(job.folder) as curves, stopping_the_stage(FitError):
         predictor, fitted = fit_force(
             training, job.settings, seed=job.seed, folder=job.folder / "fit", device=report.device, progress=tell
         )

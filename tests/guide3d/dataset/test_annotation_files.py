@@ -120,8 +120,12 @@ def test_a_catheter_before_the_wire_is_not_the_wire(tmp_path: Path) -> None:
     line = '<polyline label="catheter" points="9,9;8,8"/><polyline label="guidewire" points="1,2;3,4"/>'
     images = "".join(f'<image name="1-bca-angle-3-{camera}/000.png">{line}</image>' for camera in (1, 2))
     (tmp_path / "cvat.xml").write_text(f"<annotations>{images}</annotations>")
-    (one,) = read_cvat(tmp_path / "cvat.xml", [])
+    alone = '<image name="1-bca-angle-3-1/001.png"><polyline label="catheter" points="9,9;8,8"/></image>'
+    (tmp_path / "cvat.xml").write_text(f"<annotations>{images}{alone}</annotations>")
+    damaged: list[str] = []
+    (one,) = read_cvat(tmp_path / "cvat.xml", damaged)
     assert one.points_a.tolist() == [[1, 2], [3, 4]]
+    assert "it has no polyline with the label guidewire" in damaged[0]
 
 
 def test_only_the_first_polyline_of_an_image_counts(tmp_path: Path) -> None:

@@ -43,6 +43,8 @@ def test_jobs_with_other_settings_have_rows_of_their_own() -> None:
     joined = join_sweep([{}, *parts], ["", "target=bca", "phantom.file=a/b.stl"])
     assert joined == {"t": {"r (target=bca)": {"x": 100.0, "n": 3}, "r (phantom.file=a·b.stl)": {"x": 20.0, "n": 3}}}
     assert join_sweep(parts, ["", ""])["t"]["r"]["x"] == [60.0, 40.0]  # two seeds
+    shared = [{"task": {"limit": {"value": 300}}}] * 2
+    assert join_sweep(shared, ["target=bca", "target=lcca"]) == shared[0]
 
 
 def test_the_number_of_samples_is_that_of_the_samples() -> None:

@@ -46,7 +46,7 @@ def objective_of(variant: str, drawn: float) -> FluoroscopyObjective:
     torch.manual_seed(0)
     network = build(size_of(variant, "smoke"))
     return FluoroscopyObjective(
-        pool_of(4), pool_of(3), network, samples=40, drawn=drawn, augmentation=TURNED, background=255, source_px=256
+        pool_of(4), pool_of(3), network, samples=40, drawn=drawn, augmentation=TURNED, background=255
     )
 
 

@@ -56,7 +56,7 @@ def test_batches_are_determined_by_the_generator(variant: str, data: Dataset) ->
     curves = curves_of(data)
     objective = SplineObjective(
         [Store("a"), Store("b")], curves, images_of(data, names[:4]), images_of(data, names[4:]), network,
-        augmentation=Augmentation(turn_a_pass=0.5), source_px=128,
+        augmentation=Augmentation(turn_a_pass=0.5),
     )  # fmt: skip
     known = images_of(data, names[:4])
     assert objective.training_items.tolist() == [i for i in known for _ in range(passes_of(np.asarray(curves[i]), 0.5))]
@@ -92,7 +92,7 @@ CURVES = [wavy_wire(seed, 1) for seed in range(3)]
 def targets_of(variant: str) -> PublishedTargets | OrderedTargets:
     torch.manual_seed(0)
     network = build(size_of(variant, "smoke")).eval()
-    made: PublishedTargets | OrderedTargets = TARGETS[variant](network, None, 1024)
+    made: PublishedTargets | OrderedTargets = TARGETS[variant](network, None)
     return made
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -55,9 +55,10 @@ class Sensors:
         view: tuple[float, float] = VIEW,
     ) -> None:
         self._simulation, self._remaining = simulation, remaining
-        several = isinstance(observation, Sequence) and all(isinstance(name, str) for name in observation)
-        names = [observation] if isinstance(observation, str) else list(observation) if several else []
-        if not names:
+        given: Any = observation
+        several = isinstance(given, Iterable) and not isinstance(given, str)
+        names: list[str] = list(given) if several else [given]
+        if not names or not all(isinstance(name, str) for name in names):
             raise ValueError(f"observation must name at least one observable, got {observation!r}")
         self.reads_way = "history" in names
         self.fluoroscope = Fluoroscope(simulation, image_size)

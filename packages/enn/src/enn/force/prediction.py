@@ -177,7 +177,7 @@ def fit_force(
         digest = (
             ""
             if folder is None
-            else digest_of(samples.images, samples.vectors, samples.forces, samples.features, settings)
+            else digest_of(samples.images, samples.vectors, samples.forces, replace(settings, fit=EpisodeFitSettings()))
         )
         report = fit(
             network, loss, samples.episodes, settings.fit, seed=seed, samples=digest, folder=folder, progress=progress

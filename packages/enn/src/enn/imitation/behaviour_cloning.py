@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -88,6 +88,7 @@ def clone(
     expert_features: Sequence[NDArray[np.float32]] | None = None,
     initial: ClonedPolicy | None = None,
     seed: int = 0,
+    samples: str = "",
     folder: Path | str | None = None,
     progress: Callable[[EpisodeFitProgress], None] | None = None,
     device: torch.device | str = "cpu",
@@ -99,7 +100,8 @@ def clone(
         settings: of network, loss and fit; the network's image shape and actions are taken from the episodes.
         expert_features: Z of each episode's moments, (T, z) or (T + 1, z); without, features are not matched.
         initial: student to go on from instead of fresh weights.
-        folder: for a checkpoint, from which an interrupted fit goes on.
+        samples: digest of what the episodes are made of, where some were played for this fit; "": of all of them.
+        folder: for a checkpoint, from which an interrupted fit goes on if the samples are the same.
 
     Returns:
         The student, and what the fit was like.
@@ -129,15 +131,16 @@ def clone(
             take_over(network, initial)
         network.to(device)
         loss = _loss(network, settings, images, expert_actions, target)
-        samples = (
-            ""
-            if folder is None
-            else digest_of(images.numpy(), actions, None if target is None else target.numpy(), settings)
-        )
+        samples = samples or samples_digest(trajectories, settings)
         report = fit(
             network, loss, episodes, settings.fit, seed=seed, samples=samples, folder=folder, progress=progress
         )
     return ClonedPolicy(network), report
+
+
+def samples_digest(trajectories: Sequence[Trajectory], settings: BehaviourCloningSettings, *further: Any) -> str:
+    """A digest of episodes' actions and of the settings but for those of the fit; of what else decides, too."""
+    return digest_of(*(one.actions for one in trajectories), replace(settings, fit=EpisodeFitSettings()), *further)
 
 
 def _loss(

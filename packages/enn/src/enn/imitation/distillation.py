@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from enn.fitting import EpisodeFitProgress, FitReport
-from enn.imitation.behaviour_cloning import BehaviourCloningSettings, clone
+from enn.imitation.behaviour_cloning import BehaviourCloningSettings, clone, samples_digest
 from enn.imitation.cloned_policy import ClonedPolicy
 from enn.imitation.dagger import Act, DaggerRound, DaggerSettings, Disturbed, dagger, record
 from enn.policy import Policy
@@ -63,6 +63,7 @@ def distil(
     """
     keys = tuple(dict.fromkeys((*settings.network.keys, *expert.keys)))
     actor: Act = lambda observation, info: expert.act(observation)  # noqa: E731
+    samples = samples_digest(episodes, settings, list(disturbed_seeds))
     episodes = [*episodes, *_disturbed(actor, make_environment, keys, disturbed_seeds, seed)]
     features = None
     if settings.feature_matching and all(set(expert.keys) <= set(one.observations) for one in episodes):
@@ -79,6 +80,7 @@ def distil(
         settings,
         expert_features=features,
         seed=seed,
+        samples=samples,
         folder=folder,
         progress=lambda fit: tell(0, fit),
         device=device,

@@ -35,6 +35,7 @@ def read_cvat(path: Path, damaged: list[str]) -> list[Annotation]:
             root = ElementTree.parse(file).getroot()
     except ElementTree.ParseError as error:
         raise ValueError(f"{path}: expected CVAT's XML, but it cannot be read ({error})") from None
+    labelled = any(line.get("label") == LABEL for line in root.iter("polyline"))  # or the file has no labels like ours
     views: dict[str, dict[tuple[str, str], tuple[str, Array]]] = {"a": {}, "b": {}}
     for image in root.iter("image"):
         name = image.get("name", "")
@@ -44,10 +45,10 @@ def read_cvat(path: Path, damaged: list[str]) -> list[Annotation]:
                 raise ValueError("expected an image below the folder of images")
             if camera is None:
                 raise ValueError("expected a folder ending in -1 or -2, the camera")
-            lines = image.findall("polyline")
+            lines = [one for one in image.findall("polyline") if not labelled or one.get("label") == LABEL]
             if not lines:
-                raise ValueError("it has no polyline")
-            line = next((one for one in lines if one.get("label") == LABEL), lines[0])
+                raise ValueError(f"it has no polyline{f' with the label {LABEL}' if labelled else ''}")
+            line = lines[0]
             points = [[float(value) for value in point.split(",")] for point in line.get("points", "").split(";")]
             views[camera][acquisition_of(name), Path(name).stem] = name, checked(points, 2, "polyline")
         except ValueError as error:

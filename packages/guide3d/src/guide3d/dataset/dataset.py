@@ -15,6 +15,7 @@ Annotation files may also lie in folders below the root, as in the public archiv
 
 from __future__ import annotations
 
+import hashlib
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -173,6 +174,16 @@ def split(data: Dataset, shares: tuple[float, float, float] = (0.8, 0.1, 0.1), s
         frame = data.frames[indices[0]]
         kinds[name] = (f"{frame.wire}, {'fluid' if frame.fluid else 'dry'}", len(indices))
     return split_acquisitions(kinds, shares, seed)
+
+
+def samples_of(data: Dataset, split: Split) -> str:
+    """A digest of a data set's frames, with their curves in the images, and of the split."""
+    digest = hashlib.sha256(repr(split).encode())
+    for frame in data.frames:
+        digest.update(frame.label.encode())
+        for camera in VIEWS:
+            digest.update(np.ascontiguousarray(frame.polyline(camera)).tobytes())
+    return digest.hexdigest()
 
 
 def images_of(data: Dataset, acquisitions: Sequence[str], at_most: int = 0) -> NDArray[np.int64]:

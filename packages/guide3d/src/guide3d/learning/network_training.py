@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from guide3d.dataset.dataset import VIEWS, images_of
+from guide3d.dataset.dataset import VIEWS, images_of, samples_of
 from guide3d.geometry.polyline import Array
 from guide3d.learning.build import build_shape_network, described
 from guide3d.learning.distributed import Ranks
@@ -69,7 +69,14 @@ def train_network(
         prepared = _segmenter(data, split, recipe, pictures, seed)
     network, objective, predictor, size, metadata = prepared
     report = fit(
-        network, objective, recipe.fit, folder=folder, seed=seed, recipe=recipe, ranks=ranks, progress=progress
+        network,
+        objective,
+        recipe.fit,
+        folder=folder,
+        seed=seed,
+        recipe=(recipe, form, samples_of(data, split)),
+        ranks=ranks,
+        progress=progress,
     )
     return predictor(network, size, recipe.preprocessing, {**metadata, "best_epoch": report.best_epoch}), report
 

@@ -140,7 +140,8 @@ def fit(
     Args:
         folder: for the checkpoints; `finished` removes them.
         seed: of shuffling, augmentation and dropout.
-        recipe: dataclass of all that the objective depends on; only a checkpoint of the same is gone on with.
+        recipe: all that the objective depends on, told apart by its `repr`; only a checkpoint of the same is gone on
+            with.
         ranks: that train together; None: this process alone, on the processor.
         progress: called after every epoch; what it raises ends the training there, with its checkpoint written.
 

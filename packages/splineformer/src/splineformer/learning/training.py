@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from guide3d.dataset.dataset import VIEWS, images_of
+from guide3d.dataset.dataset import VIEWS, images_of, samples_of
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.picture_store import PictureStore, Preprocessing
 from guide3d.learning.training import FitProgress, FitReport, fit
@@ -72,7 +72,14 @@ def train(
     targets = objective.targets
     targets.start(targets([np.asarray(objective.curves[item]) for item in chosen], None))
     report = fit(
-        network, objective, recipe.fit, folder=folder, seed=seed, recipe=recipe, ranks=ranks, progress=progress
+        network,
+        objective,
+        recipe.fit,
+        folder=folder,
+        seed=seed,
+        recipe=(recipe, samples_of(data, split)),
+        ranks=ranks,
+        progress=progress,
     )
     for store, camera in zip(stores, VIEWS, strict=True):
         if store.damaged:

@@ -6,6 +6,7 @@ tip at walls and in wrong branches.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -92,7 +93,7 @@ def fine_tune(
         settings,
         folder=folder,
         seed=seed,
-        recipe=recipe,
+        recipe=(recipe, hashlib.sha256(shown.curves.tobytes()).hexdigest()),
         ranks=Ranks.join(device),
         progress=progress,
     )
