@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import gymnasium
 import numpy as np
@@ -21,7 +21,6 @@ from enn.networks.network import NetworkSettings, action_distribution, actor_fea
 
 if TYPE_CHECKING:
     from enn.encoder import Encoder
-    from enn.export import OnnxPolicy
 
 FORMAT = "enn-policy-1"
 _LARGEST_SPACE = 1 << 24  # numbers of an observation or action: an image of 4,096 x 4,096 px
@@ -250,10 +249,21 @@ class Policy:
             raise another_architecture(path, error, verb="train") from error
 
 
+class Acts(Protocol):
+    """What a `PolicyController` needs of a policy."""
+
+    action_repeat: int
+
+    def act(
+        self, observation: Observation, deterministic: bool = True, generator: np.random.Generator | None = None
+    ) -> NDArray[np.float32]:
+        """The action for one observation. Shape (actions,)."""
+
+
 class PolicyController:
     """A policy over an episode: holds each action for the policy's action repeat."""
 
-    def __init__(self, policy: Policy | OnnxPolicy, deterministic: bool = True, seed: int = 0) -> None:
+    def __init__(self, policy: Acts, deterministic: bool = True, seed: int = 0) -> None:
         self.policy, self.deterministic = policy, deterministic
         self._generator = np.random.default_rng(seed)
         self._left = 0
