@@ -116,7 +116,7 @@ class ImitationSettings(PolicySettings):
     dagger_rounds: kinds.CountOrNone = 3  # 0: no DAgger
     dagger_episodes: kinds.Episodes = 10  # a round
     feature_matching: kinds.Weight = 0.1  # weight of the distance to the expert's features
-    epochs: kinds.CountOrNone = 10  # 0: the variant's own number
+    epochs: kinds.CountOrNone = 0  # 0: the variant's own number
 
 
 @kinds.validated()

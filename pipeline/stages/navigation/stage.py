@@ -47,6 +47,7 @@ from pipeline.task import MOTION, TASK, require_feeder, require_known_task, requ
 
 UNSEEN, CLUTTERED = "unseen_arches", "unseen_arches_clutter"
 RIVAL_VARIANT = "desk"  # network of the rival that clones pixels, whatever the budget: the thesis prints none for it
+RIVAL_EPOCHS = 20  # passes, twice the variant's own: the rival is not the one with the shorter fit
 _SECONDS = {"frame": 0.06, "episode": 1.2, "advised": 2.4, "trial": 2.0}  # guesses, for the estimate of the end
 
 
@@ -162,7 +163,7 @@ def _rival(settings: NavigationSettings, context: StageContext, task: LearningTa
     given = ImitationJob(
         folder=context.path / PIXELS / task.name,
         origin=Origin("navigation", PIXELS, context.seed, RIVAL_VARIANT),
-        settings=cloning_settings(RIVAL_VARIANT, ("image",), feature_matching=0.0),
+        settings=cloning_settings(RIVAL_VARIANT, ("image",), feature_matching=0.0, epochs=RIVAL_EPOCHS),
         task=task,
         expert=expert,
         episodes=settings.episodes[0],

@@ -55,7 +55,7 @@ THESIS_CLONING = BehaviourCloningSettings(
 )
 DESK_CLONING = BehaviourCloningSettings(
     network=CloningNetworkSettings(variant="desk"),
-    fit=EpisodeFitSettings(epochs=20, batch_size=64, learning_rate=2e-3, weight_decay=1e-2, schedule="one_cycle"),
+    fit=EpisodeFitSettings(epochs=10, batch_size=64, learning_rate=2e-3, weight_decay=1e-2, schedule="one_cycle"),
     shift_px=1,
 )
 
