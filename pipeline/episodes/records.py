@@ -27,6 +27,7 @@ from pipeline.episodes.encoding.schema import EPISODE_METADATA, SCHEMA_VERSION
 from pipeline.printing import written
 from pipeline.settings.kinds import sentence, shown
 from pipeline.store.errors import PipelineError
+from pipeline.store.provenance import hash_value
 
 
 class EpisodeWriteError(PipelineError, OSError):
@@ -175,6 +176,11 @@ def as_json(value: Any) -> str:
     return json.dumps(_finite(plain), sort_keys=True, allow_nan=False)
 
 
+def catheter_name(configuration: Mapping[str, Any]) -> str:
+    """The preset of a configuration's catheter; one of a file is told from others by six digits of its values' hash."""
+    return str(configuration.get("catheter_preset") or f"own catheter {hash_value(configuration['catheter'])[:6]}")
+
+
 @validated(frozen=True, kw_only=True, config=_CHECKED)
 class EpisodeInfo:
     """What is known of an episode before its first step."""
@@ -202,8 +208,8 @@ class EpisodeInfo:
 
     @property
     def catheter_name(self) -> str:
-        """The catheter's preset, "own catheter" for one of a file, "" where there was none."""
-        return str(self.configuration.get("catheter_preset") or "own catheter") if self.has_catheter else ""
+        """The catheter's name as `catheter_name` gives it, "" where there was none."""
+        return catheter_name(self.configuration) if self.has_catheter else ""
 
     @property
     def interval_ns(self) -> int:

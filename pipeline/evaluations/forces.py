@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.episodes.records import catheter_name
 from pipeline.settings.kinds import shown
 
 Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ def device_of(configuration: Mapping[str, Any]) -> str:
     """The catheter that a log names, with "alone" where no wire lay in it, or the wire alone."""
     if not configuration.get("catheter"):
         return WIRE
-    name = str(configuration.get("catheter_preset") or "own catheter")
+    name = catheter_name(configuration)
     return f"{name}{ALONE}" if configuration.get("wire", "") is None else name
 
 

@@ -14,7 +14,7 @@ import os
 import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -56,7 +56,8 @@ class Evaluation:
     mode: str  # "deterministic", "stochastic" or "demonstration"
     training_seed: int
     seed: int
-    phantom: str
+    phantom: str  # its name; with six digits of its hash where other anatomies of the run share the name
+    phantom_hash: str
     target: str
     test_set: str  # which anatomies it stands for; the phantom where the log names none
     entry: str  # where the wire comes in
@@ -157,6 +158,7 @@ def read_evaluation(path: Path, run_path: Path) -> Evaluation:
         **_origin(info, relative),
         seed=info.seed,
         phantom=info.phantom,
+        phantom_hash=info.phantom_hash,
         target=info.target,
         test_set=str(info.configuration.get("test_set", info.phantom)),
         entry=info.entry,
@@ -220,7 +222,7 @@ def _origin(info: EpisodeInfo, relative: Path) -> dict[str, Any]:
 
 
 CACHE = Path(".cache", "learning.json")  # below the run: a stage's own folder is emptied when it runs again
-METRICS_VERSION = "3"  # raised by hand where the same log gives other metrics
+METRICS_VERSION = "4"  # raised by hand where the same log gives other metrics
 PARALLEL_FROM = 200  # logs; fewer are read sooner than processes start
 
 _LOGGER = logging.getLogger(__name__)
@@ -259,7 +261,8 @@ def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: 
         words = str(result) if isinstance(result, EpisodeReadError) else f"{path}: {result}"
         _LOGGER.warning("left out: %s", words)
     kept.save()
-    found.evaluations = _latest([_evaluation(values) for values in known.values() if values], found.left_out)
+    evaluations = _named_apart([_evaluation(values) for values in known.values() if values])
+    found.evaluations = _latest(evaluations, found.left_out)
     return found
 
 
@@ -306,6 +309,20 @@ def _read_all(paths: list[Path], run_path: Path, processes: int | None) -> Itera
 def _start_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent stops its processes itself
     end_with_parent()
+
+
+def _named_apart(evaluations: list[Evaluation]) -> list[Evaluation]:
+    """Gives anatomies that share a name, as files of several patients may, names of their own."""
+    of_name: dict[str, set[str]] = {}
+    for one in evaluations:
+        of_name.setdefault(one.phantom, set()).add(one.phantom_hash)
+    named = []
+    for one in evaluations:
+        if len(of_name[one.phantom]) > 1:
+            name = f"{one.phantom} {one.phantom_hash[:6]}"
+            one = replace(one, phantom=name, test_set=name if one.test_set == one.phantom else one.test_set)
+        named.append(one)
+    return named
 
 
 def _latest(evaluations: list[Evaluation], left_out: dict[str, str]) -> list[Evaluation]:
