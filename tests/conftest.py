@@ -32,7 +32,7 @@ for _name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "MAKEOVERRIDES", "ARGS", "NAME
 
 # Tests that neither train, simulate, import a surface nor start a process; `make check` leaves out all others.
 FAST = re.compile(
-    r"cathsim/(devices/test_(catheter|device)|fluoroscopy/test_(?!biplane)|lattice|metrics|test_guidewire)"
+    r"cathsim/(devices/test_device|fluoroscopy/test_(?!biplane)|lattice|metrics|test_guidewire)"
     r"|enn/(networks|reinforcement/test_(replay|reset)|test_(policy|traj))"
     r"|guide3d/(dataset|dicom|geometry|learning/test_losses|modeling|test_image)"
     r"|splineformer/(modeling|navigation|test_(image|tokens))"

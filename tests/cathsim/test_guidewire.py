@@ -10,7 +10,6 @@ import pytest
 from cathsim import NavigateEnv, Phantom, Simulation, load_phantom
 from cathsim.anatomy import SignedDistanceGrid
 from cathsim.contact.sdf import Vessel
-from cathsim.devices.active_chain import pass_on
 from cathsim.devices.arena import compiled_model, max_insertion, model_spec
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.shelf import load_catheter
@@ -81,19 +80,11 @@ def test_stiffness_profile() -> None:
     assert all(a <= b for a, b in itertools.pairwise(profile))
 
 
-@pytest.mark.parametrize("name", ["default", "thesis", "radifocus_angled", "radifocus_angled_025", "nitrex_straight"])
+@pytest.mark.parametrize("name", ["default", "radifocus_angled_025"])
 def test_a_wire_of_a_log_without_torsion_is_its_preset(name: str) -> None:
     fields = dataclasses.asdict(load_guidewire(name))
     del fields["torsional_stiffness_nmm2"], fields["working_length"]
     assert preset_of(Guidewire(**fields)) == (name, 0.0)
-
-
-def test_hinges_have_the_rods_compliance(space: Vessel) -> None:
-    """Joint compliances of a uniform wire add up to length / EI between the middles of the first and last link."""
-    wire = straight()
-    model = model_spec(space, wire, ACCURACY["accurate"]).compile()
-    compliance = (1 / model.jnt_stiffness[2::2]).sum()
-    assert compliance == pytest.approx((wire.length - wire.links[0] / 2 - wire.links[-1] / 2) / EI)
 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])
@@ -121,12 +112,8 @@ def test_unloaded_tip_is_bent_by_its_angle() -> None:
         ({"links": (0.01,)}, "links needs at least 2 entries, got 1"),
         ({"links": (0.01, -0.01)}, r"links\[1\] must lie in 0 \(excluded\) to 0.5 m, got -0.01"),
         ({"links": (0.01, 0.0005)}, "shorter than the diameter"),
-        ({"diameter": 0.0}, r"diameter must lie in 0 \(excluded\) to 0.01 m, got 0.0"),
-        ({"shaft_stiffness_nmm2": -1.0}, "shaft_stiffness_nmm2 must lie in"),
         ({"tip_stiffness_nmm2": np.nan}, "tip_stiffness_nmm2 must be a finite number"),
-        ({"density": 0.0}, "density must lie in"),
         ({"friction": -0.1}, "friction must lie in 0 to 10, got -0.1"),
-        ({"relaxation": -0.1}, "relaxation must lie in 0 to 100 s, got -0.1"),
         ({"taper": (0.06, 0.02)}, "two increasing distances"),
     ],
 )
@@ -153,20 +140,11 @@ def test_the_tip_of_arch_variety_is_an_arc_of_72_degrees(space: Vessel) -> None:
 
 
 @pytest.mark.parametrize(("friction", "dimensions"), [(0.06, 3), (0.002, 3), (0.001, 1)])
-def test_contacts_of_hardly_any_friction_have_a_normal_force_alone(
-    friction: float, dimensions: int, space: Vessel
-) -> None:
+def test_contacts_of_hardly_any_friction_push_alone(friction: float, dimensions: int, space: Vessel) -> None:
     wire = load_guidewire("default", friction=friction)
     pair = DevicePair(load_guidewire("default", friction=0.0), load_catheter("vertebral", friction=friction))
     for one in (wire, pair.chain(0.01, 1e-3)):
         assert (compiled_model(space, one, accuracy("fast")).geom_condim[-len(one.links) :] == dimensions).all()
-
-
-def test_state_passes_to_a_longer_chain_and_back() -> None:
-    state = np.arange(1.0, 9.0)
-    longer = pass_on(state, 12, bend=True)
-    assert longer.tolist() == [1, 2, 0, 0, 0, 0, 3, 4, 5, 6, 7, 8]
-    assert np.array_equal(pass_on(longer, 8, bend=True), state)
 
 
 DEFAULT = load_guidewire("default")
@@ -178,7 +156,7 @@ def feed(simulation: Simulation, steps: int, translation: float = TRANSLATION_ST
         simulation.advance(translation, 0.1 * np.sin(step))
 
 
-def test_only_the_inserted_part_of_a_long_wire_is_simulated(type_1: Phantom) -> None:
+def test_only_the_inserted_part_of_a_long_wire_is_simulated_and_its_state_comes_back(type_1: Phantom) -> None:
     default, long = (Simulation(type_1, wire, ACCURACY["fast"]) for wire in (DEFAULT, LONG))
     assert len(LONG.links) == len(DEFAULT.links) + 21
     for _ in range(5):
@@ -189,26 +167,18 @@ def test_only_the_inserted_part_of_a_long_wire_is_simulated(type_1: Phantom) -> 
         assert long.model.nM == default.model.nM
         assert np.abs(long.tip - default.tip).max() < 1e-4, "the wire in the sheath changes nothing"
     assert long.insertion == pytest.approx(0.1, abs=0.005)
-
-
-def test_state_of_a_long_wire_comes_back(type_1: Phantom) -> None:
-    simulation = Simulation(type_1, LONG, ACCURACY["fast"])
-    feed(simulation, 40)
-    state = simulation.state()
-    feed(simulation, 5)
-    tip = simulation.tip
-    feed(simulation, 20, -TRANSLATION_STEP)
-    simulation.restore(state)
-    feed(simulation, 5)
-    assert np.array_equal(simulation.tip, tip)
+    state = long.state()
+    feed(long, 5)
+    tip = long.tip
+    feed(long, 20, -TRANSLATION_STEP)
+    long.restore(state)
+    feed(long, 5)
+    assert np.array_equal(long.tip, tip)
 
 
 def test_a_wire_too_short_for_its_target_says_which_would_do(type_1: Phantom) -> None:
     short = DEFAULT.scaled(0.2)
-    with pytest.raises(
-        ValueError,
-        match=r"the wire of 200 mm is too short for rcca_end of type_1, 23\d mm from descending.*scaled\(0.28\)",
-    ):
+    with pytest.raises(ValueError, match=r"200 mm is too short for rcca_end of type_1, 23\d mm from.*scaled\(0.28\)"):
         NavigateEnv(type_1, "rcca_end", wire=short)
     assert NavigateEnv(type_1, "rcca_end", wire=DEFAULT.scaled(0.28)).simulation.max_insertion > 0.23
     # a target nearer than the end of the way needs less

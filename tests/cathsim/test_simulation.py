@@ -102,9 +102,7 @@ def test_a_chain_agrees_with_the_whole_wire(
     assert apart[LEAVING:].max() < 3e-3
 
 
-def test_a_change_of_rung_moves_nothing_visibly(
-    make_simulation: MakeSimulation, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_change_of_rung_moves_nothing(make_simulation: MakeSimulation, monkeypatch: pytest.MonkeyPatch) -> None:
     simulation = make_simulation()
     jumps = []
     change = simulation._change_chain
@@ -153,43 +151,33 @@ def test_refinement_keeps_the_wire_out_of_the_wall(make_simulation: MakeSimulati
     assert refined < 0.6 * coarse
 
 
-def test_force_is_the_sum_of_the_contacts_and_holds_the_wire(make_simulation: MakeSimulation) -> None:
+def test_force_is_the_sum_of_contacts_and_means_balance_the_feeder(make_simulation: MakeSimulation) -> None:
     simulation = make_simulation()
     for translation, rotation in random_actions(60, seed=6).tolist():
         simulation.advance(translation, rotation)
-        contacts = simulation.contacts()
+        contacts, summary = simulation.contacts(), simulation.summary
         assert simulation.force() == pytest.approx(contacts.forces.sum(axis=0), abs=1e-12)
-        assert np.linalg.norm(simulation.force()) == pytest.approx(simulation.summary.force_max, abs=1e-12)
+        assert np.linalg.norm(simulation.force()) == pytest.approx(summary.force_max, abs=1e-12)
+        assert np.linalg.norm(summary.mean_force) <= summary.force_mean + 1e-12, "a mean's norm, a norm's mean"
+        assert summary.force_mean <= summary.magnitude_sum + 1e-12, "triangle inequality"
+        assert summary.contact_max >= np.linalg.norm(contacts.forces, axis=1).max(initial=0.0)
     run(simulation, straight(40))
     run(simulation, np.zeros((40, 2)))
-    force, contacts = simulation.force(), simulation.contacts()
+    force, contacts, summary = simulation.force(), simulation.contacts(), simulation.summary
+    along = simulation.vessel.direction
     assert np.abs(simulation.data.qvel[:2]).max() < 1e-4, "at rest"
     assert np.linalg.norm(force) > 0.02
     # the sheath is frictionless, so along its axis the feeder's servo alone balances the wall
-    assert force @ simulation.vessel.direction == pytest.approx(-simulation.data.actuator_force[0], rel=0.02)
+    assert force @ along == pytest.approx(-simulation.data.actuator_force[0], rel=0.02)
     distances, inward = simulation.vessel.distance(contacts.points)
     assert np.abs(distances).max() < 1e-3, "contacts lie on the wall"
     assert ((contacts.forces * inward).sum(axis=1) > 0).all(), "the wall pushes the wire inwards"
-
-
-def test_the_summary_holds_time_means_that_balance_the_feeder(make_simulation: MakeSimulation) -> None:
-    simulation = make_simulation()
-    run(simulation, straight(60))
-    for translation, rotation in random_actions(60, seed=6).tolist():
-        simulation.advance(translation, rotation)
-        summary = simulation.summary
-        assert np.linalg.norm(summary.mean_force) <= summary.force_mean + 1e-12, "a mean's norm, a norm's mean"
-        assert summary.force_mean <= summary.magnitude_sum + 1e-12, "triangle inequality"
-        assert summary.contact_max >= np.linalg.norm(simulation.contacts().forces, axis=1).max(initial=0.0)
-    run(simulation, np.zeros((40, 2)))
-    summary, contacts = simulation.summary, simulation.contacts()
-    assert np.abs(simulation.data.qvel[:2]).max() < 1e-4, "at rest"
     magnitudes = np.linalg.norm(contacts.forces, axis=1)
-    assert np.array(summary.mean_force) == pytest.approx(simulation.force(), rel=0.02, abs=1e-4)
+    assert np.array(summary.mean_force) == pytest.approx(force, rel=0.02, abs=1e-4)
     assert summary.magnitude_sum == pytest.approx(magnitudes.sum(), rel=0.02)
     assert summary.contact_max == pytest.approx(magnitudes.max(), rel=0.02)
     # wall and sheath hold the wire against the feeder, which pushes along its axis and guides across
-    sheath, along = np.array(summary.sheath_force), simulation.vessel.direction
+    sheath = np.array(summary.sheath_force)
     assert abs(sheath @ along) < 1e-3 * max(np.linalg.norm(sheath), 1e-3), "the sheath is frictionless"
     assert np.linalg.norm(sheath) > 1e-3
 
@@ -205,14 +193,13 @@ def test_motors_bend_the_tip(make_simulation: MakeSimulation) -> None:
     assert np.linalg.norm(simulation.tip - start) > 5e-3
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_movements_that_are_not_finite_are_refused(make_simulation: MakeSimulation, value: float) -> None:
+def test_movements_that_are_not_finite_are_refused(make_simulation: MakeSimulation) -> None:
     simulation = make_simulation(tip_motors=True)
-    for movement in ((value, 0.0), (0.0, value)):
-        with pytest.raises(ValueError, match=f"rotation .rad. must be finite numbers, got .*{value}"):
+    for movement in ((np.nan, 0.0), (0.0, np.inf)):
+        with pytest.raises(ValueError, match=r"rotation .rad. must be finite numbers"):
             simulation.advance(*movement)
-    with pytest.raises(ValueError, match=f"the motors' shares must be finite, got .*{value}"):
-        simulation.advance(0.0, 0.0, np.full(simulation.motors, value))
+    with pytest.raises(ValueError, match="the motors' shares must be finite"):
+        simulation.advance(0.0, 0.0, np.full(simulation.motors, np.nan))
     assert simulation.valid
 
 

@@ -99,16 +99,12 @@ def covered() -> NavigateEnv:
     return NavigateEnv("type_1", "lcca", catheter="vertebral", observation="devices", accuracy="fast")
 
 
-def devices_of(environment: NavigateEnv) -> DualSimulation:
-    assert isinstance(environment.simulation, DualSimulation)
-    return environment.simulation
-
-
 @pytest.mark.parametrize(("lead", "expected"), [(None, 0.05), (-0.03, -0.03), (0.29, None)])
 def test_two_devices_lie_on_the_way(
     covered: NavigateEnv, way: np.ndarray, lead: float | None, expected: float | None
 ) -> None:
-    simulation = devices_of(covered)
+    simulation = covered.simulation
+    assert isinstance(simulation, DualSimulation)
     place_wire(simulation, way, 0.03, lead=lead, rest_steps=0)
     wire, catheter = simulation.device_insertions()
     arcs = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))))

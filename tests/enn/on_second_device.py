@@ -27,7 +27,7 @@ from enn.reinforcement.training import DESK_PPO, THESIS_SAC, Training, TrainingS
 from enn.trajectory import Trajectory
 from tests.enn.imitation.drawn_point import DrawnPoint, expert
 from tests.enn.imitation.straight_wire import CLONING, WireEnv, advised, policy_on, vessels
-from tests.enn.reinforcement.small_training import SMALL
+from tests.enn.reinforcement.small_training import SMALL, interrupted
 from tests.enn.rod import Rod
 from tests.second_device import second_device, tolerance
 
@@ -59,16 +59,11 @@ def _small(preset: TrainingSettings, **changed: Any) -> TrainingSettings:
     )  # fmt: skip
 
 
+IMAGES = {"extractor": "multimodal", "variant": "desk"}
 TRAININGS = {
     "sac": _small(SMALL),
     "sac of images": _small(
-        THESIS_SAC,
-        extractor="multimodal",
-        variant="desk",
-        keys=("image", "place"),
-        n_envs=8,
-        gradient_steps=0.25,
-        buffer_size=400,
+        THESIS_SAC, keys=("image", "place"), n_envs=8, gradient_steps=0.25, buffer_size=400, **IMAGES
     ),
     "ppo": _small(DESK_PPO, n_steps=16, action_repeat=1, epochs=1),
 }
@@ -77,44 +72,26 @@ TRAININGS = {
 @pytest.mark.parametrize("name", TRAININGS)
 def test_reinforcement_learning(name: str, point_env: Any, tmp_path: Path) -> None:
     keys = ("image", "place") if "images" in name else ("place",)
-    results = {}
     with second_device() as device:
-        for place in ("cpu", device):
-            folder = tmp_path / place.partition(":")[0]
+        for place, folder in (("cpu", tmp_path / "here"), (device, tmp_path / "there")):
             settings = dataclasses.replace(TRAININGS[name], device=place, checkpoint_seconds=0.0)
-            results[place] = Training(settings, lambda: point_env(keys), folder, seed=3).run()
-    loaded = Policy.load(
-        tmp_path / device.partition(":")[0] / "policy.pt"
-    )  # outside: a file with tensors from there would not open
+            Training(settings, lambda: point_env(keys), folder, seed=3).run()
+    loaded = Policy.load(tmp_path / "there" / "policy.pt")  # outside: a file with tensors from there would not open
     seen = {"place": np.zeros((2, 2), np.float32), "image": np.zeros((2, 1, 36, 36), np.uint8)}
     seen = {key: seen[key] for key in keys}
-    there = Policy.load(tmp_path / "cpu" / "policy.pt").act_batch(seen)
-    np.testing.assert_allclose(loaded.act_batch(seen), there, atol=tolerance(1e-4, gpu=0.05))
+    here = Policy.load(tmp_path / "here" / "policy.pt").act_batch(seen)
+    np.testing.assert_allclose(loaded.act_batch(seen), here, atol=tolerance(1e-4, gpu=0.05))
 
 
-def test_an_interrupted_training_goes_on_on_another_device(
-    point_env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("enn.reinforcement.training.training.TICK", 0.0)
-
-    class Stop(Exception):
-        pass
-
-    def stop(progress: Any) -> None:
-        if progress.decisions >= 36:
-            raise Stop
-
+def test_an_interrupted_training_goes_on_on_another_device(point_env: Any, tmp_path: Path) -> None:
     settings = dataclasses.replace(TRAININGS["sac"], checkpoint_seconds=0.0, evaluate_every=0)
     with second_device() as device:
-        away = dataclasses.replace(settings, device=device)
-        with pytest.raises(Stop):
-            Training(away, point_env, tmp_path / "away", seed=1).run(stop)
+        interrupted(Training(dataclasses.replace(settings, device=device), point_env, tmp_path / "away", seed=1), 36)
     result = Training(settings, point_env, tmp_path / "away", seed=1).run()
     whole = Training(settings, point_env, tmp_path / "whole", seed=1).run()
     seen = {"place": np.linspace(-1, 1, 8, dtype=np.float32).reshape(4, 2)}
-    np.testing.assert_allclose(
-        result.policy.act_batch(seen), whole.policy.act_batch(seen), atol=tolerance(1e-4, gpu=0.05)
-    )
+    acted, expected = (one.policy.act_batch(seen) for one in (result, whole))
+    np.testing.assert_allclose(acted, expected, atol=tolerance(1e-4, gpu=0.05))
 
 
 @functools.cache

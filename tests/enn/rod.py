@@ -6,13 +6,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from enn.encoder import (
-    Encoder,
-    EncoderSettings,
-    Samples,
-    fit_encoder,
-    scripted_samples,
-)
+from enn.encoder import Encoder, EncoderSettings, Samples, fit_encoder, scripted_samples
 from enn.exploration import TRUTH
 
 SIZE = 32

@@ -24,12 +24,6 @@ def test_scalars_keep_name_step_and_value_and_go_on(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
-def test_nothing_is_written_where_nothing_is_measured(tmp_path: Path) -> None:
-    with Curves(tmp_path):
-        pass
-    assert not list(tmp_path.iterdir())
-
-
 class RecordedCalls:
     """Stands in for the module wandb: keeps what it is told."""
 
@@ -87,9 +81,11 @@ def test_no_logger_writes_nothing_and_an_unknown_one_is_refused(
 ) -> None:
     with Curves(tmp_path, "none") as curves:
         curves.add(1, loss=0.5)
+    with Curves(tmp_path):
+        pass  # nothing is measured
     assert not list(tmp_path.iterdir())
     monkeypatch.setenv(CHOICE, "mlflow")
-    with pytest.raises(ValueError, match="no logger 'mlflow': choose from tensorboard, wandb, none"):
+    with pytest.raises(ValueError, match="no logger 'mlflow'"):
         Curves(tmp_path)
 
 

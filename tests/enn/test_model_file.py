@@ -1,6 +1,8 @@
-"""Files of models and plain states; damaged ones are refused."""
+"""Files of models and plain states, damaged ones are refused; shipped policies, their export, and each steers."""
 
 import collections
+import importlib.util
+import json
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -10,20 +12,26 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from gymnasium.spaces import Box
 
+import enn
+from enn import shipped
 from enn.encoder import Encoder, EncoderSettings
-from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitError, fit
+from enn.export import OnnxPolicy, export_onnx
+from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, fit
 from enn.force.prediction import ForceNetwork, ForceNetworkSettings, ForcePredictor
 from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
 from enn.imitation.images.lumen_segmentation import LumenSegmenter
 from enn.imitation.images.perception import ImagePerception
+from enn.imitation.images.policy import ImagePolicy
 from enn.imitation.path_following import PathFollower, PathFollowerSettings, build
 from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
-from enn.model_file import another_architecture, decoded, encoded, read_model, write_model
+from enn.model_file import decoded, encoded, read_model, write_model
 from enn.networks.network import NetworkSettings, build_network
 from enn.policy import Policy
 from enn.reinforcement.checkpoint import plain, restored
 from tests.damaged_files import refusals
+from tests.enn.imitation.straight_wire import SIZE, WireEnv, policy_on
 from tests.forged_models import require_refusals
 
 
@@ -65,12 +73,6 @@ def test_what_is_no_model_is_one_sentence(tmp_path: Path) -> None:
     write_model(path, {"format": "toy-0"})
     with pytest.raises(ValueError, match="is no toy of format toy-1, but 'toy-0': build it again"):
         read(path)
-    assert "x.pt is of another architecture than this version builds (sizes differ): fit it again" in str(
-        another_architecture(Path("x.pt"), RuntimeError("sizes\n  differ"), verb="fit")
-    )
-
-
-Box = gymnasium.spaces.Box
 
 
 def policy() -> Policy:
@@ -109,34 +111,28 @@ MODELS: dict[str, Callable[[], Any]] = {
 }
 
 
-@pytest.mark.parametrize("kind", MODELS)
-def test_a_wrong_bit_is_refused(kind: str, tmp_path: Path) -> None:
-    model = MODELS[kind]()
+def test_a_wrong_bit_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "policy.pt"
-    model.save(path)
-    messages = refusals(path, lambda: type(model).load(path))
-    assert all("policy.pt is damaged or no" in message and message.endswith("it again") for message in messages)
+    policy().save(path)
+    messages = refusals(path, lambda: Policy.load(path))
+    assert all("policy.pt is damaged or no" in message for message in messages)
 
 
-@pytest.mark.parametrize("value", [float("nan")])
-@pytest.mark.parametrize("kind", MODELS)
 def test_weights_that_are_no_numbers_are_neither_written_nor_read(
-    kind: str, value: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model = MODELS[kind]()
-    path = tmp_path / "policy.pt"
+    model, path = encoder(), tmp_path / "encoder.pt"
     model.save(path)
     before = path.read_bytes()
-    module = next(part for part in (model, *vars(model).values()) if isinstance(part, torch.nn.Module))
-    next(weight for name, weight in module.named_parameters() if "critic" not in name).data.view(-1)[0] = value
-    with pytest.raises(ValueError, match=r"policy\.pt was not written: .*/.* is not finite; train it again"):
+    next(model.parameters()).data.view(-1)[0] = float("nan")
+    with pytest.raises(ValueError, match=r"encoder\.pt was not written: .*/.* is not finite"):
         model.save(path)
     assert path.read_bytes() == before
     with monkeypatch.context() as patch:
         patch.setattr("enn.model_file._not_finite", lambda content: None)
         model.save(path)
-    with pytest.raises(ValueError, match=r"policy\.pt: .*/.* is not finite: \w+ it again"):
-        type(model).load(path)
+    with pytest.raises(ValueError, match=r"encoder\.pt: .*/.* is not finite"):
+        Encoder.load(path)
 
 
 @pytest.mark.parametrize("kind", MODELS)
@@ -145,7 +141,7 @@ def test_a_file_without_its_parts_is_one_sentence(kind: str, tmp_path: Path) -> 
     model.save(path)
     content = decoded(path.read_bytes())
     for name in content.keys() - {"format"}:
-        for change in ({}, {name: None}, {name: [1, 2]}, {name: {"a": 1}}, {name: "text"}):
+        for change in ({}, {name: None}, {name: [1, 2]}, {name: {"a": 1}}):
             write_model(path, {key: value for key, value in content.items() if key != name} | change)
             if (name, change.get(name, "gone")) in LEGAL:
                 type(model).load(path)
@@ -154,42 +150,11 @@ def test_a_file_without_its_parts_is_one_sentence(kind: str, tmp_path: Path) -> 
                 type(model).load(path)
 
 
-def test_a_wrong_bit_in_the_checkpoint_of_a_fit_is_refused(tmp_path: Path) -> None:
-    def attempt(stop: bool) -> None:
-        torch.manual_seed(0)
-        layer = torch.nn.Linear(1, 1)
-
-        def loss(samples: Any, training: bool, generator: Any) -> torch.Tensor:
-            return (layer(torch.as_tensor(samples).float()[:, None]) ** 2).mean()
-
-        def progress(moment: EpisodeFitProgress) -> None:
-            if stop or moment.epoch > 1:
-                raise KeyboardInterrupt
-
-        settings = EpisodeFitSettings(epochs=5, batch_size=4, checkpoint_seconds=1e6)
-        fit(layer, loss, np.arange(8) // 2, settings, folder=tmp_path, progress=progress)
-
-    with pytest.raises(KeyboardInterrupt):
-        attempt(stop=True)
-    path = tmp_path / "fit.pt"
-    intact = path.read_bytes()
-
-    def load() -> None:
-        if path.read_bytes() == intact:
-            return
-        with pytest.raises(FitError) as refused:
-            attempt(stop=False)
-        raise ValueError(str(refused.value))
-
-    assert all("remove it to start again" in message for message in refusals(path, load))
-
-
-@pytest.mark.parametrize("make", [policy, encoder, force_predictor, cloned_policy, path_follower, recurrent_policy])
-def test_a_model_that_asks_for_more_than_it_holds_is_refused_before_it_is_built(make: Any, tmp_path: Path) -> None:
-    path = tmp_path / "model.pt"
-    model = make()
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_model_that_asks_for_more_than_it_holds_is_refused_before_it_is_built(kind: str, tmp_path: Path) -> None:
+    model, path = MODELS[kind](), tmp_path / "model.pt"
     model.save(path)
-    first = make is policy
+    first = kind == "policy"
     count = require_refusals(path, lambda: type(model).load(path), forged=first)
     assert count > (30 if first else 10)
 
@@ -198,11 +163,9 @@ def test_a_policy_of_a_million_actions_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "policy.pt"
     policy().save(path)
     content = decoded(path.read_bytes())
-    for name, space in (("action_space", content["action_space"]), ("network_space", {"tip": None})):
-        del space
+    for name in ("action_space", "network_space"):
         for changed in ({"shape": [10**6]}, {"shape": [10**13]}, {"dtype": "O"}, {"dtype": "S1000000000"}):
-            forged = {**content, name: {**content["action_space"], **changed}}
-            write_model(path, forged)
+            write_model(path, {**content, name: {**content["action_space"], **changed}})
             with pytest.raises(ValueError, match="another architecture"):
                 Policy.load(path)
 
@@ -257,3 +220,142 @@ def test_what_comes_back_is_what_went_in(state: Any) -> None:
 def test_what_is_no_data_is_refused_by_its_place(value: Any, message: str) -> None:
     with pytest.raises(TypeError, match=message):
         plain({"envs": [value]})
+
+
+class StoppedError(Exception):
+    """A fit was stopped."""
+
+
+def test_a_wrong_bit_in_the_checkpoint_of_a_fit_is_refused(tmp_path: Path) -> None:
+    settings = EpisodeFitSettings(epochs=5, batch_size=4, checkpoint_seconds=1e6)
+
+    def attempt(moments: int) -> None:
+        torch.manual_seed(0)
+        layer = torch.nn.Linear(1, 1)
+
+        def loss(samples: Any, training: bool, generator: Any) -> torch.Tensor:
+            return (layer(torch.as_tensor(samples).float()[:, None]) ** 2).mean()
+
+        def progress(moment: EpisodeFitProgress) -> None:
+            if moment.epoch >= moments:
+                raise StoppedError
+
+        fit(layer, loss, np.arange(8) // 2, settings, folder=tmp_path, progress=progress)
+
+    with pytest.raises(StoppedError):
+        attempt(1)
+    path = tmp_path / "fit.pt"
+    intact = path.read_bytes()
+
+    def load() -> None:
+        if path.read_bytes() != intact:
+            attempt(2)
+
+    assert all("remove it to start again" in message for message in refusals(path, load))
+
+
+CARD = "# {}\n\nSteers a\nwire.\n\n| file |\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder in the place of the installed weights, with one policy of each kind."""
+    monkeypatch.setattr(shipped, "files", lambda package: tmp_path / package)
+    weights = tmp_path / "enn.weights"
+    policy().save(weights / "teacher.pt")
+    policy_on(ImagePerception(LumenSegmenter(4, SIZE))).save(weights / "seer.pt", seed=3)
+    for name in ("teacher", "seer"):
+        (weights / f"{name}.md").write_text(CARD.format(name))
+    return weights
+
+
+def test_half_precision_acts_nearly_the_same_from_half_the_bytes(folder: Path) -> None:
+    whole = policy()
+    whole.save(folder / "half.pt", half=True)
+    seen = {"tip": np.full(3, 0.3, np.float32)}
+    np.testing.assert_allclose(Policy.load(folder / "half.pt").act(seen), whole.act(seen), atol=2e-3)
+    weights = decoded((folder / "half.pt").read_bytes())["weights"]
+    assert {str(value.dtype) for value in weights.values()} == {"torch.float16"}
+
+
+def test_the_expert_network_reaches_its_target() -> None:
+    pytest.importorskip("cathsim")
+    steering = enn.load("type_1_lcca")
+    env = gymnasium.make("cathsim/Navigate-v0", phantom="type_1", target="lcca", observation=steering.keys)
+    controller, (observation, info), ended = steering.controller(), env.reset(seed=3), False
+    while not ended:
+        observation, _, terminated, truncated, info = env.step(controller(observation, info))
+        ended = terminated or truncated
+    env.close()
+    assert terminated
+
+
+def test_a_policy_of_images_steers(folder: Path) -> None:
+    loaded = enn.load("seer")
+    assert isinstance(loaded, ImagePolicy)
+    assert loaded.metadata == {"seed": 3}
+    observation, _ = WireEnv().reset(seed=0)
+    controller = loaded.controller()
+    assert loaded.keys == ("image", "mask", "goal_image")
+    assert controller.view is None
+    first = controller(observation)
+    assert controller.view is not None
+    for _ in range(loaded.action_repeat - 1):
+        np.testing.assert_array_equal(controller(observation), first)
+
+
+def test_a_file_that_cannot_be_used_is_refused(folder: Path) -> None:
+    file = folder / "teacher.pt"
+    whole = file.read_bytes()
+    file.write_bytes(whole[:-5])
+    with pytest.raises(ValueError, match=r"teacher\.pt is damaged"):
+        enn.load("teacher")
+    write_model(file, {**decoded(whole), "format": "enn-policy-0"})
+    with pytest.raises(ValueError, match=r"'teacher' has format enn-policy-0, but enn 0\.1\.0 reads enn-policy-1"):
+        enn.load("teacher")
+
+
+@pytest.mark.parametrize("use", [enn.load, shipped.card])
+def test_an_unknown_name_is_refused_with_the_known_ones(folder: Path, use: Callable[[str], object]) -> None:
+    with pytest.raises(ValueError, match=r"there is no model '\.\./teacher': choose from seer, teacher"):
+        use("../teacher")
+
+
+@pytest.mark.skipif(
+    any(importlib.util.find_spec(name) is None for name in ("onnx", "onnxruntime", "onnxscript")),
+    reason="the extra enn[onnx] is not installed",
+)
+def test_its_actions_are_those_of_the_policy(tmp_path: Path) -> None:
+    import onnxruntime
+
+    policy = enn.load("type_1_bca")
+    file = export_onnx(policy, tmp_path / "new" / "policy")
+    assert list(tmp_path.rglob("*.*")) == [file]
+    session = onnxruntime.InferenceSession(str(file), providers=["CPUExecutionProvider"])
+    assert tuple(one.name for one in session.get_inputs()) == policy.keys
+    told = session.get_modelmeta().custom_metadata_map
+    assert told["action_repeat"] == str(policy.action_repeat)
+    assert (json.loads(told["action_low"]), json.loads(told["action_high"])) == ([-1, -1], [1, 1])
+    for seed in range(5):
+        policy.observation_space.seed(seed)
+        observation = policy.observation_space.sample()
+        [action] = session.run(None, {key: observation[key][None] for key in policy.keys})
+        assert np.abs(action[0] - policy.act(observation)).max() < 1e-4
+        np.testing.assert_allclose(OnnxPolicy(file).act(observation), policy.act(observation), atol=1e-4)
+    with pytest.raises(ValueError, match="action is not finite"):
+        OnnxPolicy(file).act({key: np.full_like(value, np.nan) if value.dtype.kind == "f" else value
+                              for key, value in observation.items()})  # fmt: skip
+
+
+def test_actions_of_another_range_are_kept_and_names_with_points_too(tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    policy = enn.load("generalist")
+    policy.action_space = Box(-2.0, 2.0, policy.action_space.shape, np.float32)
+    policy._low, policy._high = policy.action_space.low, policy.action_space.high
+    file = export_onnx(policy, tmp_path / "torque_1.5")
+    assert file.name == "torque_1.5.onnx"
+    policy.observation_space.seed(1)
+    seen = [policy.observation_space.sample() for _ in range(5)]
+    wanted = np.array([policy.act(one) for one in seen])
+    assert np.abs(wanted).max() > 1
+    np.testing.assert_allclose([OnnxPolicy(file).act(one) for one in seen], wanted, atol=1e-3)

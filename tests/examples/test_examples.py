@@ -1,6 +1,6 @@
 """Every example runs and gives what it says."""
 
-import importlib.util
+import importlib
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -13,7 +13,6 @@ from cathsim import load_phantom
 from pipeline.episodes import EpisodeReader
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-HER = "her"  # has a test of its own
 
 
 @pytest.fixture
@@ -29,14 +28,12 @@ def of(name: str) -> pytest.MarkDecorator:
 
 
 def test_every_example_has_a_test() -> None:
-    tested = {"own_anatomy", "own_policy", "own_reward", "own_data", "own_xray_pair", "shown_by_policies", "sweep", HER}
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == tested
+    own = {f"own_{name}" for name in ("anatomy", "policy", "reward", "data", "xray_pair")}
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == own | {"shown_by_policies", "sweep", "her"}
 
 
 @of("own_anatomy")
-def test_an_arch_of_own_measures_and_a_mesh_are_entered(
-    example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_arch_of_own_measures_and_a_mesh_are_entered(example: ModuleType, tmp_path: Path) -> None:
     assert example.main(steps=20)["insertion"] == pytest.approx(0.04, abs=0.002)
     mesh = tmp_path / "arch.stl"
     load_phantom("type_1", resolution=2e-3).lumen_mesh.export(mesh)
@@ -83,9 +80,7 @@ def test_every_combination_is_run(example: ModuleType) -> None:
 
 
 @of("shown_by_policies")
-def test_a_policy_learns_from_what_others_show(
-    example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_policy_learns_from_what_others_show(example: ModuleType, tmp_path: Path) -> None:
     cases = example.steep_cases(2000, 1)
     assert [(kind, seed) for kind, seed, _ in cases] == [("II", 2000)] * 2
     env = example.training_env(cases, 5)
@@ -112,19 +107,9 @@ def test_a_policy_of_arches_learns_trees(example: ModuleType, tmp_path: Path) ->
     assert result.policy.action_repeat == example.HOLD
 
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "her.py"
-
-
-@pytest.fixture(scope="module")
-def her_example() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("example_her", EXAMPLE)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_goals_are_relabelled(her_example: ModuleType) -> None:
-    env = her_example.make_env()
+@of("her")
+def test_goals_are_relabelled_and_the_example_runs(example: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    env = example.make_env()
     model = SAC("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, learning_starts=110, seed=0)
     model.learn(130)
     sample = model.replay_buffer.sample(200)
@@ -135,9 +120,5 @@ def test_goals_are_relabelled(her_example: ModuleType) -> None:
     assert np.array_equal(rewards, np.where(near, 0.0, -1.0))
     assert (rewards == 0.0).sum() > 20, "only relabelled goals are reached that early"
     env.close()
-
-
-def test_the_example_runs(her_example: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(her_example, "HELD_OUT", range(10_000, 10_001))
-    before, after = her_example.main(520, seed=0)
-    assert {before, after} <= {0, 1}
+    monkeypatch.setattr(example, "HELD_OUT", range(10_000, 10_001))
+    assert {*example.main(520, seed=0)} <= {0, 1}

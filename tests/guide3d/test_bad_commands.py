@@ -1,17 +1,27 @@
-"""Command lines: whatever is wrong with files, folders and numbers is one sentence and a non-zero exit."""
+"""Commands and calls: whatever is wrong with files, folders and numbers is one sentence."""
 
+import dataclasses
 import logging
-import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from guide3d import train
+from guide3d.calibration import __main__ as calibration_command
+from guide3d.commands import in_words
 from guide3d.dataset.dataset import Dataset
-from guide3d.dataset.frame import ImageError, read_image
+from guide3d.geometry.epipolar import EpipolarGeometry
 from guide3d.image_file import write_png
+from guide3d.learning.build import SEGMENTER_SIZES, SHAPE_SIZES, build_segmenter, build_shape_network
+from guide3d.learning.reader.training import ReaderRecipe
+from guide3d.modeling.spherical import SphericalForm
+from guide3d.modeling.vision_transformer import VisionTransformer
+from guide3d.reading.curve_reading import read_curves
+from guide3d.reconstruction.synthetic_scene import rig
 from tests.guide3d.learning.drawn_data import draw
 
 SMOKE = ("--network", "unet", "--size", "smoke", "--device", "cpu")
@@ -28,7 +38,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "words",
     [
-        ("{data}/none", "--output", "{out}"),
         ("{data}/file", "--output", "{out}"),
         ("{data}", "--output", "{data}/file"),
         ("{data}", "--output", "{out}/" + 300 * "n"),
@@ -37,7 +46,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("{data}", "--output", "{out}", "--images", "{data}/none"),
         ("{data}", "--output", "{out}", "--calibration", "{data}/file"),
         ("{data}", "--output", "{out}", "--curves", "{data}/file", "--network", "fgrn"),
-        ("{data}", "--output", "{out}", "--pretrained", "{data}/file", "--network", "spherical"),
         ("{data}", "--output", "{out}", "--pretrained", "{data}", "--network", "spherical"),
     ],
 )
@@ -64,32 +72,55 @@ def test_files_of_a_data_set_that_are_none_are_refused(name: str, text: str, dat
         (data / name).write_text(whole)
 
 
-def test_damaged_pictures_are_refused_or_read(data: Path, tmp_path: Path) -> None:
-    whole = next((data / "images").rglob("*.png")).read_bytes()
-    generator = np.random.default_rng(0)
-    refused = 0
-    for bit in generator.integers(0, 8 * len(whole), 60).tolist():
-        damaged = bytearray(whole)
-        damaged[bit // 8] ^= 1 << bit % 8
-        (tmp_path / "picture.png").write_bytes(damaged)
-        try:
-            read_image(tmp_path / "picture.png")
-        except ImageError:
-            refused += 1
-    assert refused > 20
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="it has no limit of a file's size")
 def test_a_full_disk_is_one_sentence_with_the_file_and_leaves_no_part(tmp_path: Path) -> None:
-    image = tmp_path / "image.png"
-    write_png(np.tile(np.arange(256, dtype=np.uint8), (256, 1)), image)
-    code = (
-        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (8, 8))\n"
-        "from guide3d.image_file import write_png; from guide3d.commands import in_words; import numpy as np\n"
-        "try:\n    write_png(np.zeros((64, 64), np.uint8), sys.argv[1])\n"
-        "except OSError as error:\n    sys.exit(in_words(error))"
-    )
-    command = [sys.executable, "-c", code, str(tmp_path / "new.png")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (1, f"{tmp_path / 'new.png'}: File too large\n")
-    assert [path.name for path in tmp_path.iterdir()] == ["image.png"]
+    import resource
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (8, before[1]))
+    try:
+        with pytest.raises(OSError, match="File too large") as raised:
+            write_png(np.zeros((64, 64), np.uint8), tmp_path / "new.png")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert in_words(raised.value) == f"{tmp_path / 'new.png'}: File too large"
+    assert not list(tmp_path.iterdir())
+
+
+FORM = SphericalForm(1.7, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), 0.0, 1.5)
+SMALLEST = SHAPE_SIZES["smoke"]
+REFUSED: list[tuple[Callable[[], object], str]] = [
+    (lambda: EpipolarGeometry(rig()[0], rig()[0]), "one and the same source"),
+    (
+        lambda: VisionTransformer(image_px=100, patch_px=16, channels=1, width=8, depth=1, heads=1, hidden=8),
+        "does not divide into patches of 16 px",
+    ),
+    (lambda: build_segmenter("vnet", 64), "unknown segmentation network 'vnet'; there are unet, transunet, swinunet"),
+    (lambda: build_shape_network(dataclasses.replace(SMALLEST, pooling="mean"), FORM, 5), "unknown pooling 'mean'"),
+    (lambda: build_shape_network(dataclasses.replace(SMALLEST, anchor="middle"), FORM, 5), "there are tip, entry"),
+    (
+        lambda: build_shape_network(SMALLEST, dataclasses.replace(FORM, cumulative=True), 5),
+        "offsets from step to step begin at the tip",
+    ),
+    (
+        lambda: build_segmenter("swinunet", 64, **SEGMENTER_SIZES["swinunet"]["smoke"])(torch.zeros(1, 1, 32, 32)),
+        "expected images of 64 x 64 px",
+    ),
+    (lambda: ReaderRecipe(tile_px=100), "tile_px must be a multiple of 32"),
+    (
+        lambda: read_curves(np.zeros((64, 64), np.float32), np.zeros((32, 32), np.float32)),
+        r"expected maps of one shape, got \(64, 64\) of the wire and \(32, 32\)",
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), REFUSED, ids=[message for _, message in REFUSED])
+def test_it_is_refused(call: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+@pytest.mark.parametrize("folder", ["none", "."])
+def test_a_calibration_of_nothing(folder: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert calibration_command.main([str(tmp_path / folder), "--output", str(tmp_path / "out")]) == 1
+    assert capsys.readouterr().err.count("\n") == 1

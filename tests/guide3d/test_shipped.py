@@ -1,17 +1,26 @@
-"""What is shipped and public: networks by name, threads of OpenCV, names."""
+"""What is shipped and public: networks by name, threads of OpenCV, names; damaged files of models are refused."""
 
 import os
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 import guide3d
 from guide3d import shipped
+from guide3d.geometry.distortion import Distortion
+from guide3d.learning.build import FGRN_SIZES, SEGMENTER_SIZES, SHAPE_SIZES, build_shape_network
 from guide3d.learning.model_file import read_content, write_content
+from guide3d.learning.picture_store import Preprocessing
+from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor, built
+from guide3d.modeling.shape_network import FGRN
+from tests.damaged_files import damaged, refusals
+from tests.forged_models import require_refusals
 
 SHIPPED = Path(shipped.__file__).parent / "weights"
 
@@ -39,23 +48,15 @@ def test_networks_of_the_data_set_predict() -> None:
     assert np.linalg.norm(np.diff(curve, axis=0), axis=1) == pytest.approx(1.7, abs=0.1)
 
 
-def rename_format(path: Path) -> None:
-    write_content(path, {**read_content(path), "format": "guide3d-network-0"})
-
-
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-5])
-
-
-def test_kinds_and_formats_are_refused_by_name(folder: Path) -> None:
-    refusals: list[tuple[Callable[[Path], None], str]] = [
-        (rename_format, r"'reader' has format guide3d-network-0, but guide3d 0\.1\.0 reads guide3d-network-1: install"),
-        (cut, "reader.pt is damaged or no network"),
-    ]
-    for change, message in refusals:
-        change(folder / "reader.pt")
-        with pytest.raises(ValueError, match=message):
-            guide3d.load("reader")
+def test_formats_and_damage_are_refused_by_name(folder: Path) -> None:
+    file = folder / "reader.pt"
+    whole, content = file.read_bytes(), read_content(file)
+    file.write_bytes(whole[:-5])
+    with pytest.raises(ValueError, match=r"reader\.pt is damaged"):
+        guide3d.load("reader")
+    write_content(file, {**content, "format": "guide3d-network-0"})
+    with pytest.raises(ValueError, match=r"'reader' has format guide3d-network-0, but guide3d 0\.1\.0 reads"):
+        guide3d.load("reader")
 
 
 @pytest.mark.parametrize("use", [guide3d.load, shipped.card])
@@ -67,7 +68,6 @@ def test_an_unknown_name_is_refused_with_the_known_ones(folder: Path, use: Calla
 @pytest.mark.parametrize(
     ("environment", "expected"),
     [
-        ({"OMP_NUM_THREADS": "1"}, 1),
         ({"OMP_NUM_THREADS": "3"}, 3),
         ({"OMP_NUM_THREADS": "3", "OPENCV_FOR_THREADS_NUM": "2"}, 2),
         ({"OMP_NUM_THREADS": "4,2"}, None),  # OpenMP's own form for nested loops: left to OpenCV
@@ -88,8 +88,87 @@ def test_the_function_read_stays_one_when_its_command_is_imported() -> None:
     assert done.stdout.startswith("<function read")
 
 
-def test_the_calibration_runs_as_a_module() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "guide3d.calibration", "--help"], capture_output=True, text=True, check=True
-    )
-    assert "--output" in done.stdout
+def shape() -> ShapePredictor:
+    size = SHAPE_SIZES["smoke"]
+    return ShapePredictor.of(build_shape_network(size, None, 6), size, Preprocessing(size.image_px))
+
+
+def fgrn() -> FGRNPredictor:
+    size = {"points": 6, **FGRN_SIZES["smoke"]}
+    return FGRNPredictor(FGRN(**size), size, Preprocessing(80), {})
+
+
+def segmentation() -> SegmentationPredictor:
+    size = {"name": "unet", "crop_px": 32, "sizes": SEGMENTER_SIZES["unet"]["smoke"]}
+    return SegmentationPredictor(built(size), size, Preprocessing(64), {})
+
+
+MODELS: dict[str, Callable[[], Any]] = {make.__name__: make for make in (shape, fgrn, segmentation)}
+
+
+def test_a_wrong_bit_is_refused(tmp_path: Path) -> None:
+    model, path = shape(), tmp_path / "model.pt"
+    model.save(path)
+    messages = refusals(path, lambda: ShapePredictor.load(path))
+    assert all("model.pt is damaged or no network" in message for message in messages)
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_model_that_asks_for_more_than_it_holds_is_refused_before_it_is_built(kind: str, tmp_path: Path) -> None:
+    model, path = MODELS[kind](), tmp_path / "model.pt"
+    model.save(path)
+    first = kind == "shape"
+    count = require_refusals(path, lambda: type(model).load(path), forged=first)
+    assert count > (50 if first else 12)
+
+
+def test_weights_that_are_no_numbers_are_neither_written_nor_read(tmp_path: Path) -> None:
+    model, path = fgrn(), tmp_path / "model.pt"
+    model.save(path)
+    before = path.read_bytes()
+    next(model.network.parameters()).data.view(-1)[0] = float("inf")
+    with pytest.raises(ValueError, match=r"model\.pt was not written: .* is not finite"):
+        model.save(path)
+    assert path.read_bytes() == before
+    content = read_content(path)
+    write_content(path, content | {"weights": model.network.state_dict()})
+    with pytest.raises(ValueError, match=r"model\.pt: .* is not finite"):
+        FGRNPredictor.load(path)
+
+
+def test_a_wrong_bit_of_a_distortion_is_refused_or_changes_nothing(tmp_path: Path) -> None:
+    grid = np.stack(np.meshgrid(np.linspace(0, 63, 6), np.linspace(0, 63, 6)), axis=-1).reshape(-1, 2)
+    path = tmp_path / "A.npz"
+    Distortion(grid + 0.5, grid, 64, 64).save(path)
+    whole, refused = path.read_bytes(), 0
+    for data in damaged(b"\n" + whole):
+        path.write_bytes(data[1:])
+        try:
+            there = Distortion.load(path)
+        except ValueError as error:
+            refused += 1
+            if "expected a map as Distortion.save writes it" not in str(error):
+                raise
+        else:
+            assert np.array_equal(there.raw_px, grid + 0.5)
+            assert np.array_equal(there.ideal_px, grid)
+            assert (there.width, there.height, there.neighbours, there.spans) == (64, 64, 25, 24)
+            assert there.method == "local weighted mean"
+    assert refused > 100
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_files_of_other_versions_are_one_sentence(kind: str, tmp_path: Path) -> None:
+    model, path = MODELS[kind](), tmp_path / "model.pt"
+    torch.save({"format": "guide3d-network-1"}, path)
+    with pytest.raises(ValueError, match="is a file of an older format, without a digest: train it again"):
+        type(model).load(path)
+    model.save(path)
+    content = read_content(path)
+    for name in content:
+        for change in ({}, {name: None}, {name: [1]}, {name: {"a": 1}}):
+            write_content(path, {key: value for key, value in content.items() if key != name} | change)
+            if name == "metadata" and isinstance(change.get(name), dict):
+                continue
+            with pytest.raises(ValueError, match=r"model\.pt is .*(train it again|give the other file)"):
+                type(model).load(path)

@@ -12,11 +12,15 @@ import pytest
 from pipeline.jobs.pool import Job
 from pipeline.jobs.worker import Report
 from pipeline.stages import force, imitation
+from pipeline.stages.learning.settings import ForceSettings, ImitationSettings
 from pipeline.store.run_folder import RunFolder
-from tests.pipeline.stages import test_force as force_tests
-from tests.pipeline.stages import test_imitation as imitation_tests
-from tests.pipeline.stages.small_expert import context, write_expert
+from tests.pipeline.stages.small_expert import TASK, context, write_expert
 from tests.second_device import second_device
+
+SMALL: dict[str, Any] = {"targets": ["bca"], "epochs": 1, "task": TASK.task}
+ROUNDS = {"drawn_episodes": 1, "dagger_rounds": 1, "dagger_episodes": 1, "disturbed_episodes": 0}
+IMITATION = ImitationSettings(phantoms=["type_1"], episodes=[1], evaluation_episodes=1, **SMALL, **ROUNDS)
+FORCE = ForceSettings(samples=[12, 30], test_samples=12, inputs=["V", "I+V"], noise=0.5, **SMALL)
 
 
 @pytest.fixture
@@ -32,14 +36,6 @@ def there(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         yield device
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run with an expert's episodes."""
-    folder = tmp_path_factory.mktemp("run")
-    write_expert(folder / "enn")
-    return folder
-
-
 def devices_of(monkeypatch: pytest.MonkeyPatch, module: Any, name: str) -> list[str]:
     """Notes the `device` that a function of a module is called with."""
     told: list[str] = []
@@ -53,24 +49,17 @@ def devices_of(monkeypatch: pytest.MonkeyPatch, module: Any, name: str) -> list[
     return told
 
 
-def test_imitation(there: str, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_imitation_and_force(there: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import enn.force.prediction
     import enn.imitation.distillation
 
+    write_expert(tmp_path / "enn")
     cloned = devices_of(monkeypatch, enn.imitation.distillation, "clone")
     refined = devices_of(monkeypatch, enn.imitation.distillation, "dagger")
-    place = context(run, "imitation")
-    imitation.run_imitation(
-        imitation_tests.settings(episodes=[1], evaluation_episodes=1, disturbed_episodes=0), place
-    ).write(place.path)
-    assert set(cloned) == set(refined) == {there}
-    assert "bc_architecture" in json.loads((place.path / "results.json").read_text())
-
-
-def test_force(there: str, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import enn.force.prediction
-
     fitted = devices_of(monkeypatch, enn.force.prediction, "fit_force")
-    place = context(run, "force")
-    force.run_force(force_tests.settings(inputs=["V", "I+V"]), place).write(place.path)
-    assert set(fitted) == {there}
-    assert "force_share" in json.loads((place.path / "results.json").read_text())
+    stages = ((imitation.run_imitation, IMITATION, "bc_architecture"), (force.run_force, FORCE, "force_share"))
+    for run, settings, table in stages:
+        place = context(tmp_path, settings.name)
+        run(settings, place).write(place.path)
+        assert table in json.loads((place.path / "results.json").read_text())
+    assert set(cloned) == set(refined) == set(fitted) == {there}

@@ -8,7 +8,6 @@ import os
 import platform
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -42,10 +41,8 @@ def test_help_names_every_command(words: list[str], capsys: pytest.CaptureFixtur
 
 def test_an_unknown_command_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main(["stage"]) == 2
-    assert capsys.readouterr().err == (
-        "endonav has no command 'stage': choose from stages, chain, episodes, models, demo, list, import, read, train, "
-        "new, evaluate, data, hub, console, info\n"
-    )
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("endonav has no command 'stage': choose from stages, chain, ")
 
 
 def test_stages_and_chain_without_arguments_list_the_stages(capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,11 +50,6 @@ def test_stages_and_chain_without_arguments_list_the_stages(capsys: pytest.Captu
     assert "phantoms" in capsys.readouterr().out
     assert command.main(["chain"]) == 0
     assert "--inputs" in capsys.readouterr().out
-
-
-def test_episodes_are_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main(["episodes", "info", "nothing.mcap"]) == 2
-    assert "nothing.mcap is no file" in capsys.readouterr().err
 
 
 def test_what_can_be_chosen_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -108,22 +100,20 @@ def test_a_new_stage_is_named_by_absolute_paths_from_elsewhere(
         assert (f"cd '{clone}' && python" in lines[4]) == bool(shown)
 
 
-@pytest.mark.parametrize("kind", ["policy", "phantom"])
 def test_a_new_policy_and_a_new_phantom_pass_their_tests(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert command.main(["new", kind, "mine"]) == 0
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "test_mine.py"], capture_output=True, text=True, check=False
-    )
+    assert command.main(["new", "policy", "mine"]) == command.main(["new", "phantom", "my_arch"]) == 0
+    words = [sys.executable, "-m", "pytest", "-q", "test_mine.py", "test_my_arch.py"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
-    assert "2 passed" in done.stdout
+    assert "4 passed" in done.stdout
     written = (tmp_path / "mine.py").read_bytes()
-    for name, sentence in (("mine", "is there already"), ("3d", "is no Python name"), ("class", "is no Python name"),
-                           ("json", "is an installed module")):  # fmt: skip
+    refused = {"mine": "there already", "3d": "no Python name", "class": "no Python name", "json": "installed module"}
+    for name, sentence in refused.items():
         with pytest.raises(SystemExit) as ended:
-            command.main(["new", kind, name])
+            command.main(["new", "policy", name])
         assert ended.value.code == 2
         assert sentence in capsys.readouterr().err
     assert (tmp_path / "mine.py").read_bytes() == written
@@ -136,8 +126,6 @@ def test_models_are_listed_and_have_cards(capsys: pytest.CaptureFixture[str]) ->
     assert "\n# reader\n" in capsys.readouterr().out
     assert command.main(["models", "nothing"]) == 2
     assert "there is no model 'nothing': choose from " in capsys.readouterr().err
-    assert command.main(["models", "--help"]) == 0
-    assert capsys.readouterr().out.startswith("endonav models [NAME]: ")
 
 
 @pytest.mark.parametrize(
@@ -150,37 +138,22 @@ def test_wrong_arguments_are_one_line(words: list[str], capsys: pytest.CaptureFi
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_stage_is_told_in_one_whole_line() -> None:
-    for file in (PROJECT_ROOT / "conf" / "stage").glob("*.yaml"):
-        first, second = file.read_text().splitlines()[:2]
-        assert first.startswith("# "), file
-        assert first.endswith("."), f"the help shows the first line of {file} alone"
-        assert not second.startswith("#"), file
-
-
-def test_the_demonstration_takes_its_own_arguments(capsys: pytest.CaptureFixture[str]) -> None:
-    assert command.main(["demo", "--anatomy", "nowhere.stl", "--model", "generalist"]) == 2
-    assert "there is no anatomy nowhere.stl" in capsys.readouterr().err
-
-
-def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def missing(arguments: list[str]) -> int:
-        raise ModuleNotFoundError("No module named 'uvicorn'", name="uvicorn")
-
-    monkeypatch.setitem(command._COMMANDS, "console", missing)
-    assert command.main(["console"]) == 2
-    assert "endonav console needs the module uvicorn" in capsys.readouterr().err
-
-
-def test_a_message_that_says_what_to_install_is_kept(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        ("No module named 'matplotlib'", "endonav console needs the module matplotlib"),
+        ("pictures need matplotlib: pip install 'x[pictures]'", "endonav console: pictures need matplotlib: pip ins"),
+    ],
+)
+def test_a_missing_package_is_one_sentence_and_says_what_to_install(
+    error: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def missing(arguments: list[str]) -> int:
-        raise ModuleNotFoundError("pictures need matplotlib: pip install 'x[pictures]'", name="matplotlib")
+        raise ModuleNotFoundError(error, name="matplotlib")
 
     monkeypatch.setitem(command._COMMANDS, "console", missing)
     assert command.main(["console"]) == 2
-    assert capsys.readouterr().err == "endonav console: pictures need matplotlib: pip install 'x[pictures]'\n"
+    assert capsys.readouterr().err.startswith(said)
 
 
 def test_the_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str]) -> None:
@@ -206,16 +179,7 @@ def test_info_has_what_a_report_of_a_problem_needs(
 
 
 @pytest.mark.parametrize(
-    "words",
-    [
-        ["stages"],
-        ["chain"],
-        ["episodes", "--help"],
-        ["demo", "--help"],
-        ["console", "--help"],
-        ["stages", "stage=navigation", "budget=smoke"],
-    ],
-    ids=" ".join,
+    "words", [["stages"], ["chain"], ["demo", "--help"], ["stages", "stage=navigation", "budget=smoke"]], ids=" ".join
 )
 def test_texts_of_the_command_name_it_and_nothing_of_a_clone(
     words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -236,14 +200,10 @@ WRONG = {
     "experiment": (("stage=phantoms", "experiment=nothing"), ["'nothing'", "demo"]),
     "launcher": (("stage=phantoms", "hydra/launcher=cloud"), ["'cloud'", "joblib", "submitit_local"]),
     "phantom": (("stage=phantoms", "stage.phantoms=[type_9]"), ["'type_9'", "type_1", "bovine"]),
-    "phantom by name": (("stage=phantoms", "phantom=type_99"), ["phantom has several settings: give phantom.name=…"]),
-    "phantom's key": (("stage=phantoms", "phantom.nam=type_1"), ["did you mean phantom.name?"]),
     "key": (("stage=phantoms", "sed=3"), ["'sed'", "did you mean seed?", "budget"]),
     "added key": (("stage=phantoms", "+sed=3"), ["'sed'", "budget"]),
     "number of a stage": (("stage=5",), ["unknown stage '5'", "choose one of phantoms"]),
-    "number of a budget": (("stage=report", "budget=5"), ["unknown budget '5'", "choose one of smoke, desk, thesis"]),
     "task as a whole": (("stage=enn", "task=5"), ["task has several settings", "task.wire=…", "task.max_steps=…"]),
-    "task by name": (("stage=enn", "task=thesis"), ["task has several settings", "task.wire=…"]),
     "task's key": (("stage=enn", "task.max_step=5"), ["'task.max_step'", "did you mean task.max_steps?"]),
     "stage's task's key": (("stage=unseen", "stage.task.wires=5"), ["did you mean stage.task.wire?"]),
     "stage key": (("stage=phantoms", "stage.size=3"), ["'stage.size'", "stage.resolution_mm"]),
@@ -252,7 +212,6 @@ WRONG = {
     "size": (("stage=phantoms", "stage.resolution_mm=0"), ["stage.resolution_mm must be 0.1 or more, got 0.0"]),
     "name": (("stage=phantoms", "name=a/b"), ["name cannot be 'a/b'", "it becomes a folder"]),
     "quoting": (("stage=phantoms", "stage.phantoms=[type_1"), ["stage.phantoms=[type_1", "key=value"]),
-    "sweep": (("-m", "stage=phantom,report"), ["'phantom'", "phantoms", "report"]),
     "experiment of another stage": (("stage=report", "experiment=demo"), ["'stage.phantoms'", "stage.embed_limit_mb"]),
     "sweep key": (("-m", "stage=phantoms", "sed=1,2"), ["'sed'", "did you mean seed?"]),
 }
@@ -318,26 +277,20 @@ def test_a_missing_package_of_a_stage_is_one_sentence(monkeypatch: pytest.Monkey
 def test_a_stage_whose_input_was_damaged_stops_and_names_the_command_that_mends_it(pipeline_process) -> None:
     make = ("stage=phantoms", "stage.phantoms=[type_1]", "stage.picture=false", "stage.resolution_mm=2.5", "name=run")
     assert pipeline_process.run_here(*make).returncode == 0
-    folder = pipeline_process.runs / "run" / "phantoms"
-    for damage in (lambda: shutil.rmtree(folder / "type_1"), lambda: flip(folder / "type_1" / "lumen.stl")):
-        damage()
-        done = pipeline_process.run_here("stage=expert", "name=run", "stage.phantoms=[type_1]", "stage.targets=[bca]")
-        assert done.returncode == 2
-        (line,) = done.stderr.strip().splitlines()
-        assert f"stage expert cannot read stage phantoms: {folder / 'type_1'}" in line
-        command = shlex.split(re.search(r"`python -m pipeline (.*)`", line)[1])
-        assert {*make, "force=true"} <= set(command)
-        mended = pipeline_process.run_here(*(word for word in command if not word.startswith(("runs_dir=", "force="))))
-        assert mended.returncode == 0
-        assert "so the stage runs again" in mended.stdout  # without force=true, too
-        assert "up to date" in pipeline_process.run_here(*make).stdout
-
-
-def flip(file: Path) -> None:
-    """Flips one bit of a file."""
-    content = bytearray(file.read_bytes())
+    lumen = pipeline_process.runs / "run" / "phantoms" / "type_1" / "lumen.stl"
+    content = bytearray(lumen.read_bytes())
     content[len(content) // 2] ^= 1
-    file.write_bytes(content)
+    lumen.write_bytes(content)
+    done = pipeline_process.run_here("stage=expert", "name=run", "stage.phantoms=[type_1]", "stage.targets=[bca]")
+    assert done.returncode == 2
+    (line,) = done.stderr.strip().splitlines()
+    assert f"stage expert cannot read stage phantoms: {lumen}" in line
+    command = shlex.split(re.search(r"`python -m pipeline (.*)`", line)[1])
+    assert {*make, "force=true"} <= set(command)
+    mended = pipeline_process.run_here(*(word for word in command if not word.startswith(("runs_dir=", "force="))))
+    assert mended.returncode == 0
+    assert "so the stage runs again" in mended.stdout  # without force=true, too
+    assert "up to date" in pipeline_process.run_here(*make).stdout
 
 
 LEFT = "import sys; from pipeline.printing import say; sys.stdin.read(); say('first'); say('second'); sys.exit(3)"

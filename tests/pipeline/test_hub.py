@@ -87,17 +87,19 @@ class StandIn(BaseHTTPRequestHandler):
     do_HEAD = do_GET
 
 
-@pytest.fixture
-def repositories(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[dict[str, dict[str, bytes]]]:
+@pytest.fixture(scope="module")
+def repositories(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, dict[str, bytes]]]:
+    """What lies on the Hub; the tests' repositories have different names."""
     StandIn.repositories = {}
-    with ThreadingHTTPServer(("127.0.0.1", 0), StandIn) as server:
+    with ThreadingHTTPServer(("127.0.0.1", 0), StandIn) as server, pytest.MonkeyPatch.context() as patch:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         StandIn.address = f"http://127.0.0.1:{server.server_port}"
-        told = {"HF_ENDPOINT": StandIn.address, "HF_TOKEN": "hf_right", "HF_HOME": str(tmp_path / "home")}
+        home = str(tmp_path_factory.mktemp("hub"))
+        told = {"HF_ENDPOINT": StandIn.address, "HF_TOKEN": "hf_right", "HF_HOME": home}
         for name, value in {**told, "HF_HUB_DISABLE_XET": "1", "HF_HUB_DISABLE_PROGRESS_BARS": "1"}.items():
-            monkeypatch.setenv(name, value)
+            patch.setenv(name, value)
         for name in [name for name in sys.modules if name.partition(".")[0] == "huggingface_hub"]:
-            monkeypatch.delitem(sys.modules, name)  # it reads them once
+            patch.delitem(sys.modules, name)  # it reads them once
         yield StandIn.repositories
         server.shutdown()
 

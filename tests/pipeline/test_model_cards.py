@@ -65,7 +65,9 @@ def test_tables_are_written_from_the_file(root: Path) -> None:
     assert written(root) == {model.card: card, root / INDEX: index}
 
 
-def test_a_lacking_card_and_section_are_refused(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_lacking_card_or_section_and_too_large_models_are_refused(
+    root: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     card = shipped_models(root)[0].card
     card.write_text(card.read_text().replace("**Limits.**", "Limits."))
     assert main() == 1
@@ -73,9 +75,6 @@ def test_a_lacking_card_and_section_are_refused(root: Path, capsys: pytest.Captu
     card.unlink()
     with pytest.raises(ValueError, match="has no card: write"):
         written(root)
-
-
-def test_too_large_models_are_refused(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(model_cards, "LIMIT_BYTES", 100)
     with pytest.raises(ValueError, match="ship fewer"):
         written(root)

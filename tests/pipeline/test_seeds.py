@@ -72,6 +72,7 @@ def test_what_functions_give_lies_in_their_range() -> None:
         whole = seeds.EPISODES[name].all
         assert all(one[0] in whole and one[-1] in whole for one in several), name
     assert set(episodes) == set(seeds.EPISODES) - {"evaluation while training"}
+    assert seeds.EPISODES["test"].first >= 2**32  # none that a generator draws
 
 
 def test_evaluations_while_training_are_those_of_enn() -> None:
@@ -82,23 +83,14 @@ def test_evaluations_while_training_are_those_of_enn() -> None:
         assert BestPolicy(1_000, seed).seeds == known.part(seed, 1_000)
 
 
-def test_starts_of_the_tests_are_none_that_a_generator_draws() -> None:
-    assert seeds.EPISODES["test"].first >= 2**32
-
-
 @pytest.mark.parametrize(
     ("asked", "sentence"),
     [
-        (lambda: seeds.training_arches(20, 1), "seed 20 has no training arches of its own, only seeds 0 to 19 have"),
-        (lambda: seeds.perception_arches(0, 501), "a seed has 500 arches for the SplineFormer of its own, got 501"),
-        (lambda: seeds.held_out_seeds(0, 1_001), "a seed has 1000 test episodes of its own, got 1001: choose fewer"),
-        (lambda: seeds.held_out_seeds(500, 1), "seed 500 has no test episodes of its own"),
-        (lambda: seeds.navigation_episode_seeds(0, 0, 0, 1_001), "up to 1000 episodes, got 1001 in number 1"),
-        (
-            lambda: seeds.navigation_episode_seeds(0, 100, 0, 1),
-            "1000000 advised episodes of navigation of its own",
-        ),
-        (lambda: seeds.unseen_episode_seeds(0, 0, 100_001), "a round has up to 100000 episodes, got 100001"),
+        (lambda: seeds.training_arches(20, 1), "seed 20 has no training arches of its own, only seeds 0 to 19"),
+        (lambda: seeds.held_out_seeds(0, 1_001), "a seed has 1000 test episodes of its own, got 1001"),
+        (lambda: seeds.navigation_episode_seeds(0, 0, 0, 1_001), "up to 1000 episodes, got 1001"),
+        (lambda: seeds.navigation_episode_seeds(0, 100, 0, 1), "1000000 advised episodes of navigation"),
+        (lambda: seeds.unseen_episode_seeds(0, 0, 100_001), "up to 100000 episodes, got 100001"),
     ],
 )
 def test_too_large_a_seed_or_too_many_is_one_sentence(asked, sentence: str) -> None:
@@ -128,14 +120,6 @@ def _own_ranges(source: str) -> list[str]:
 def test_every_acquisition_of_every_run_has_a_seed_of_its_own() -> None:
     every = {seeds.acquisition_seed(run, number) for run in range(4) for number in range(1, 500)}
     assert len(every) == 4 * 499
-
-
-def test_the_search_for_ranges_finds_them() -> None:
-    for line in ("FIRST_TEST_ANATOMY = 31_000", "start = (job.seed * 1000 + number + 1) * 100_000",
-                 "seed = 3 * EXPERT_SEED + 100_000 * job.seed", "range(31_000, 31_000 + test_arches)",
-                 "HELD_OUT_SEED, EXPERT_SEED = 1_000_000, 2_000_000"):  # fmt: skip
-        assert _own_ranges(line), line
-    assert not _own_ranges("arches = settings.arches + 1")
 
 
 def test_no_other_module_has_a_range_of_its_own() -> None:

@@ -60,29 +60,24 @@ def test_what_was_run_once_serves_every_seed_until_the_stage_runs_for_several(tm
     leave(tmp_path, "enn", "seed=1", seed=1)
     assert read(tmp_path) == "enn"
     assert read(tmp_path, "seed=1", seed=1) == "enn@seed=1"
-    with pytest.raises(
-        StageError,
-        match=r"none of enn, enn@seed=1 in .* fits seed=3: run `python -m pipeline.chain --inputs force -- seed=3 ",
-    ):
+    with pytest.raises(StageError, match=r"none of enn, enn@seed=1 in .* fits seed=3: run `.* force -- seed=3 "):
         read(tmp_path, "seed=3", seed=3)
 
 
 def test_two_that_fit_equally_well_are_named(tmp_path: Path) -> None:
     first = leave(tmp_path, "enn", "seed=1", "stage.decisions=500", seed=1)
     second = leave(tmp_path, "enn", "seed=1", "stage.decisions=900", seed=1)
-    with pytest.raises(
-        StageError, match=r"stage force could read .* or .*: remove the one that is not meant"
-    ) as raised:
+    with pytest.raises(StageError, match="stage force could read") as raised:
         read(tmp_path, "seed=1", in_sweep=True, seed=1)
-    assert str(first) in str(raised.value)
-    assert str(second) in str(raised.value)
+    assert all(str(place) in str(raised.value) for place in (first, second))
 
 
-@pytest.mark.parametrize("seeded", [True, False])
-def test_folders_of_runs(seeded: bool) -> None:
-    assert RunRequest(("stage=enn",), False, 0).variant(seeded=seeded) == []
-    assert RunRequest(("stage=enn", "seed=1"), False, 1).variant(seeded=seeded) == (["seed=1"] if seeded else [])
-    assert RunRequest(("stage=enn", "seed=1", "target=bca"), True, 1).variant(seeded=seeded) == ["seed=1", "target=bca"]
+def test_folders_of_runs() -> None:
+    for seeded in (True, False):
+        assert RunRequest(("stage=enn",), False, 0).variant(seeded=seeded) == []
+        assert RunRequest(("stage=enn", "seed=1"), False, 1).variant(seeded=seeded) == (["seed=1"] if seeded else [])
+        swept = RunRequest(("stage=enn", "seed=1", "target=bca"), True, 1)
+        assert swept.variant(seeded=seeded) == ["seed=1", "target=bca"]
 
 
 @pytest.mark.parametrize("damage", ["a file gone", "a bit flipped", "a folder gone"])
@@ -101,10 +96,8 @@ def test_damaged_inputs_are_refused_with_the_command_that_makes_them_again(damag
     words = "was changed" if damage == "a bit flipped" else "is missing"
     with pytest.raises(StageError) as raised:
         read(tmp_path / "run", "seed=1", seed=1)
-    assert str(raised.value) == (
-        f"stage force cannot read stage enn: {file} {words}; run `python -m pipeline stage=enn name=run budget=smoke "
-        f"seed=1 force=true runs_dir={tmp_path}` to make it again"
-    )
+    command = f"python -m pipeline stage=enn name=run budget=smoke seed=1 force=true runs_dir={tmp_path}"
+    assert str(raised.value).startswith(f"stage force cannot read stage enn: {file} {words}; run `{command}`")
 
 
 def test_a_file_that_the_stage_did_not_write_is_not_taken_for_its_own(tmp_path: Path) -> None:

@@ -1,9 +1,12 @@
 """Curves and images of wires with known truth, for the tests of splineformer."""
 
 import numpy as np
+import torch
 
 from guide3d.dataset.frame import strip_mask
 from guide3d.geometry.polyline import resample
+from splineformer.build import build, size_of
+from splineformer.modeling.curve_network import CurveNetwork
 
 SIDE = 256
 
@@ -26,12 +29,21 @@ def loop(side: int = SIDE) -> np.ndarray:
     return np.column_stack([x, y])[::-1]
 
 
-def image_of(
-    points: np.ndarray, side: int = SIDE, seed: int = 0, ground: float = 150.0, depth: float = 70.0
-) -> np.ndarray:
+def image_of(points: np.ndarray, side: int = SIDE, seed: int = 0) -> np.ndarray:
     """A grey image of a dark wire on an uneven ground, uint8."""
     generator = np.random.default_rng(seed)
     slope = np.linspace(-15, 15, side)[None] + np.linspace(-10, 10, side)[:, None]
     wire = strip_mask(points, side, side, 4.0) > 0
-    image = ground + slope - depth * wire + generator.normal(0, 2.0, (side, side))
+    image = 150.0 + slope - 70.0 * wire + generator.normal(0, 2.0, (side, side))
     return np.clip(image, 0, 255).astype(np.uint8)
+
+
+def network(variant: str, size: str = "smoke") -> CurveNetwork:
+    """An untrained network, the same each time."""
+    torch.manual_seed(0)
+    return build(size_of(variant, size)).eval()
+
+
+def levels(count: int) -> torch.Tensor:
+    """Images (count, 1, 64, 64) as such a network takes them."""
+    return torch.from_numpy(np.stack([image_of(wavy_wire(k, 64), 64, k) for k in range(count)]))[:, None].float()

@@ -36,11 +36,7 @@ def test_round_trip(points: np.ndarray) -> None:
 
 @pytest.mark.parametrize(
     ("tokens", "message"),
-    [
-        (np.zeros((3, 3)), "at least 4"),
-        (np.zeros((5, 3)), "above 0"),
-        (np.full((5, 3), np.nan), "finite"),
-    ],
+    [(np.zeros((3, 3)), "at least 4"), (np.zeros((5, 3)), "above 0"), (np.full((5, 3), np.nan), "finite")],
 )
 def test_what_is_no_token_sequence(tokens: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):

@@ -15,9 +15,7 @@ from cathsim.presets import WIRE_RADIUS
 def check_lumen(phantom: Phantom, *, required_radius: float = 2e-3, wire_radius: float = WIRE_RADIUS) -> list[str]:
     """What is wrong with a lumen, by its distance grid.
 
-    Args:
-        required_radius: m, the least distance from centreline to wall on the way to any target.
-        wire_radius: m, clearance at which the lumen must be connected.
+    It must be connected at a wire's radius, and be as wide as required (m) around the centreline on every target's way.
     """
     grid, aorta = phantom.grid, phantom.tree.root
     free = NodeSet.where(grid.blocks, lambda values: values > wire_radius)

@@ -1,13 +1,10 @@
-"""ArchVariety: arches and targets of the episodes, reward, devices, the registered environment, messages."""
+"""ArchVariety: arches and targets of the episodes, reward, devices, messages."""
 
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
 
 from cathsim.anatomy.point_target import points_beyond_root
 from cathsim.arch_variety import ArchVarietyEnv, ArchVarietyTask
-from cathsim.registration import ARCH_VARIETY
 
 COARSE = {"resolution": 2e-3, "seeds": (4, 5)}
 
@@ -21,7 +18,8 @@ def test_every_episode_has_an_arch_and_a_point_above_its_aorta(environment: Arch
     environment.reset(seed=0)
     seen = set()
     for _ in range(12):
-        _, info = environment.reset()
+        observation, info = environment.reset()
+        assert observation.shape == (16,)
         seen.add(info["phantom"])
         phantom, goal = environment.phantom, environment.current.goal
         away = np.linalg.norm(points_beyond_root(phantom.tree, phantom.grid) - goal, axis=1)
@@ -54,16 +52,6 @@ def test_reaching_the_target_ends_the_episode(environment: ArchVarietyEnv) -> No
     assert 0.99 < reward < 1.01
 
 
-def test_the_registered_environment_is_made_again_from_its_description() -> None:
-    made = gymnasium.make(ARCH_VARIETY, arch_types=("VI",), seeds=(1,), resolution=2e-3, disable_env_checker=True)
-    again = gymnasium.make(EnvSpec.from_json(made.spec.to_json()), disable_env_checker=True)
-    assert (made.reset(seed=1)[0] == again.reset(seed=1)[0]).all()
-    assert made.observation_space.shape == (16,)
-    vector = gymnasium.make_vec(ARCH_VARIETY, num_envs=2, arch_types=("VI",), seeds=(1,), resolution=2e-3)
-    assert vector.reset(seed=1)[0].shape == (2, 16)
-    vector.close()
-
-
 def test_a_catheter_and_pictures() -> None:
     environment = ArchVarietyEnv(("VI",), catheter="simmons2", observation=("tracking", "image"), **COARSE)
     observation, _ = environment.reset(seed=1)
@@ -72,11 +60,11 @@ def test_a_catheter_and_pictures() -> None:
 
 
 def test_what_there_is_not_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"arch_types must list some of I, II, IV, V, VI, VII, got \('III',\)"):
+    with pytest.raises(ValueError, match=r"arch_types must list some of .*got \('III',\)"):
         ArchVarietyEnv(("III",))
     with pytest.raises(ValueError, match="phantoms must list at least one"):
         ArchVarietyEnv(seeds=())
-    with pytest.raises(ValueError, match="draws its targets: leave targets out"):
+    with pytest.raises(ValueError, match="leave targets out"):
         ArchVarietyEnv(targets=("lcca",))
 
 

@@ -1,4 +1,4 @@
-"""The dm_control composer environment: physics, agreement with the Gymnasium one, and the workaround it stands on."""
+"""The dm_control composer environment: physics of one and two devices, agreement with the Gymnasium one."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cathsim import Accuracy, NavigateEnv, load_guidewire
+from cathsim.simulation import LEAD_ADVANCE
 
 pytest.importorskip("dm_control")
 
@@ -20,6 +21,7 @@ MakeComposer = Callable[..., dm_composer.Environment]
 TIP = "feeder/guidewire/tip"
 FORWARD = np.array([1.0, 0.0])
 NUMERICS = Accuracy(timestep=0.005, refinement=1, mass_scale=10.0)
+FINE = Accuracy(timestep=0.001, refinement=1, mass_scale=10.0)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +67,48 @@ def test_straight_insertion_agrees_with_the_gymnasium_environment(
     assert joints[0] == pytest.approx(other.simulation.insertion, abs=2e-4)
 
 
-def test_a_reset_really_resets_without_compiling_again(make_composer: MakeComposer) -> None:
+@pytest.mark.parametrize(
+    ("catheter", "numerics", "motion"),
+    [
+        ("vertebral", composer.STEPPING, lambda step: [1.0, 0.0, float(step > 25), 0.0]),
+        ("simmons2", FINE, lambda step: [1.0, 0.2, 1.0, 0.5]),
+    ],
+)
+def test_two_devices_agree_with_the_gymnasium_environment(
+    make_composer: MakeComposer,
+    make_env: MakeEnv,
+    catheter: str,
+    numerics: Accuracy,
+    motion: Callable[[int], list[float]],
+) -> None:
+    arguments = {"catheter": catheter, "start_jitter": 0.0}
+    other = make_env(accuracy="accurate", observation="devices", **arguments)
+    env = make_composer(numerics=numerics, **arguments)
+    other.reset(seed=0)
+    env.reset()
+    apart = []
+    for step in range(50):
+        action = np.array(motion(step))
+        seen, observation = env.step(action).observation, other.step(action)[0]
+        apart.append(np.linalg.norm(seen[TIP] - other.simulation.tip))
+    assert np.median(apart) < 1e-3
+    assert max(apart) < 4e-3
+    assert np.allclose(seen["devices"], observation[:, :2], atol=3e-4)
+
+
+def test_where_the_drive_is_stuck_the_feeders_slip(make_composer: MakeComposer) -> None:
+    env = make_composer(catheter="straight", start_jitter=0.0)
+    env.reset()
+    for _ in range(30):
+        start = env.step(np.array([1.0, 0.0, 1.0, 0.0])).observation["devices"][:, 0]
+    assert start.min() > 0.05
+    env.physics.bind(env.task.feeder.joints[0]).damping = 1e6  # kg/s: it withstands the servo
+    moved = np.array([env.step(np.array([1.0, 0.0, 0.0, 0.0])).observation["devices"][:, 0] for _ in range(20)]) - start
+    assert np.abs(moved).max() < LEAD_ADVANCE + 1e-4  # 40 mm were asked for
+    assert (np.ptp(moved[1:], axis=0) < 2e-4).all()  # neither wire nor catheter, once the servo's lead is used up
+
+
+def test_a_reset_really_resets_without_compiling_again_also_after_an_invalid_state(make_composer: MakeComposer) -> None:
     env = make_composer(start_jitter=0.0)
     first = episode(env, 15)
     model = env.physics.model.ptr
@@ -74,9 +117,16 @@ def test_a_reset_really_resets_without_compiling_again(make_composer: MakeCompos
     for one, other in zip(first, again, strict=True):
         for name, value in one.observation.items():
             assert np.array_equal(value, other.observation[name]), name
+    env.physics.data.qvel[7] = np.nan
+    timestep = env.step(FORWARD)
+    assert timestep.last()
+    assert (timestep.reward, timestep.discount) == (0.0, 0.0)
+    assert all(np.isfinite(value).all() for value in timestep.observation.values())
+    assert env.step(FORWARD).first()
+    assert np.isfinite(env.step(FORWARD).reward)
 
 
-def test_specs_describe_what_comes(make_composer: MakeComposer) -> None:
+def test_specs_describe_what_comes_and_other_actions_are_refused(make_composer: MakeComposer) -> None:
     env = make_composer(wire="thesis", image_size=48)
     timestep = env.reset()
     spec = env.observation_spec()
@@ -89,12 +139,14 @@ def test_specs_describe_what_comes(make_composer: MakeComposer) -> None:
     action = env.action_spec()
     assert (action.shape, action.minimum, action.maximum) == ((2,), -1.0, 1.0)
     assert env.control_timestep() == 0.1
+    with pytest.raises(ValueError, match="expected a finite action"):
+        env.step(np.array([np.nan, 0.0]))
+    with pytest.raises(ValueError, match=r"expected an action of shape \(2,\), got \(3,\)"):
+        env.step(np.zeros(3))
 
 
 def test_reaching_the_target_ends_with_reward_ten(make_composer: MakeComposer) -> None:
-    env = make_composer(
-        success_radius=0.17, success="straight"
-    )  # from the start the target is nearer than that after a few steps
+    env = make_composer(success_radius=0.17, success="straight")  # a few steps from the start
     env.reset()
     timestep = env.step(FORWARD)
     while timestep.mid():
@@ -106,9 +158,8 @@ def test_reaching_the_target_ends_with_reward_ten(make_composer: MakeComposer) -
 
 
 def test_motors_bend_the_tip(make_composer: MakeComposer) -> None:
-    ends = []
+    env, ends = make_composer(actions="tip_motors", start_jitter=0.0), []
     for share in (0.0, 1.0):
-        env = make_composer(actions="tip_motors", start_jitter=0.0)
         env.reset()
         action = np.full(21, share)
         action[-1] = 1.0
@@ -117,18 +168,6 @@ def test_motors_bend_the_tip(make_composer: MakeComposer) -> None:
         ends.append(timestep.observation[TIP])
     assert env.action_spec().shape == (21,)
     assert np.linalg.norm(ends[1] - ends[0]) > 3e-3
-
-
-def test_an_invalid_state_ends_the_episode(make_composer: MakeComposer) -> None:
-    env = make_composer()
-    env.reset()
-    env.physics.data.qvel[7] = np.nan
-    timestep = env.step(FORWARD)
-    assert timestep.last()
-    assert (timestep.reward, timestep.discount) == (0.0, 0.0)
-    assert all(np.isfinite(value).all() for value in timestep.observation.values())
-    assert env.step(FORWARD).first()
-    assert np.isfinite(env.step(FORWARD).reward)
 
 
 def test_a_reward_of_ones_own_is_given_what_navigate_env_gives(make_composer: MakeComposer) -> None:
@@ -153,29 +192,21 @@ def test_a_reward_of_ones_own_is_given_what_navigate_env_gives(make_composer: Ma
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"phantom": "aorta"}, "unknown phantom 'aorta'"),
         ({"target": "coronary"}, "unknown target 'coronary'"),
-        ({"wire": "steel"}, "unknown guidewire 'steel'"),
-        ({"actions": "tip"}, "unknown actions 'tip'; there are feeder, tip_motors"),
+        ({"actions": "tip"}, "unknown actions 'tip'"),
         ({"entry": "radial"}, "unknown entry 'radial'"),
         ({"numerics": "exact"}, "unknown accuracy 'exact'"),
-        ({"wire": load_guidewire("default").scaled(0.12)}, "the wire of 120 mm is too short for bca of type_1"),
-        ({"colour": "red"}, "the environment has no argument colour"),
+        ({"wire": load_guidewire("default").scaled(0.12)}, "the wire of 120 mm is too short"),
+        ({"colour": "red"}, "no argument colour"),
+        ({"catheter": "vertebral", "actions": "tip_motors"}, "without tip motors"),
+        ({"catheter": "vertebral", "torsion": "soft"}, "unknown torsion 'soft'"),
+        ({"wire": None}, "neither a wire nor a catheter"),
     ],
     ids=str,
 )
 def test_bad_arguments(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         composer.load(**arguments)
-
-
-def test_bad_actions(make_composer: MakeComposer) -> None:
-    env = make_composer()
-    env.reset()
-    with pytest.raises(ValueError, match="expected a finite action"):
-        env.step(np.array([np.nan, 0.0]))
-    with pytest.raises(ValueError, match=r"expected an action of shape \(2,\), got \(3,\)"):
-        env.step(np.zeros(3))
 
 
 def test_visual_model_is_rendered(run_python: Callable[[str], str]) -> None:

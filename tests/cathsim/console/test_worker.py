@@ -39,7 +39,7 @@ def finish(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
     wait_until(held)
 
 
-def test_the_page_is_told_the_task_and_the_clock_waits_for_the_operator(
+def test_a_procedure_waits_for_the_operator_runs_in_real_time_and_is_replayed(
     loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
 ) -> None:
     task = wait_until(lambda: page.messages_of("task"))[0]
@@ -51,12 +51,9 @@ def test_the_page_is_told_the_task_and_the_clock_waits_for_the_operator(
     wait_until(lambda: len(page.headers) > 5)
     assert {(header["state"], header["step"]) for header in page.headers} == {("ready", 0)}
     assert memory.episodes[0]["actions"] == []
-
-
-def test_three_pictures_a_step_and_ten_steps_a_second(
-    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
-) -> None:
-    wait_until(lambda: page.headers)
+    loop.request({"type": "replay"})
+    wait_until(lambda: page.messages_of("notice"))
+    assert "finish a procedure first" in page.messages_of("notice")[0]["text"]
     hold(loop, 3)
     wait_until(lambda: page.last["state"] == "running")
     finish(loop, page, wait_until)
@@ -72,15 +69,6 @@ def test_three_pictures_a_step_and_ten_steps_a_second(
     assert len(ended) == 1
     assert (ended[0]["success"], ended[0]["recorded"]) == (False, "0.memory")
     assert ended[0]["metrics"]["steps"] == 6
-
-
-def test_replay_shows_the_same_and_answers_are_kept(
-    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
-) -> None:
-    loop.request({"type": "replay"})
-    wait_until(lambda: page.messages_of("notice"))
-    assert "finish a procedure first" in page.messages_of("notice")[0]["text"]
-    finish(loop, page, wait_until)
     loop.request({"type": "replay"})
     wait_until(lambda: page.messages_of("replayed"))
     shown = [header for header in page.headers if header["state"] == "replay"]
@@ -93,7 +81,7 @@ def test_replay_shows_the_same_and_answers_are_kept(
     assert memory.episodes[0]["answers"] == {**ANSWERS, "participant": ""}
 
 
-def test_an_operator_who_leaves_lets_go_and_breaks_off(
+def test_an_operator_who_leaves_lets_go_and_the_latest_choices_count(
     loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait
 ) -> None:
     hold(loop, 1)
@@ -103,20 +91,24 @@ def test_an_operator_who_leaves_lets_go_and_breaks_off(
     assert memory.episodes[0]["state"] == "broken off"
     assert wait_until(lambda: page.last["state"] == "ready")
     assert not loop.panel.touched
-
-
-def test_phantom_and_target_are_chosen(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
-    wait_until(lambda: page.messages_of("task"))
     loop.request({"type": "choose", "phantom": "type_1", "target": "lcca"})
     wait_until(lambda: page.messages_of("task")[-1]["target"] == "lcca")
     assert page.surfaces == 1, "the same vessel is not sent again"
     loop.request({"type": "choose", "phantom": "type_1", "target": "nowhere"})
     wait_until(lambda: len(page.messages_of("task")) == 3)
     assert page.messages_of("task")[-1]["target"] in page.messages_of("task")[0]["targets"]
-    with pytest.raises(ValueError, match="unknown phantom 'moon'; there are type_1"):
+    with pytest.raises(ValueError, match="unknown phantom 'moon'"):
         loop.request({"type": "choose", "phantom": "moon", "target": "bca"})
     with pytest.raises(ValueError, match="answers should be a valid dictionary"):
         loop.request({"type": "answers", "answers": [1, 2]})
+    for number in range(1000):
+        loop.request({"type": "restart"})
+        loop.request({"type": "choose", "phantom": "type_1", "target": "lcca" if number == 999 else "bca"})
+        hold(loop, number)
+        assert len(loop._inbox) <= 4
+    loop.request({"type": "release"})
+    assert not loop.panel.touched, "a release is obeyed at once, whatever waits"
+    wait_until(lambda: page.messages_of("task")[-1]["target"] == "lcca")
 
 
 def test_a_catheter_is_chosen_steered_and_left_out(
@@ -127,9 +119,9 @@ def test_a_catheter_is_chosen_steered_and_left_out(
     assert {"name": "simmons2_6f", "shape": "simmons2", "french": 6} in task["catheters"]
     steer = {"type": "controls", "advance": 1.0, "rotate": 0.0, "sequence": 1, "catheter": [1.0, 0.5]}
     choice = {"type": "choose", "phantom": "type_1", "target": "bca"}
-    with pytest.raises(ValueError, match="there is no catheter to steer: choose one"):
+    with pytest.raises(ValueError, match="there is no catheter to steer"):
         loop.request(steer)
-    with pytest.raises(ValueError, match="unknown catheter 'moon'; there are straight_4f"):
+    with pytest.raises(ValueError, match="unknown catheter 'moon'"):
         loop.request({**choice, "catheter": "moon"})
     with pytest.raises(ValueError, match=r"unknown catheter '/etc/moon\.yaml'"):
         loop.request({**choice, "catheter": "/etc/moon.yaml"})
@@ -160,7 +152,20 @@ def test_a_catheter_is_chosen_steered_and_left_out(
 def test_what_a_request_runs_into_is_told_and_the_loop_goes_on(
     loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    wait_until(lambda: page.messages_of("task"))
+    finish(loop, page, wait_until)
+    refuse = "a wire of 1.20 mm does not pass a catheter with a lumen of 1.03 mm"
+
+    def refused(*arguments: Any) -> None:
+        raise ValueError(refuse)
+
+    monkeypatch.setattr(Setup, "environment", refused)
+    loop.request({"type": "choose", "phantom": "type_1", "target": "bca", "catheter": "straight_4f"})
+    wait_until(lambda: [notice for notice in page.messages_of("notice") if notice["text"] == refuse])
+    task = page.messages_of("task")[-1]
+    assert (task["catheter"], task["replayable"]) == (None, True)
+    assert len(memory.episodes) == 1
+    monkeypatch.undo()
+
     for request in ({"type": "choose", "phantom": "type_1", "target": 5}, {"type": "choose"}, {"type": 5}, {}):
         with pytest.raises(ValueError, match="request"):
             loop.request(request)
@@ -176,23 +181,13 @@ def test_what_a_request_runs_into_is_told_and_the_loop_goes_on(
     monkeypatch.setattr(loop, "_restart", broken)
     time.sleep(0.1)
     monkeypatch.undo()
+    page.messages.clear()
+    loop.request({"type": "restart"})
     finish(loop, page, wait_until)
     assert loop.is_alive()
 
 
-def test_unknown_names_are_refused_before_anything_starts(page: Any) -> None:
-    with pytest.raises(ValueError, match="unknown target 'moon'"):
-        RealTimeLoop(Setup(target="moon"), page)
-    with pytest.raises(ValueError, match="moon"):
-        RealTimeLoop(Setup(phantom="moon"), page)
-    with pytest.raises(ValueError, match="unknown catheter 'moon'"):
-        RealTimeLoop(Setup(catheter="moon"), page)
-    for wrong in ({"seed": -1}, {"seed": 2**70}, {"max_steps": 0}, {"max_steps": 10**9}):
-        with pytest.raises(ValueError, match=f"{next(iter(wrong))} must lie in"):
-            Setup(**wrong)  # type: ignore[arg-type]
-
-
-def test_c_arms_turn_beside_the_loop(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
+def test_c_arms_pedal_contrast_and_roadmap(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
     first = wait_until(lambda: page.messages_of("task"))[0]["views"]
     assert (first["a"]["primary_deg"], first["b"]["primary_deg"]) == (0.0, 90.0)
     for zoom in (1.0, 2.0):  # only the latest counts
@@ -200,12 +195,8 @@ def test_c_arms_turn_beside_the_loop(loop: RealTimeLoop, page: Any, wait_until: 
     views = wait_until(lambda: [m for m in page.messages_of("views") if m["views"]["b"]["zoom"] == 2.0])[-1]["views"]
     assert (views["b"]["primary_deg"], views["b"]["secondary_deg"]) == (-30.0, 10.0)
     assert views["a"] == first["a"]
-    with pytest.raises(ValueError, match="secondary_deg should be less than or equal to 50, got 80"):
+    with pytest.raises(ValueError, match="secondary_deg should be"):
         loop.request({"type": "view", "camera": "a", "primary_deg": 0.0, "secondary_deg": 80.0, "zoom": 1.0})
-
-
-def test_pedal_contrast_and_roadmap(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
-    wait_until(lambda: page.headers)
     loop.request({"type": "inject"})
     wait_until(lambda: page.last["contrast"] > 0.9)
     assert page.last["injections"] == 1
@@ -264,32 +255,3 @@ def test_the_page_is_told_how_far_the_expert_is_and_its_score(
     finish(loop, page, wait_until)
     assert page.messages_of("ended")[0]["expert"] == score, "it is known from the procedure before"
     loop.stop()
-
-
-def test_a_thousand_wishes_are_one_of_each_kind(loop: RealTimeLoop, page: Any, wait_until: Wait) -> None:
-    wait_until(lambda: page.messages_of("task"))
-    for number in range(1000):
-        loop.request({"type": "restart"})
-        loop.request({"type": "choose", "phantom": "type_1", "target": "lcca" if number == 999 else "bca"})
-        hold(loop, number)
-        assert len(loop._inbox) <= 4
-    loop.request({"type": "release"})
-    assert not loop.panel.touched, "a release is obeyed at once, whatever waits"
-    wait_until(lambda: page.messages_of("task")[-1]["target"] == "lcca")
-
-
-def test_a_choice_that_cannot_be_is_told_and_changes_nothing(
-    loop: RealTimeLoop, page: Any, memory: Any, wait_until: Wait, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    finish(loop, page, wait_until)
-    refuse = "a wire of 1.20 mm does not pass a catheter with a lumen of 1.03 mm"
-
-    def refused(*arguments: Any) -> None:
-        raise ValueError(refuse)
-
-    monkeypatch.setattr(Setup, "environment", refused)
-    loop.request({"type": "choose", "phantom": "type_1", "target": "bca", "catheter": "straight_4f"})
-    wait_until(lambda: [notice for notice in page.messages_of("notice") if notice["text"] == refuse])
-    task = page.messages_of("task")[-1]
-    assert (task["catheter"], task["replayable"]) == (None, True)
-    assert len(memory.episodes) == 1

@@ -11,9 +11,8 @@ import pytest
 from cathsim import Phantom, Simulation
 from cathsim.anatomy.surface import open_ends
 from cathsim.contact import hulls as hulls_module
-from cathsim.contact.hull_vessel import BORE_SIDES, HullVessel, hull_vessel
+from cathsim.contact.hull_vessel import hull_vessel
 from cathsim.contact.hulls import Decomposition, Hull, wall_hulls
-from cathsim.contact.sdf import SHEATH_NAME
 
 MakeSimulation = Callable[..., Simulation]
 QUICK = Decomposition(threshold=0.12, lattice=3e-3, search=15)
@@ -79,23 +78,6 @@ def test_hulls_come_from_the_cache_and_damage_is_mended(
     assert not list((tmp_path / "hulls").glob(".building-*"))
 
 
-def test_a_model_has_hulls_lid_and_sheath(bend: Phantom, prisms: list[Hull], make_simulation: MakeSimulation) -> None:
-    simulation = make_simulation(phantom=bend, contact=QUICK)
-    model = simulation.model
-    names = [model.geom(i).name for i in range(model.ngeom)]
-    assert sum(name.startswith("hull") for name in names) == len(prisms)
-    assert "lid1" in names, "of the far end"
-    assert sum(name.startswith("lid0") for name in names) == BORE_SIDES, "around the sheath"
-    vessel = simulation.vessel
-    assert isinstance(vessel, HullVessel)
-    wall = names[1 : 1 + vessel.wall_parts(model)]
-    assert len(wall) == len(prisms) + BORE_SIDES + 1
-    assert not any(name.startswith(SHEATH_NAME) for name in wall)
-    centre, normal, _ = open_ends(bend.tree)[1]
-    np.testing.assert_allclose(model.geom("lid1").pos, centre, atol=5e-3)
-    assert abs(model.geom("lid1").pos @ normal - centre @ normal) < 5e-3
-
-
 def test_wire_is_led_round_the_bend_as_by_the_grid(
     bend: Phantom, prisms: list[Hull], make_simulation: MakeSimulation
 ) -> None:
@@ -124,18 +106,6 @@ def test_the_lid_keeps_the_wire_in(bend: Phantom, prisms: list[Hull], make_simul
     drive(simulation, 40)
     assert simulation.valid
     assert simulation.vessel.distance(simulation.tip)[0] > -2e-3
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"threshold": 0.001}, "threshold must lie in 0.01 to 1, got 0.001"),
-        ({"thickness": 0.02}, r"thickness must lie in 0 \(excluded\) to 0\.005 m, got 0\.02"),
-    ],
-)
-def test_decomposition_refuses(arguments: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Decomposition(**arguments)  # type: ignore[arg-type]
 
 
 def test_unknown_contact_and_missing_coacd(

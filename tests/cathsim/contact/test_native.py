@@ -49,7 +49,7 @@ def tube_phantom() -> Phantom:
     return Phantom("tube", "0" * 16, ArchParameters(), tree, vessel.grid, {}, {"descending": entry})
 
 
-@pytest.mark.parametrize("push", [0.02, 0.1, 0.5])
+@pytest.mark.parametrize("push", [0.02, 0.5])
 def test_wall_balances_the_force_that_presses_a_wire_on_it(push: float) -> None:
     """A stiff wire that slides towards a plane wall along x rests there on contact forces that add up to the push."""
     vessel = sampled(lambda p: p[:, 0] + 0.002, -0.010, 0.030, 0.001)
@@ -141,7 +141,6 @@ def test_vessels_of_one_process_do_not_mix() -> None:
     ("place", "part"),
     [
         ((0.0005, 0.0, -0.020), "sheath"),
-        ((-0.0058, 0.0, 0.020), "vessel"),
         ((-0.0058, 0.0, -0.020), "vessel"),
         ((0.0158, 0.0, -0.020), "vessel"),  # behind the sheath's end, where the vessel has turned back beside it
     ],
@@ -164,23 +163,6 @@ def test_wall_beside_the_sheath_is_the_vessels(place: tuple[float, float, float]
     assert data.ncon > 0
     walls = {int(geom) for geom in data.contact.geom.ravel()} - {model.ngeom - 1}
     assert {model.geom(wall).name for wall in walls} == {part}
-
-
-@pytest.fixture(scope="module")
-def touching(fed_tube: Vessel) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """A wire in a tube, moving, with contacts and controls."""
-    model = wire_in(fed_tube)
-    data = pushed(model, 150)
-    assert data.ncon >= 3
-    return model, data
-
-
-def test_native_code_sees_the_layout_of_the_running_mujoco(touching: tuple[mujoco.MjModel, mujoco.MjData]) -> None:
-    model, data = touching
-    seen, expected = native.layout_seen(native.library(), model, data), native.layout_expected(model, data)
-    assert seen == expected
-    assert seen["nv"] == 56
-    assert seen["ncon"] >= 3
 
 
 @pytest.mark.parametrize("field", [native.LAYOUT_FIELDS[0], native.LAYOUT_FIELDS[-1]])
@@ -250,6 +232,6 @@ def test_threads_do_not_change_a_bit(tube_phantom: Phantom) -> None:
         return simulation.vessel.distance(points[index])[0].tobytes() + drive(simulation, index)
 
     apart = [run(0, False), run(1, False)]
-    for _ in range(3):
+    for _ in range(2):
         with ThreadPoolExecutor(2) as pool:
             assert list(pool.map(run, range(2), [True] * 2)) == apart

@@ -1,21 +1,30 @@
-"""Two devices are simulated: steered, restored, slipping, at other time steps."""
+"""Two devices are simulated: their composite rod, steered, restored, slipping, at other time steps."""
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.integrate import quad
 
 from cathsim.anatomy import load_phantom
+from cathsim.devices.catheter import Catheter
 from cathsim.devices.hubs import Hubs
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation
-from cathsim.guidewire import load_guidewire
-from cathsim.presets import ACCURACY, Accuracy, accuracy
+from cathsim.guidewire import LINK_NAME, Guidewire, load_guidewire
+from cathsim.presets import ACCURACY, Accuracy
 from cathsim.simulation import Simulation
 
 
-def made(catheter: str | None = "vertebral", *, wire: str | None = "default", **pair: object) -> DualSimulation:
+def made(
+    catheter: str | None = "vertebral",
+    *,
+    wire: str | None = "default",
+    numerics: Accuracy = ACCURACY["accurate"],
+    **pair: object,
+) -> DualSimulation:
     devices = DevicePair(load_guidewire(wire) if wire else None, load_catheter(catheter) if catheter else None, **pair)
-    return DualSimulation(load_phantom("type_1"), devices, accuracy("accurate"), measure_penetration=True)
+    return DualSimulation(load_phantom("type_1"), devices, numerics, measure_penetration=True)
 
 
 def steered(simulation: DualSimulation, steps: int, seed: int = 0) -> np.ndarray:
@@ -28,9 +37,8 @@ def steered(simulation: DualSimulation, steps: int, seed: int = 0) -> np.ndarray
     return np.array(tips)
 
 
-@pytest.mark.parametrize("catheter", ["simmons2"])
-def test_stays_valid_and_out_of_the_wall(catheter: str) -> None:
-    simulation = made(catheter)
+def test_stays_valid_and_out_of_the_wall() -> None:
+    simulation = made("simmons2")
     depths = []
     for _ in range(4):
         steered(simulation, 40)
@@ -68,7 +76,7 @@ def test_each_device_moves_alone() -> None:
     assert simulation.device_rotations() == pytest.approx((0.0, 1.5))
 
 
-@pytest.mark.parametrize(("catheter", "out"), [("simmons1", 0.02), ("simmons2", 0.05), ("pigtail", 0.05)])
+@pytest.mark.parametrize(("catheter", "out"), [("simmons1", 0.02), ("pigtail", 0.05)])
 def test_a_bent_catheter_stays_where_it_is_and_comes_back_into_the_sheath(catheter: str, out: float) -> None:
     simulation = made(catheter)
     simulation.reset(0.0, catheter=(0.0, 0.0))
@@ -124,7 +132,7 @@ def test_the_catheter_straightens_and_the_wire_lets_it_bend() -> None:
 def test_the_wire_alone_as_a_pair_bends_as_the_bare_wire() -> None:
     """Without a catheter and without torsion both simulations are of one rod, but for the links' lengths."""
     pair = made(None, torsion="rigid")
-    bare = Simulation(load_phantom("type_1"), load_guidewire("default"), accuracy("accurate"))
+    bare = Simulation(load_phantom("type_1"), load_guidewire("default"), ACCURACY["accurate"])
     for simulation in (pair, bare):
         simulation.reset(0.0)
         for _ in range(60):
@@ -142,18 +150,17 @@ def test_the_catheter_alone() -> None:
     assert simulation.feeder_forces()[0] == 0.0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+def test_refuses_a_start_that_cannot_be() -> None:
+    simulation = made()
+    for arguments, message in (
         ({"insertion": -0.01}, "insertion of the wire must lie in"),
         ({"insertion": 0.05, "catheter": (-0.02, 0.0)}, "insertion of the catheter must lie in"),
         ({"insertion": 0.0, "catheter": (0.25, 0.0)}, "ahead of the catheter"),
         ({"insertion": float("nan")}, "ahead of the catheter"),
-    ],
-)
-def test_refuses_a_start_that_cannot_be(arguments: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        made().reset(**arguments)
+        ({"insertion": 0.1, "catheter": (0, float("inf"))}, "catheter's insertion .m. and rotation .rad. must be fini"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            simulation.reset(**arguments)
 
 
 @pytest.mark.parametrize("devices", [{"wire": None}, {"catheter": None}])
@@ -180,27 +187,11 @@ def test_refuses_tip_motors_and_hulls() -> None:
         simulation.restore(np.zeros(3))
 
 
-def time_steps_made(numerics: Accuracy, catheter: str = "simmons2") -> DualSimulation:
-    pair = DevicePair(load_guidewire("default"), load_catheter(catheter))
-    return DualSimulation(load_phantom("type_1"), pair, numerics, measure_penetration=True)
-
-
-def ahead(simulation: DualSimulation, steps: int = 110) -> tuple[np.ndarray, float]:
-    """Tips of the wire that goes ahead, and the deepest penetration."""
-    tips, deepest = [], 0.0
-    for _ in range(steps):
-        simulation.advance(0.002, 0.0, catheter=(0.001, 0.0))
-        tips.append(simulation.tip)
-        deepest = max(deepest, simulation.depths.max())
-    return np.array(tips), deepest
-
-
 def test_a_log_of_before_is_stepped_as_then() -> None:
-    recorded = {"timestep": 0.01, "refinement": 8, "tolerance": 2e-4, "rise": 5e-5, "mass_scale": 10.0}
-    struct = time_steps_made(Accuracy(**recorded))._chain.struct
-    assert (struct.refinement, struct.deep) == (8, 2.0)
-    struct = time_steps_made(ACCURACY["accurate"])._chain.struct
-    assert (struct.refinement, struct.deep) == (3, 1.5)
+    recorded = Accuracy(timestep=0.01, refinement=8, tolerance=2e-4, rise=5e-5, mass_scale=10.0)
+    for numerics, expected in ((recorded, (8, 2.0)), (ACCURACY["accurate"], (3, 1.5))):
+        struct = made("simmons2", numerics=numerics)._chain.struct
+        assert (struct.refinement, struct.deep) == expected
 
 
 def test_the_catheters_feeder_is_pushed_back_by_its_shape() -> None:
@@ -218,15 +209,109 @@ def test_the_catheters_feeder_is_pushed_back_by_its_shape() -> None:
     assert abs(forces[1]) > 1e-3
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_refuses_movements_that_are_not_finite(value: float) -> None:
+def test_refuses_movements_that_are_not_finite() -> None:
     simulation = made()
     place = simulation.device_insertions()
-    for place_of_value in range(4):
+    for place_of_value, value in enumerate((float("nan"), float("inf"), float("nan"), float("inf"))):
         moves = [0.0] * 4
         moves[place_of_value] = value
-        with pytest.raises(ValueError, match=f"rotation .rad. must be finite numbers, got .*{value}"):
+        with pytest.raises(ValueError, match=f"must be finite numbers, got .*{value}"):
             simulation.advance(*moves[:2], catheter=(moves[2], moves[3]))
     assert simulation.device_insertions() == place
-    with pytest.raises(ValueError, match=r"catheter's insertion .m. and rotation .rad. must be finite, got 0, "):
-        simulation.reset(0.1, catheter=(0, value))
+
+
+NUMERICS = ACCURACY["accurate"]
+WIRE = load_guidewire("default", friction=0.04, relaxation=0.05)
+# tapers lie across links and joints at every lead; friction and relaxation differ from the wire's
+CATHETER = Catheter(taper=(0.011, 0.043), friction=0.17, relaxation=0.2, shape=((0.0, 0.012, 0.7, 0.0),))
+# of the wire before the catheter, m: at a link's end, within links of each length, and the wire drawn back
+LEADS = (0.0, 0.0135, 0.024, 0.131, -0.021)
+
+
+@pytest.fixture(scope="module")
+def simulation() -> DualSimulation:
+    return DualSimulation(load_phantom("type_1"), DevicePair(WIRE, CATHETER), NUMERICS)
+
+
+@pytest.fixture(params=LEADS)
+def lead(request: pytest.FixtureRequest, simulation: DualSimulation) -> float:
+    simulation.reset(0.14 + min(request.param, 0.0), catheter=(0.14 - max(request.param, 0.0), 0.0))
+    assert simulation.device_lead == pytest.approx(request.param)
+    return float(request.param)
+
+
+def links(simulation: DualSimulation) -> NDArray[np.float64]:
+    """Both ends of the chain's present links, as distances from its end, m. Shape (links, 2)."""
+    lengths = np.array(simulation.wire.links)[-simulation.active_links :]
+    from_end = np.concatenate((np.cumsum(lengths[::-1])[::-1], [0.0]))
+    return np.column_stack((from_end[1:], from_end[:-1]))
+
+
+def lengths_within(simulation: DualSimulation, lead: float) -> dict[str, NDArray[np.float64]]:
+    """Length of each device within each link, m."""
+    low, high = links(simulation).T
+    backs = {"wire": max(-lead, 0.0), "catheter": max(lead, 0.0)}
+    return {name: np.clip(high - np.maximum(low, back), 0.0, None) for name, back in backs.items()}
+
+
+def of_links(simulation: DualSimulation) -> tuple[slice, slice]:
+    """Where the chain's geoms and bodies stand in the model."""
+    first, count = simulation.model.geom(LINK_NAME.format(0)).id, simulation.active_links
+    body = int(simulation.model.geom_bodyid[first])
+    return slice(first, first + count), slice(body, body + count)
+
+
+def area(device: Guidewire | Catheter) -> float:
+    return np.pi / 4 * (device.diameter if isinstance(device, Guidewire) else device.outer_diameter) ** 2
+
+
+def test_mass_is_that_of_both_devices(simulation: DualSimulation, lead: float) -> None:
+    _, bodies = of_links(simulation)
+    within = lengths_within(simulation, lead)
+    masses = {
+        name: NUMERICS.mass_scale * device.density * area(device) * within[name]
+        for name, device in (("wire", WIRE), ("catheter", CATHETER))
+    }
+    total = masses["wire"] + masses["catheter"]
+    model = simulation.model
+    assert np.allclose(model.body_mass[bodies], total, rtol=1e-12)
+    assert np.allclose(model.body_subtreemass[bodies], np.cumsum(total[::-1])[::-1], rtol=1e-12)
+    around = masses["wire"] * WIRE.radius**2 / 2 + masses["catheter"] * CATHETER.radius**2 / 2
+    assert np.allclose(model.body_inertia[bodies, 2], around, rtol=1e-12)
+    low, high = links(simulation).T
+    assert np.allclose(model.body_inertia[bodies, 0], total * (high - low) ** 2 / 12 + around / 2, rtol=1e-12)
+
+
+def test_joints_have_the_stiffness_and_damping_of_their_cell(simulation: DualSimulation, lead: float) -> None:
+    model = simulation.model
+    low, high = links(simulation).T
+    middle = (low + high) / 2
+    backs = {"wire": max(-lead, 0.0), "catheter": max(lead, 0.0)}
+
+    def sections(s: float) -> list[tuple[float, float]]:
+        devices = (("wire", WIRE), ("catheter", CATHETER))
+        there = [(device, s - backs[name]) for name, device in devices if s >= backs[name]]
+        return [(float(device.stiffness(at)), device.relaxation) for device, at in there]
+
+    def flexibility(s: float) -> float:
+        return 1 / sum(bending for bending, _ in sections(s))
+
+    def relaxation(s: float) -> float:
+        return flexibility(s) * sum(bending * time for bending, time in sections(s))
+
+    steps = [*backs.values(), *(backs["catheter"] + at for at in CATHETER.taper)]
+    steps += [backs["wire"] + at for at in (*WIRE.taper, WIRE.tip_length)]
+    for joint in range(1, simulation.active_links):
+        cell = middle[joint], middle[joint - 1]
+        inside = [at for at in steps if cell[0] < at < cell[1]] or None
+        bend = quad(flexibility, *cell, points=inside, limit=200)[0]
+        damping = quad(relaxation, *cell, points=inside, limit=200)[0] / (cell[1] - cell[0]) / bend
+        for axis in "xy":
+            hinge = model.joint(LINK_NAME.format(joint) + axis)
+            assert model.jnt_stiffness[hinge.id] == pytest.approx(1 / bend, rel=2e-3)
+            assert model.dof_damping[hinge.dofadr[0]] == pytest.approx(damping, rel=2e-3)
+
+
+def test_longer_than_the_devices() -> None:
+    with pytest.raises(ValueError, match="longer than the shorter device"):
+        DevicePair(load_guidewire("default"), load_catheter("vertebral"), reach=1.4)

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import zlib
 from collections.abc import Callable
 from typing import Any
 
@@ -23,7 +24,7 @@ SMALL: dict[str, Any] = {"image_size": 32, "accuracy": "fast"}
 VARIANTS: dict[str, dict[str, Any]] = {
     "everything seen": {"observation": OBSERVABLES, "start_rotation": 2.0, "registration_noise": 1e-3},
     "cameras": {"observation": ("image_a", "mask_a", "image_b", "sequential"), "cameras": "guide3d"},
-    "blood": {"observation": "joints", "blood": "pulsatile"},
+    "blood of one's own": {"observation": "joints", "blood": BloodFlow(peak_velocity=0.5, phase=0.2)},
     "blood and breathing": {"observation": "joints", "blood": "steady", "breathing": Breathing()},
     "robot": {"observation": ("feeder", "shape"), "drive": "robot"},
     "tip motors": {"actions": "tip_motors", "observation": ("internal", "image")},
@@ -68,23 +69,17 @@ def test_copies_in_the_middle_of_an_episode_go_on_alike(make_env: MakeEnv, varia
     env.reset(seed=3)
     for action in actions(env, 45):
         env.step(action)
-    go_on_alike(env, WAYS[way](env))
-
-
-def test_copies_with_cameras_and_blood_of_ones_own(make_env: MakeEnv, type_1: Phantom) -> None:
-    cameras = BiplaneFluoroscope.of(type_1, "clinical", size=48, surroundings="patient", filling="contrast")
-    env = make_env(
-        phantom=type_1,
-        cameras=cameras,
-        blood=BloodFlow(peak_velocity=0.5, phase=0.2),
-        observation=("image_b", "joints"),
-    )
-    env.reset(seed=0)
-    for action in actions(env, 20):
-        env.step(action)
-    twin = WAYS["pickle"](env)
-    assert np.array_equal(twin.simulation.blood_forces(), env.simulation.blood_forces())
+    twin = WAYS[way](env)
+    assert same(twin.simulation.blood_forces(), env.simulation.blood_forces())
     go_on_alike(env, twin)
+
+
+def test_copies_have_the_cameras_of_ones_own(make_env: MakeEnv, type_1: Phantom) -> None:
+    cameras = BiplaneFluoroscope.of(type_1, "clinical", size=48, surroundings="patient", filling="contrast")
+    env = make_env(phantom=type_1, cameras=cameras, observation="image_b")
+    env.reset(seed=0)
+    env.step(np.ones(2))
+    go_on_alike(env, WAYS["pickle"](env), steps=3)
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -105,20 +100,6 @@ def test_copies_of_wrapped_and_of_vector_environments(way: str) -> None:
     other.close()
 
 
-@pytest.mark.parametrize("variant", ["robot", "everything seen", "blood and breathing"])
-def test_states_move_to_another_environment(make_env: MakeEnv, variant: str) -> None:
-    arguments = {**SMALL, **VARIANTS[variant]}
-    env, other = make_env(**arguments), make_env(**arguments)
-    env.reset(seed=3)
-    for action in actions(env, 35):
-        env.step(action)
-    other.reset(seed=9)
-    other.restore(pickle.loads(pickle.dumps(env.state())))
-    assert same(env.simulation.blood_forces(), other.simulation.blood_forces())
-    for action in actions(env, 25, seed=2):
-        assert same(env.step(action), other.step(action))
-
-
 def test_the_robot_is_saved_in_every_phase_of_its_cycle(make_env: MakeEnv) -> None:
     env, other = (make_env(drive="robot", observation="feeder") for _ in range(2))
     env.reset(seed=0)
@@ -136,27 +117,15 @@ def test_the_robot_is_saved_in_every_phase_of_its_cycle(make_env: MakeEnv) -> No
 
 
 def test_a_pickle_opens_in_another_process(make_env: MakeEnv, tmp_path: Any, run_python: Callable[[str], str]) -> None:
-    import hashlib
-
     env = make_env(observation=("internal", "image"), image_size=32)
     env.reset(seed=1)
     for action in actions(env, 30):
         env.step(action)
     file = tmp_path / "environment"
     file.write_bytes(pickle.dumps(env))
-    printed = run_python(
-        "import hashlib, pickle, numpy as np\n"
-        f"env = pickle.load(open({str(file)!r}, 'rb'))\n"
-        "seen = hashlib.sha256()\n"
-        "for _ in range(10):\n"
-        "    observation, reward, *_ = env.step(np.array([1.0, -0.3]))\n"
-        "    for part in (observation['internal'], observation['image'], reward): "
-        "seen.update(np.asarray(part).tobytes())\n"
-        "print(seen.hexdigest())"
+    going_on = (
+        "[(reward, [zlib.crc32(seen[name].tobytes()) for name in ('internal', 'image')]) "
+        "for seen, reward, *_ in (env.step([1.0, -0.3]) for _ in range(10))]"
     )
-    seen = hashlib.sha256()
-    for _ in range(10):
-        observation, reward, *_ = env.step(np.array([1.0, -0.3]))
-        for part in (observation["internal"], observation["image"], reward):
-            seen.update(np.asarray(part).tobytes())
-    assert printed.strip() == seen.hexdigest()
+    printed = run_python(f"import pickle, zlib\nenv = pickle.load(open({str(file)!r}, 'rb'))\nprint({going_on})")
+    assert printed.strip() == repr(eval(going_on, {"env": env, "zlib": zlib}))

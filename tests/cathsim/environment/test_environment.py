@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from cathsim import ENVIRONMENT, PHANTOMS, NavigateEnv
+from cathsim import NavigateEnv
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.entry import AHEAD
 from cathsim.observations.fluoroscopes import SHOWN_SHEATH, shown_points
@@ -18,19 +18,8 @@ from tests.cathsim.equal_observations import same
 
 MakeEnv = Callable[..., NavigateEnv]
 
-INFO = {
-    "tip": (3,),
-    "distance": (),
-    "branch": (),
-    "depth": (),
-    "insertion": (),
-    "rotation": (),
-    "force": (),
-    "force_vector": (3,),
-    "success": (),
-    "success_lumen": (),
-    "invalid": (),
-}
+SINGLE = ("distance", "branch", "depth", "insertion", "rotation", "force", "success", "success_lumen", "invalid")
+INFO = {"tip": (3,), "force_vector": (3,), **dict.fromkeys(SINGLE, ())}
 ACTION_SIZE = {"feeder": 2, "tip_motors": 21}
 # warnings of the checkers that say nothing about the environment: joint angles and speeds have no natural bounds
 HARMLESS = ("minimum value is -infinity", "maximum value is infinity", "not within the expected range")
@@ -62,7 +51,7 @@ def digest(env: NavigateEnv, steps: int, seed: int) -> str:
 @pytest.mark.parametrize(
     ("phantom", "kind", "wire"),
     [
-        *((phantom, "feeder", "default") for phantom in PHANTOMS),
+        ("type_2", "feeder", "default"),
         ("type_1", "tip_motors", "default"),
         ("type_1", "feeder", "thesis"),
         ("bovine", "tip_motors", "nitrex_straight"),
@@ -106,53 +95,22 @@ def test_every_configuration_keeps_the_contract(make_env: MakeEnv, phantom: str,
     assert info["insertion"] > steps[0][2]["insertion"]
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"observation": ("joints", "image", "mask")},
-        {"observation": "sequential", "render_mode": "fluoroscopy"},
-        {"actions": "tip_motors", "reward": "geodesic"},
-    ],
-    ids=str,
-)
-def test_checkers_find_nothing(arguments: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("pygame")  # an extra: they try every render mode
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    from gymnasium.utils.env_checker import check_env as gymnasium_check
-
-    checks = [gymnasium_check]
-    try:
-        from stable_baselines3.common.env_checker import check_env as sb3_check
-    except ImportError:  # an extra
-        pass
-    else:
-        checks.append(sb3_check)
-    for check in checks:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            env = gymnasium.make(ENVIRONMENT, accuracy="fast", **arguments)
-            check(env.unwrapped)
-            env.close()
-        found = [str(warning.message) for warning in caught]
-        assert not [text for text in found if not any(harmless in text for harmless in HARMLESS)]
-
-
-def test_made_environment_steps_through_its_wrappers() -> None:
-    env = gymnasium.make(ENVIRONMENT, phantom="type_2", target="lsa", accuracy="fast", max_steps=2)
-    assert isinstance(env.unwrapped, NavigateEnv)
-    env.reset(seed=0)
-    assert env.step(np.ones(2, np.float32))[3] is False
-    assert env.step(np.ones(2, np.float32))[3] is True
-    env.close()
+def test_the_checker_of_stable_baselines3_finds_nothing() -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        checker.check_env(NavigateEnv(observation=("joints", "image", "mask"), actions="tip_motors", accuracy="fast"))
+    found = [str(warning.message) for warning in caught]
+    assert not [text for text in found if not any(harmless in text for harmless in HARMLESS)]
 
 
 def test_same_seed_gives_the_same_bits(make_env: MakeEnv) -> None:
     arguments = {"observation": OBSERVABLES, "image_size": 40, "start_rotation": 1.0}
     env = make_env(**arguments)
-    first = digest(env, 70, seed=3)
-    assert digest(make_env(**arguments), 70, seed=3) == first
-    assert digest(env, 100, seed=4) != first
-    assert digest(env, 70, seed=3) == first, "an earlier episode left its trace"
+    first = digest(env, 50, seed=3)
+    assert digest(make_env(**arguments), 50, seed=3) == first
+    assert digest(env, 50, seed=4) != first
+    assert digest(env, 50, seed=3) == first, "an earlier episode left its trace"
 
 
 def test_an_invalid_state_ends_the_episode_and_the_next_is_sound(make_env: MakeEnv) -> None:
@@ -174,16 +132,15 @@ def test_an_invalid_state_ends_the_episode_and_the_next_is_sound(make_env: MakeE
     [
         ({"phantom": "aorta"}, "unknown phantom 'aorta'; choose from type_1, "),
         ({"phantom": "random"}, "phantom 'random' needs a seed"),
-        ({"target": "coronary"}, "unknown target 'coronary' in phantom 'type_1'; choose from bca, "),
-        ({"entry": "radial"}, "unknown entry 'radial' in phantom 'type_1'; choose from descending, ascending"),
-        ({"wire": "steel"}, "unknown guidewire 'steel'; there are default, "),
-        ({"accuracy": "exact"}, "unknown accuracy 'exact'; there are reference, "),
-        ({"actions": "tip"}, "unknown actions 'tip'; there are feeder, tip_motors"),
-        ({"observation": "pixels"}, "unknown observation 'pixels'; there are internal, "),
+        ({"target": "coronary"}, "unknown target 'coronary'"),
+        ({"wire": "steel"}, "unknown guidewire 'steel'"),
+        ({"accuracy": "exact"}, "unknown accuracy 'exact'"),
+        ({"actions": "tip"}, "unknown actions 'tip'"),
+        ({"observation": "pixels"}, "unknown observation 'pixels'"),
         ({"observation": ()}, "observation must name at least one observable"),
-        ({"render_mode": "ansi"}, "unknown render_mode 'ansi'; there are human, rgb_array, fluoroscopy"),
-        ({"reward": "sparse"}, "unknown reward 'sparse'; there are distance, geodesic"),
-        ({"colour": "red"}, "the environment has no argument colour; the task's are target, success_radius"),
+        ({"render_mode": "ansi"}, "unknown render_mode 'ansi'"),
+        ({"reward": "sparse"}, "unknown reward 'sparse'"),
+        ({"colour": "red"}, "the environment has no argument colour"),
     ],
     ids=str,
 )
@@ -193,21 +150,18 @@ def test_bad_arguments_are_named_in_one_sentence(make_env: MakeEnv, arguments: d
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("action", "message"),
-    [
-        ([np.nan, 0.0], r"expected a finite action, got \[nan, 0.0\]"),
-        ([0.0, np.inf], "expected a finite action"),
-        ([0.0], r"expected an action of shape \(2,\), got \(1,\)"),
-        ([[0.0, 0.0]], r"expected an action of shape \(2,\), got \(1, 2\)"),
-    ],
-)
-def test_bad_actions_are_refused_and_change_nothing(make_env: MakeEnv, action: list[Any], message: str) -> None:
+def test_bad_actions_are_refused_and_change_nothing(make_env: MakeEnv) -> None:
     env = make_env()
     env.reset(seed=0)
     before = env.simulation.state()
-    with pytest.raises(ValueError, match=message):
-        env.step(np.array(action))
+    for action, message in (
+        ([np.nan, 0.0], "expected a finite action"),
+        ([0.0, np.inf], "expected a finite action"),
+        ([0.0], r"expected an action of shape \(2,\), got \(1,\)"),
+        ([[0.0, 0.0]], r"got \(1, 2\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            env.step(np.array(action))
     assert np.array_equal(env.simulation.state(), before)
     assert env.steps == 0
 
@@ -221,14 +175,10 @@ def test_a_step_needs_a_running_episode(make_env: MakeEnv) -> None:
         env.step(np.zeros(2))
 
 
-def entries(phantom: Phantom) -> dict[str, object]:
-    aorta = phantom.tree.root
-    return {"from the arm": "lsa_end", "amid the aorta": tuple(aorta.point_at(0.3 * aorta.length).tolist())}
-
-
-@pytest.mark.parametrize("which", ["from the arm", "amid the aorta"])
-def test_wire_begins_at_its_entry_and_goes_in(type_1: Phantom, which: str) -> None:
-    entry = entries(type_1)[which]
+@pytest.mark.parametrize("named", [True, False])
+def test_wire_begins_at_its_entry_and_goes_in(type_1: Phantom, named: bool) -> None:
+    aorta = type_1.tree.root
+    entry = "lsa_end" if named else tuple(aorta.point_at(0.3 * aorta.length).tolist())
     env = NavigateEnv(type_1, "bca", entry=entry, observation=("roadmap", "image"), accuracy="fast")
     gate = type_1.entry(env.simulation.entry)
     env.reset(seed=0)
@@ -242,23 +192,11 @@ def test_wire_begins_at_its_entry_and_goes_in(type_1: Phantom, which: str) -> No
     assert np.linalg.norm(drawn[-1] - (gate.position - SHOWN_SHEATH * gate.direction)) < 1e-9
 
 
-def drive(environment: NavigateEnv, environment_state_actions: np.ndarray) -> list[tuple]:
-    return [environment.step(action)[:4] for action in environment_state_actions]
-
-
-@pytest.fixture
-def environment() -> NavigateEnv:
-    return NavigateEnv(observation=("joints", "sequential", "force"), reward="geodesic", start_rotation=np.pi)
-
-
-@pytest.fixture
-def environment_state_actions() -> np.ndarray:
-    return np.random.default_rng(0).uniform((-0.2, -1.0), 1.0, (60, 2))
-
-
-def test_episode_starts_where_a_wire_was_left(environment: NavigateEnv, environment_state_actions: np.ndarray) -> None:
+def test_episode_starts_where_a_wire_was_left(make_env: MakeEnv) -> None:
+    environment = make_env(observation=("joints", "sequential", "force"), reward="geodesic", start_rotation=np.pi)
     environment.reset(seed=3)
-    drive(environment, environment_state_actions[:30])
+    for action in actions(environment, 30):
+        environment.step(action)
     tip, start = environment.simulation.tip, environment.simulation.state()
     environment.reset(seed=4)
     _, info = environment.reset(options={"start": start})
@@ -271,26 +209,19 @@ KEYS = ("roadmap", "history", "image", "joints", "sequential", "tracking", "forc
 STEPS = 14
 
 
-def episode(observe_every_environment: Any, actions: np.ndarray) -> list[tuple[Any, float, bool, bool]]:
-    observation, _ = observe_every_environment.reset(seed=3)
-    rows = [(observation, 0.0, False, False)]
-    for action in actions:
-        observation, reward, terminated, truncated, _ = observe_every_environment.step(action)
-        rows.append((observation, reward, terminated, truncated))
-        if terminated or truncated:
-            break
-    return rows
-
-
-def observe_every_environment(**changed: Any) -> NavigateEnv:
+def observed_every(number: int) -> NavigateEnv:
     task = {"reward": "geodesic", "max_steps": STEPS}
-    return NavigateEnv("type_1", "bca", observation=KEYS, accuracy="fast", **task, **changed)
+    return NavigateEnv("type_1", "bca", observation=KEYS, accuracy="fast", observe_every=number, **task)
 
 
 def test_what_is_observed_is_what_is_observed_at_every_step() -> None:
-    actions = np.random.default_rng(0).uniform(-1, 1, (STEPS, 2))
-    every, third = (episode(observe_every_environment(observe_every=number), actions) for number in (1, 3))
-    assert len(every) == len(third) == STEPS + 1
+    chosen, rows = np.random.default_rng(0).uniform(-1, 1, (STEPS, 2)), []
+    for number in (1, 3):
+        env = observed_every(number)
+        start, _ = env.reset(seed=3)
+        rows.append([(start, 0.0, False, False), *(env.step(action)[:4] for action in chosen)])
+    every, third = rows
+    assert every[STEPS][3]
     for step, (one, other) in enumerate(zip(every, third, strict=True)):
         assert one[1:] == other[1:]
         if step % 3 == 0 or step == STEPS:  # the episode ends at 14, no multiple of 3
@@ -300,7 +231,7 @@ def test_what_is_observed_is_what_is_observed_at_every_step() -> None:
 
 
 def test_a_saved_moment_has_the_observation_that_was_last_made() -> None:
-    tried, again = observe_every_environment(observe_every=5), observe_every_environment(observe_every=5)
+    tried, again = observed_every(5), observed_every(5)
     tried.reset(seed=1)
     for action in np.random.default_rng(2).uniform(0, 1, (7, 2)):
         last = tried.step(action)[0]

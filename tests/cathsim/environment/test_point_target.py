@@ -3,12 +3,11 @@
 import dataclasses
 import pickle
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 
-from cathsim import NavigateEnv, NavigationTask, Phantom
+from cathsim import NavigateEnv, NavigationTask, Phantom, load_guidewire
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.planning.plan_trials import ExpertSettings
 from cathsim.planning.sampling import SamplingExpert
@@ -35,12 +34,9 @@ def beside(type_1: Phantom, point: tuple[float, ...]) -> np.ndarray:
     return place
 
 
-@pytest.mark.parametrize("kind", [tuple, np.array])
-def test_a_point_gives_the_episodes_of_the_name_whose_place_it_is(
-    make_env: MakeEnv, point: tuple[float, ...], kind: Any
-) -> None:
+def test_a_point_gives_the_episodes_of_the_name_whose_place_it_is(make_env: MakeEnv, point: tuple[float, ...]) -> None:
     arguments = {"observation": GUIDED, "reward": "geodesic", "phantom": "type_1"}
-    named, pointed = make_env(target="lsa", **arguments), make_env(target=kind(point), **arguments)
+    named, pointed = make_env(target="lsa", **arguments), make_env(target=point, **arguments)
     assert pointed.task.target == point
     one, other = named.reset(seed=0), pointed.reset(seed=0)
     for _ in range(30):
@@ -84,20 +80,16 @@ def test_targets_that_cannot_be_are_refused_and_change_nothing(make_env: MakeEnv
     first, _ = env.reset(seed=0)
     place = type_1.grid.coordinates(np.argwhere(type_1.grid.values > 0)[0])
     for target, message in (
-        (
-            place + 0.5,
-            r"lies outside the lumen of type_1: the nearest place inside is \(.*\) m, .* mm away",
-        ),
-        (place * 1e3, "coordinates are in metres, in the world frame"),
-        (place[:2], "a target is a name, or a point of three coordinates in m"),
-        ([np.nan, 0.0, 0.0], "a target is a name, or a point of three coordinates in m"),
+        (place + 0.5, r"lies outside the lumen of type_1: the nearest place inside is \(.*\) m"),
+        (place * 1e3, "coordinates are in metres"),
+        (place[:2], "a point of three coordinates in m"),
+        ([np.nan, 0.0, 0.0], "a point of three coordinates in m"),
         ("coronary", "unknown target 'coronary'"),
-        (7, "a target is a name, or a point of three coordinates in m, got 7"),
+        (7, "a point of three coordinates in m, got 7"),
     ):
         state = env.state()
-        with pytest.raises(ValueError, match=message) as caught:
+        with pytest.raises(ValueError, match=message):
             env.reset(seed=5, options={"target": target})
-        assert "\n" not in str(caught.value)
         assert env.state()["generator"] == state["generator"]
         assert env.task.target == "bca"
         assert np.array_equal(env.observe(), first)
@@ -106,8 +98,6 @@ def test_targets_that_cannot_be_are_refused_and_change_nothing(make_env: MakeEnv
 
 
 def test_a_point_out_of_reach_is_refused(make_env: MakeEnv, type_1: Phantom) -> None:
-    from cathsim import load_guidewire
-
     far = type_1.target("rcca_end").position
     with pytest.raises(ValueError, match=r"the wire of .* mm is too short for point_.*_mm of type_1"):
         make_env(phantom=type_1, target=far, wire=load_guidewire("default").scaled(0.2))
@@ -150,7 +140,7 @@ def test_a_tasks_own_reward_is_given_the_progress(make_env: MakeEnv, type_1: Pha
     assert total > 0.5 * moved > 0.005
 
 
-def test_vectors_many_anatomies_and_composer_take_a_tasks_own_reward(type_1: Phantom) -> None:
+def test_vectors_and_many_anatomies_take_a_tasks_own_reward(type_1: Phantom) -> None:
     task = Progress(max_steps=50)
     rewards: list[list[float]] = []
     vector = ThreadedVectorEnv(2, phantom=type_1, accuracy="fast", task=task)
@@ -163,12 +153,6 @@ def test_vectors_many_anatomies_and_composer_take_a_tasks_own_reward(type_1: Pha
         rewards.append([*gained, float(many.step(FORWARD)[1])])
     assert (np.sum(rewards, axis=0) > 0.005).all()
     vector.close()
-
-    composer = pytest.importorskip("cathsim.composer")
-    environment = composer.load(phantom=type_1, task=task, target="lcca", seed=0)
-    environment.reset()
-    total = sum(environment.step([1.0, 0.0]).reward for _ in range(10))
-    assert total > 0.005
 
 
 def test_many_anatomies_take_points(type_1: Phantom, beside: np.ndarray, point: tuple[float, ...]) -> None:

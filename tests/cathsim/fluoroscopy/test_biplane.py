@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from cathsim.fluoroscopy import (
-    BiplaneFluoroscope,
-    Radiograph,
-    catheter_material,
-    guide3d_pair,
-    radiograph,
-    scene,
-)
+from cathsim.fluoroscopy import BiplaneFluoroscope, Radiograph, catheter_material, guide3d_pair, radiograph, scene
 from cathsim.lattice.node_blocks import NodeBlocks
 
 RADIUS, BALL = 0.012, np.array([0.004, -0.003, 0.002])
@@ -33,9 +26,9 @@ PHANTOM = SimpleNamespace(grid=ball_grid(), bounds=np.array([[-0.03] * 3, [0.03]
 NOTHING = np.zeros((0, 3))
 
 
-def arc_wire(spacing=0.002):
-    """A wire on a slanted arc, m; the truth in closed form."""
-    angle = np.arange(0.0, 0.12, spacing) / 0.045
+def arc_wire(spacing=0.002, start=0.0):
+    """A wire on a slanted arc from a distance (m) along it on; the truth in closed form."""
+    angle = np.arange(start, 0.12, spacing) / 0.045
     return np.column_stack((0.045 * np.cos(angle), 0.01 * np.sin(2 * angle), 0.045 * np.sin(angle) - 0.01))
 
 
@@ -81,7 +74,7 @@ def test_same_seed_same_bits_and_cameras_do_not_disturb_each_other(small, fluoro
     np.testing.assert_array_equal(small.render(wire)["a"].image, small.render(wire)["a"].image)
 
 
-@pytest.mark.parametrize("expected", [0.4, 3.0, 9.0, 40.0, 300.0])
+@pytest.mark.parametrize("expected", [0.4, 9.0, 300.0])
 def test_counts_are_poisson(expected):
     camera = guide3d_pair(np.zeros(3), 128)[0]
     scale = camera.detector.photons / camera.detector.white(128, 128)
@@ -138,26 +131,16 @@ def test_bad_input_is_refused(small):
         BiplaneFluoroscope([camera], [])
 
 
-BIPLANE_DEVICES_NOTHING = np.empty((0, 3))
 SIZE = 512
 
 
-def tube(marker_length: float = 4e-3):
-    return catheter_material(0.835e-3, 0.6e-3, wall=170.0, marker=1430.0, marker_length=marker_length)
-
-
-def bend(start: float) -> np.ndarray:
-    """Nodes of an arc from a distance (m) along it on."""
-    angle = np.arange(start, 0.12, 0.002) / 0.045
-    return np.column_stack((0.045 * np.cos(angle), 0.01 * np.sin(2 * angle), 0.045 * np.sin(angle) - 0.01))
-
-
 @pytest.fixture(scope="module")
-def biplane_devices_fluoroscope() -> BiplaneFluoroscope:
+def in_air() -> BiplaneFluoroscope:
     """Of nothing but air: every pixel expects as many photons, and none are scattered."""
     cameras = guide3d_pair(np.zeros(3), SIZE)
     stills = [Radiograph(np.full((SIZE, SIZE), 500.0, np.float32), np.zeros((SIZE, SIZE), np.float32)) for _ in cameras]
-    return BiplaneFluoroscope(cameras, stills, catheter=tube())
+    tube = catheter_material(0.835e-3, 0.6e-3, wall=170.0, marker=1430.0, marker_length=4e-3)
+    return BiplaneFluoroscope(cameras, stills, catheter=tube)
 
 
 def depth(image: np.ndarray) -> np.ndarray:
@@ -165,12 +148,9 @@ def depth(image: np.ndarray) -> np.ndarray:
     return -2 * np.log(image / image.max())
 
 
-def test_without_a_catheter_it_is_the_bare_wire_bit_for_bit(biplane_devices_fluoroscope: BiplaneFluoroscope) -> None:
-    bare, both = (
-        biplane_devices_fluoroscope.render(bend(0.0), 3),
-        biplane_devices_fluoroscope.render_devices(bend(0.0), BIPLANE_DEVICES_NOTHING, 3),
-    )
-    for name in biplane_devices_fluoroscope.names:
+def test_without_a_catheter_it_is_the_bare_wire_bit_for_bit(in_air: BiplaneFluoroscope) -> None:
+    bare, both = in_air.render(arc_wire(), 3), in_air.render_devices(arc_wire(), NOTHING, 3)
+    for name in in_air.names:
         assert np.array_equal(bare[name].image, both[name].image)
         assert np.array_equal(bare[name].mask, both[name].mask)
         assert np.array_equal(bare[name].mask, both[name].mask_wire)
@@ -178,11 +158,10 @@ def test_without_a_catheter_it_is_the_bare_wire_bit_for_bit(biplane_devices_fluo
 
 
 @pytest.mark.parametrize("name", ["a", "b"])
-def test_attenuation_of_both_adds(biplane_devices_fluoroscope: BiplaneFluoroscope, name: str) -> None:
-    wire, catheter = bend(0.0), bend(0.04)
+def test_attenuation_of_both_adds(in_air: BiplaneFluoroscope, name: str) -> None:
+    wire, catheter = arc_wire(), arc_wire(start=0.04)
     both, inner, outer = (
-        biplane_devices_fluoroscope.render_devices(*pair)[name]
-        for pair in ((wire, catheter), (wire, BIPLANE_DEVICES_NOTHING), (BIPLANE_DEVICES_NOTHING, catheter))
+        in_air.render_devices(*pair)[name] for pair in ((wire, catheter), (wire, NOTHING), (NOTHING, catheter))
     )
     assert depth(both.image) == pytest.approx(depth(inner.image) + depth(outer.image), abs=0.05)
     assert depth(both.image).max() > depth(inner.image).max() + 0.02
@@ -194,24 +173,21 @@ def test_attenuation_of_both_adds(biplane_devices_fluoroscope: BiplaneFluoroscop
     assert inside.sum() > ahead.sum()
 
 
-def test_the_marker_is_at_the_tip_alone(biplane_devices_fluoroscope: BiplaneFluoroscope) -> None:
-    image = biplane_devices_fluoroscope.render_devices(BIPLANE_DEVICES_NOTHING, bend(0.04))["a"].image
+def test_the_marker_is_at_the_tip_alone(in_air: BiplaneFluoroscope) -> None:
+    image = in_air.render_devices(NOTHING, arc_wire(start=0.04))["a"].image
     dark = np.argwhere(depth(image) > 0.4)
-    camera = biplane_devices_fluoroscope.cameras["a"]
-    tip = camera.pixels(bend(0.04)[:1])[0]
+    camera = in_air.cameras["a"]
+    end = arc_wire(start=0.04)[0]
+    tip = camera.pixels(end[None])[0]
     assert len(dark) > 5
-    assert np.linalg.norm(dark[:, ::-1] - tip, axis=1).max() < 4.5e-3 * camera.projector.pixels_per_metre(bend(0.04)[0])
+    assert np.linalg.norm(dark[:, ::-1] - tip, axis=1).max() < 4.5e-3 * camera.projector.pixels_per_metre(end)
 
 
-def test_a_fluoroscope_without_the_material_says_how_to_have_it(
-    biplane_devices_fluoroscope: BiplaneFluoroscope,
-) -> None:
-    cameras = list(biplane_devices_fluoroscope.cameras.values())
+def test_a_fluoroscope_without_the_material_says_how_to_have_it(in_air: BiplaneFluoroscope) -> None:
+    cameras = list(in_air.cameras.values())
     still = Radiograph(np.ones((SIZE, SIZE), np.float32), np.zeros((SIZE, SIZE), np.float32))
     with pytest.raises(ValueError, match="with_catheter"):
-        BiplaneFluoroscope(cameras, [still, still]).render_devices(BIPLANE_DEVICES_NOTHING, bend(0.0))
-    with pytest.raises(ValueError, match="unknown camera 'c'"):
-        biplane_devices_fluoroscope.render_devices(BIPLANE_DEVICES_NOTHING, bend(0.0), only=("c",))
+        BiplaneFluoroscope(cameras, [still, still]).render_devices(NOTHING, arc_wire())
 
 
 NAMES = ("image_a", "mask_a", "image_b", "mask_b")

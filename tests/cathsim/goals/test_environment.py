@@ -1,35 +1,17 @@
 """Navigation towards goals: rewards, draws, limits, messages."""
 
-import json
-
-import gymnasium
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
-from gymnasium.utils.env_checker import check_env
 
 from cathsim import NavigateEnv, NavigationTask
 from cathsim.contact.breathing import Breathing
 from cathsim.goals.environment import NavigateGoalEnv
 from cathsim.goals.task import GoalTask
-from cathsim.registration import GOAL
-
-pytestmark = pytest.mark.filterwarnings("ignore:.*(minimum value is -inf|maximum value is inf)")
 
 
 @pytest.fixture(scope="module")
 def environment() -> NavigateGoalEnv:
     return NavigateGoalEnv("type_1", accuracy="fast")
-
-
-def test_the_registered_environment_passes_the_checker() -> None:
-    env = gymnasium.make(GOAL, accuracy="fast")
-    check_env(env.unwrapped, skip_render_check=True)
-    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
-    one, other = env.reset(seed=4), again.reset(seed=4)
-    assert all(np.array_equal(one[0][key], other[0][key]) for key in one[0])
-    env.close()
-    again.close()
 
 
 def test_the_reward_of_a_step_is_that_of_its_goals(environment: NavigateGoalEnv) -> None:
@@ -84,20 +66,17 @@ def test_a_goal_may_be_given_and_reaching_it_ends_the_episode() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"observation": ("joints", "roadmap")}, "observation roadmap depends on the target.* leave it out"),
-        (
-            {"observation": ("joints", "image")},
-            "an image can only be observed alone beside the goals, got joints, image",
-        ),
-        ({"goals": ()}, "goals must list at least one name or point"),
-        ({"goals": "bca"}, "goals must list at least one name or point, got 'bca'"),
+        ({"observation": ("joints", "roadmap")}, "observation roadmap depends on the target"),
+        ({"observation": ("joints", "image")}, "got joints, image"),
+        ({"goals": ()}, "goals must list at least one"),
+        ({"goals": "bca"}, "goals must list at least one .*got 'bca'"),
         ({"goals": ("bca", "nowhere")}, "nowhere"),
-        ({"target": "bca"}, "takes goals, a list, instead of a target"),
+        ({"target": "bca"}, "instead of a target"),
         ({"task": NavigationTask()}, "task must be a GoalTask"),
-        ({"reward": "geodesic"}, "unknown reward 'geodesic'; there are sparse, dense"),
+        ({"reward": "geodesic"}, "unknown reward 'geodesic'"),
         ({"path_penalty": 1.0}, "path_penalty must be 0"),
     ],
-    ids=lambda value: json.dumps(value, default=str) if isinstance(value, dict) else "",
+    ids=str,
 )
 def test_wrong_arguments_are_refused(arguments: dict[str, object], message: str) -> None:
     with pytest.raises((ValueError, KeyError), match=message) as caught:
@@ -117,7 +96,7 @@ def test_a_goal_task_rewards_its_own_target_alike_in_an_environment_of_one_targe
         assert given == pytest.approx(-1.0 if reward == "sparse" else -info["distance"])
     own = NavigateEnv("type_1", task=GoalTask(reward=lambda achieved, desired, info: 0.0), accuracy="fast")
     own.reset(seed=0)
-    with pytest.raises(ValueError, match="is a function of goals: take NavigateGoalEnv"):
+    with pytest.raises(ValueError, match="take NavigateGoalEnv"):
         own.step(np.array([1.0, 0.0]))
 
 
@@ -136,7 +115,7 @@ def test_forces_are_subtracted() -> None:
     assert task.goal_reward(REACHED[0], WANTED[0], infos[0]) == -0.5
     above = GoalTask(force_penalty=0.5, force_threshold=1.5)
     assert np.array_equal(above.goal_reward(REACHED, WANTED, infos), [0.0, 0.0, -1.25])
-    with pytest.raises(ValueError, match=r"needs info\['force'\] of every step: keep the infos"):
+    with pytest.raises(ValueError, match=r"needs info\['force'\]"):
         task.goal_reward(REACHED, WANTED, [{}, {}, {}])
 
 

@@ -6,14 +6,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.planning.path import (
-    LumenPath,
-    UnreachableError,
-    picture,
-    plan_path,
-    shortest_lattice_path,
-    smooth_path,
-)
+from cathsim.planning.path import LumenPath, UnreachableError, picture, plan_path, shortest_lattice_path, smooth_path
 
 SPACING = 1e-3
 

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -11,8 +10,6 @@ from cathsim.rehearsal.environment import NavigateCopiesEnv
 from cathsim.rehearsal.perturbation import Perturbation, copy_of
 from cathsim.rehearsal.walls import displaced_walls
 from tests.cathsim.anatomy.wall.tubes import tubes, wall_at
-
-ID = "cathsim:cathsim/NavigateCopies-v0"
 
 
 def made(type_1: Phantom, **arguments: object) -> NavigateCopiesEnv:
@@ -67,23 +64,14 @@ def test_the_roadmap_is_the_scans_in_its_wrong_pose(type_1: Phantom) -> None:
     assert env.phantom.name == "type_1_copy1"
 
 
-def test_it_is_made_by_its_id_and_again_from_json(type_1: Phantom) -> None:
-    settings = {"phantom": "type_1", "targets": ("bca",), "copies": (1, 5), "perturbation": Perturbation(walls=5e-4)}
-    env = gymnasium.make(ID, **settings, accuracy="fast", observation="tip", disable_env_checker=True)
-    again = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    first, second = (one.reset(seed=2) for one in (env, again))
-    np.testing.assert_array_equal(first[0], second[0])
-    assert first[1]["phantom"] == second[1]["phantom"]
-
-
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
         ({"copies": ()}, "copies must list at least one seed"),
         ({"copies": (-1,)}, r"none below 0, got \[-1\]"),
-        ({"breathing": None}, "copies bring their own breathing"),
-        ({"perturbation": "strong"}, "perturbation must be a Perturbation, got 'strong'"),
-        ({"wire": None}, "copies differ in the wire's stiffness"),
+        ({"breathing": None}, "their own breathing"),
+        ({"perturbation": "strong"}, "perturbation must be .*got 'strong'"),
+        ({"wire": None}, "wire's stiffness"),
     ],
 )
 def test_bad_arguments_are_refused(type_1: Phantom, changed: dict[str, object], message: str) -> None:

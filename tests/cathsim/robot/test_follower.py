@@ -7,15 +7,7 @@ import pytest
 
 from cathsim import NavigateEnv
 from cathsim.robot.follower import CLOSED, FollowerRobot, Leader, Phase
-from cathsim.robot.model import (
-    CLAMPS,
-    DRIVING_CLAMP,
-    HOLDING_CLAMP,
-    JAWS,
-    ROTARIES,
-    WHEEL,
-    RobotSettings,
-)
+from cathsim.robot.model import CLAMPS, DRIVING_CLAMP, HOLDING_CLAMP, JAWS, ROTARIES, WHEEL, RobotSettings
 from cathsim.robot.pace import PACES, Pace
 from cathsim.viewing.camera_view import RenderingUnavailableError, View
 
@@ -47,11 +39,8 @@ def test_wire_moves_only_while_clamped_and_then_with_the_carriage() -> None:
     phases = set()
     paused = 0
     for _ in range(60 * 20):
-        before, carriage, wheel = (
-            robot.driven,
-            position(robot, DRIVING_CLAMP),
-            position(robot, WHEEL.format(ROTARIES[1])),
-        )
+        before, carriage = robot.driven, position(robot, DRIVING_CLAMP)
+        wheel = position(robot, WHEEL.format(ROTARIES[1]))
         moved, turned = robot.advance(1e-4, 0.01, SHORT.timestep)
         phases.add(robot.phase)
         if before and robot.driven:
@@ -103,13 +92,13 @@ def test_direct_drive_has_no_robot_and_others_are_refused(make_env: MakeEnv) -> 
     assert env.robot is None
     _, info = env.reset(seed=0)
     assert "driven" not in info
-    with pytest.raises(ValueError, match="unknown drive 'rail'; there are direct, robot"):
+    with pytest.raises(ValueError, match="unknown drive 'rail'"):
         make_env(drive="rail")
-    with pytest.raises(ValueError, match=r"stroke must lie in 0 \(excluded\) to 1 m, got 0"):
+    with pytest.raises(ValueError, match="stroke must lie in"):
         RobotSettings(stroke=0)
     with pytest.raises(ValueError, match="translation_scale must lie in"):
         Leader(translation_scale=-1)
-    with pytest.raises(ValueError, match=r"expected a finite translation \(m\) and rotation \(rad\), got nan"):
+    with pytest.raises(ValueError, match="expected a finite translation"):
         FollowerRobot().advance(float("nan"), 0.0)
 
 
@@ -150,7 +139,7 @@ def test_full_actions_move_at_the_published_speeds(type_1) -> None:
 
 
 def test_a_pace_that_there_is_not_is_refused(type_1) -> None:
-    with pytest.raises(ValueError, match="unknown pace 'slow'; there are usual, arch_variety"):
+    with pytest.raises(ValueError, match="unknown pace 'slow'"):
         NavigateEnv(type_1, pace="slow")
     with pytest.raises(ValueError, match=r"translation must lie in .* m, got 35"):
         Pace(translation=35)

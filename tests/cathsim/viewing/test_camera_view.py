@@ -1,6 +1,5 @@
 """The 3-D picture for people, and what is said where it cannot be drawn."""
 
-import sys
 from collections.abc import Callable
 
 import numpy as np
@@ -57,18 +56,6 @@ def test_head_is_up_and_the_patients_left_is_on_the_right(make_env: MakeEnv) -> 
     view.close()
 
 
-def test_without_opengl_one_sentence_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    for name in ("egl", "osmesa", "glfw"):
-        monkeypatch.setitem(sys.modules, f"mujoco.{name}", None)
-    with pytest.raises(
-        RenderingUnavailableError, match=r"neither works.*; install one \(Debian: apt install"
-    ) as caught:
-        open_context(16, 16)
-    assert "render_mode='fluoroscopy', which needs neither" in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
 def test_missing_libraries_are_reported_and_the_episode_goes_on(run_python: Callable[[str], str]) -> None:
     snippet = """
 import ctypes, ctypes.util, os
@@ -123,23 +110,3 @@ def test_two_devices_have_their_own_colours_and_radii(make_env: MakeEnv) -> None
     low, high = env.phantom.bounds
     scale = 900 / (2 * 1.25 * (high[2] - low[2]) * np.tan(np.radians(22.5)))  # px/m of MuJoCo's 45 degrees
     assert np.median(widths) == pytest.approx(2e-3 * scale, abs=2.0)
-
-
-@pytest.mark.usefixtures("rendering")
-def test_a_small_picture_draws_fewer_triangles_and_looks_the_same(
-    make_env: MakeEnv, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from cathsim.viewing import camera_view
-
-    env = make_env()
-    env.reset(seed=0)
-    pictures, counts = [], []
-    for cell in (camera_view._CELL_PX, 1e-6):
-        monkeypatch.setattr(camera_view, "_CELL_PX", cell)
-        counts.append(len(camera_view._drawn_surface(env.phantom, 400)[1]))
-        view = View(env.phantom, width=300, height=400)
-        pictures.append(view.render(env.simulation).astype(int))
-        view.close()
-    assert counts[0] < 0.6 * counts[1]
-    assert counts[1] > 0.99 * len(env.phantom.lumen_mesh.faces)
-    assert np.abs(pictures[0] - pictures[1]).mean() < 1.0

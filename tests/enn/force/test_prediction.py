@@ -1,63 +1,75 @@
 """Prediction of force from images: samples, the network, its scores."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from enn.fitting import EpisodeFitSettings
 from enn.force.evaluation import calibration, evaluate_predictor, score
 from enn.force.prediction import DESK_FORCE, ForceNetwork, ForceNetworkSettings, ForcePredictor, fit_force
-from enn.force.samples import (
-    ForceInputs,
-    ForceSamples,
-    force_samples,
-    matched_features,
-    split_episodes,
-)
-from enn.model_file import decoded, write_model
+from enn.force.samples import ForceInputs, ForceSamples, force_samples, matched_features, split_episodes
+from enn.imitation.dagger import DisturbanceSettings, Disturbed, record
 from enn.trajectory import Trajectory
+from tests.enn.imitation.drawn_point import DrawnPoint, expert
+
+QUICK = replace(DESK_FORCE, fit=EpisodeFitSettings(epochs=12, batch_size=32, learning_rate=3e-3, validation_share=0.0))
+Halves = tuple[ForceSamples, ForceSamples]
 
 
-def test_predicts_far_better_than_the_mean(
-    predictor: ForcePredictor, halves: tuple[ForceSamples, ForceSamples]
-) -> None:
+@pytest.fixture(scope="module")
+def episodes() -> list[Trajectory]:
+    """Episodes in which the force depends on the image."""
+    size = DisturbanceSettings(noise=0.4, spell_chance=0.3)
+    steers = [Disturbed(expert, np.random.default_rng(k), size) for k in range(50)]
+    return [record(DrawnPoint(), one, seed=k, keys=("image", "place")) for k, one in enumerate(steers)]
+
+
+@pytest.fixture(scope="module")
+def halves(episodes: list[Trajectory]) -> Halves:
+    features = [episode.observations["place"] for episode in episodes]
+    return force_samples(episodes[:40], features=features[:40]), force_samples(episodes[40:])
+
+
+@pytest.fixture(scope="module")
+def predictor(halves: Halves) -> ForcePredictor:
+    return fit_force(halves[0], QUICK)[0]
+
+
+def test_predicts_far_better_than_the_mean(predictor: ForcePredictor, halves: Halves) -> None:
     result = score(predictor.predict(halves[1].images), halves[1].forces)
     assert result.share_of_variance < 0.2
     assert result.correlation > 0.9
 
 
-def test_saved_predictor_predicts_the_same(
-    predictor: ForcePredictor, halves: tuple[ForceSamples, ForceSamples], tmp_path: Path
-) -> None:
+def test_saved_predictor_predicts_the_same(predictor: ForcePredictor, halves: Halves, tmp_path: Path) -> None:
     predictor.save(tmp_path / "p.pt")
     loaded = ForcePredictor.load(tmp_path / "p.pt")
     np.testing.assert_array_equal(loaded.predict(halves[1].images), predictor.predict(halves[1].images))
-    content = decoded((tmp_path / "p.pt").read_bytes())
-    content["settings"]["hidden"] = [7]
-    write_model(tmp_path / "other.pt", content)
-    with pytest.raises(ValueError, match="another architecture"):
-        ForcePredictor.load(tmp_path / "other.pt")
 
 
 def test_refuses_other_shapes_and_numbers_that_are_none(predictor: ForcePredictor) -> None:
-    with pytest.raises(ValueError, match=r"images of shape \(1, 40, 40\) and 0 numbers, got \(1, 48, 48\)"):
-        predictor.predict(np.zeros((2, 1, 48, 48), np.uint8))
     numbers = ForcePredictor(ForceNetwork(ForceNetworkSettings(image_shape=(0, 40, 40), vector=3)))
-    with pytest.raises(ValueError, match="not finite"):
-        numbers.predict(np.zeros((1, 0, 40, 40), np.uint8), np.full((1, 3), np.nan, np.float32))
-    with pytest.raises(ValueError, match="got neither"):
-        ForceNetworkSettings(image_shape=(0, 40, 40))
-    with pytest.raises(ValueError, match="channels, height and width above 0"):
-        ForceNetworkSettings(image_shape=(1, 0, 40))
+    none, wide = np.zeros((1, 0, 40, 40), np.uint8), np.zeros((2, 1, 48, 48), np.uint8)
+    refusals: list[tuple[Callable[[], object], str]] = [
+        (lambda: predictor.predict(wide), r"images of shape \(1, 40, 40\) and 0 numbers, got \(1, 48, 48\)"),
+        (lambda: numbers.predict(none, np.full((1, 3), np.nan, np.float32)), "not finite"),
+        (lambda: ForceNetworkSettings(image_shape=(0, 40, 40)), "got neither"),
+        (lambda: ForceNetworkSettings(image_shape=(1, 0, 40)), "channels, height and width above 0"),
+    ]
+    for call, said in refusals:
+        with pytest.raises(ValueError, match=said):
+            call()
 
 
-def test_predicts_from_numbers_alone(halves: tuple[ForceSamples, ForceSamples]) -> None:
+def test_predicts_from_numbers_alone(halves: Halves) -> None:
     training = halves[0]
     nothing = np.zeros((len(training), 0, 0, 0), np.uint8)
     numbers = np.tile(training.forces[:, None], (1, 3)).astype(np.float32)
     known = replace(training, images=nothing, vectors=numbers, features=None)
-    settings = replace(DESK_FORCE, fit=replace(DESK_FORCE.fit, epochs=2))
+    settings = replace(DESK_FORCE, fit=replace(DESK_FORCE.fit, epochs=1))
     predictor, _ = fit_force(known, settings, seed=0)
     assert predictor.network.settings.image_shape == (0, 0, 0)
     assert predictor.predict(nothing[:5], numbers[:5]).shape == (5,)
@@ -85,14 +97,13 @@ def test_calibration_bins_by_predicted_force() -> None:
 
 
 def test_a_predictor_is_compared_with_the_mean_and_an_untrained_network(
-    predictor: ForcePredictor, halves: tuple[ForceSamples, ForceSamples]
+    predictor: ForcePredictor, halves: Halves
 ) -> None:
     training, test = halves
     outcome = evaluate_predictor(predictor, training, test, seed=1)
     assert outcome["mse_n2"] < 0.5 * outcome["mean_mse_n2"] < 0.5 * outcome["untrained_mse_n2"]
     assert outcome["share_pct"] == pytest.approx(100 * outcome["mse_n2"] / outcome["variance_n2"])
     assert outcome["force_max_n"] == test.forces.max()
-    assert outcome["untrained_mse_n2"] == evaluate_predictor(predictor, training, test, seed=1)["untrained_mse_n2"]
 
 
 def test_a_sample_is_the_end_of_a_step_and_its_force(episodes: list[Trajectory]) -> None:
@@ -120,7 +131,7 @@ def test_matched_features_are_the_experts_and_the_shape(episodes: list[Trajector
     assert [part.shape for part in features] == [(len(one) + 1, 2 + 15) for one in episodes[:3]]
 
 
-def test_draws_are_nested_and_bounded(halves: tuple[ForceSamples, ForceSamples]) -> None:
+def test_draws_are_nested_and_bounded(halves: Halves) -> None:
     samples = halves[0]
     few, more = samples.drawn(10, seed=1), samples.drawn(20, seed=1)
     np.testing.assert_array_equal(few.forces, more.forces[:10])

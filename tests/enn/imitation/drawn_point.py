@@ -38,10 +38,7 @@ class DrawnPoint(gymnasium.Env[Any, Any]):
     def _observation(self) -> dict[str, NDArray[Any]]:
         grid = np.arange(SIDE) - (SIDE - 1) / 2
         away = (grid[:, None] - self.place[0]) ** 2 + (grid[None, :] - self.place[1]) ** 2
-        return {
-            "image": (200 * np.exp(-away / 8)).astype(np.uint8)[None],
-            "place": self.place.astype(np.float32),
-        }
+        return {"image": (200 * np.exp(-away / 8)).astype(np.uint8)[None], "place": self.place.astype(np.float32)}
 
     def _info(self) -> dict[str, Any]:
         return {"tip": np.append(self.place, 0.0), "force": float(np.abs(self.place).max()) / 18}

@@ -1,4 +1,4 @@
-"""Behaviour cloning: the thesis's network and loss, a student that learns, resuming, and what is refused."""
+"""Behaviour cloning and path following: students that learn, resuming, files, and what is refused."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,13 +8,10 @@ import pytest
 import torch
 
 from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitError
-from enn.imitation.behaviour_cloning import (
-    DESK_CLONING,
-    clone,
-)
+from enn.imitation.behaviour_cloning import DESK_CLONING, clone
 from enn.imitation.cloned_policy import ClonedPolicy, CloningNetworkSettings
 from enn.imitation.dagger import record
-from enn.model_file import decoded, write_model
+from enn.imitation.path_following import PathFollower, PathFollowerSettings, PlannedPath, describe, fit_path_follower
 from enn.trajectory import Trajectory
 from tests.enn.imitation.drawn_point import SIDE, DrawnPoint, expert
 
@@ -72,9 +69,6 @@ def test_checkpoint_of_another_architecture_is_refused(episodes: list[Trajectory
     for shown, changed in ((episodes[1:6], settings), (episodes[:5], replace(settings, noise=3.0))):
         with pytest.raises(FitError, match="a fit with other samples"):
             clone(shown, changed, folder=tmp_path)
-    (tmp_path / "fit.pt").write_bytes(b"nothing")
-    with pytest.raises(FitError, match="damaged"):
-        clone(episodes[:5], settings, folder=tmp_path)
 
 
 def test_feature_matching_draws_the_students_features_to_the_experts(episodes: list[Trajectory]) -> None:
@@ -99,21 +93,75 @@ def test_saved_student_acts_the_same(student: ClonedPolicy, episodes: list[Traje
     seen = {"image": episodes[0].observations["image"]}
     loaded = ClonedPolicy.load(tmp_path / "student.pt")
     np.testing.assert_array_equal(loaded.act_batch(seen), student.act_batch(seen))
-    content = decoded((tmp_path / "student.pt").read_bytes())
-    content["settings"]["features"] = 64
-    write_model(tmp_path / "other.pt", content)
-    with pytest.raises(ValueError, match="another architecture"):
-        ClonedPolicy.load(tmp_path / "other.pt")
-    with pytest.raises(FileNotFoundError, match="no cloned policy"):
-        ClonedPolicy.load(tmp_path / "none.pt")
 
 
 def test_student_refuses_what_it_was_not_trained_on(student: ClonedPolicy) -> None:
-    with pytest.raises(ValueError, match=r"trained with images of shape \(1, 40, 40\), got \(1, 48, 48\)"):
-        student.act({"image": np.zeros((1, 48, 48), np.uint8)})
-    with pytest.raises(ValueError, match="image is missing"):
-        student.act({"mask": np.zeros((1, SIDE, SIDE), np.uint8)})
-    with pytest.raises(ValueError, match="not finite"):
-        student.act({"image": np.full((1, SIDE, SIDE), np.nan, np.float32)})
+    for observation, said in (
+        ({"image": np.zeros((1, 48, 48), np.uint8)}, r"images of shape \(1, 40, 40\), got \(1, 48, 48\)"),
+        ({"mask": np.zeros((1, SIDE, SIDE), np.uint8)}, "image is missing"),
+        ({"image": np.full((1, SIDE, SIDE), np.nan, np.float32)}, "not finite"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            student.act(observation)
     with pytest.raises(ValueError, match="needs a seeded numpy Generator"):
         student.act({"image": np.zeros((1, SIDE, SIDE), np.uint8)}, deterministic=False)
+
+
+STEP = 0.002  # m a full action, in x and y
+SETTINGS = PathFollowerSettings(fit=EpisodeFitSettings(epochs=40, batch_size=64, learning_rate=3e-3))
+
+
+def bent_path(angle: float) -> np.ndarray:
+    turn = np.array([np.cos(angle), np.sin(angle), 0.0])
+    return np.array([[0, 0, 0], [0.03, 0, 0], np.array([0.03, 0, 0]) + 0.03 * turn])
+
+
+def walk(path: PlannedPath, start: np.ndarray, act: object = None, steps: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """Goes along a path, by default as an expert does: towards a point 6 mm ahead."""
+    tips, actions, along = [start], [], 0.0
+    for _ in range(steps):
+        along = path.progress(tips[-1], along)
+        if act is None:
+            away = path.at(np.array([along + 0.006]))[0] - tips[-1]
+            action = np.clip(away[:2] / 0.006, -1, 1)
+        else:
+            action = act(None, {"tip": tips[-1]})  # type: ignore[operator]
+        actions.append(action)
+        tips.append(tips[-1] + STEP * np.append(action, 0.0))
+    return np.array(tips), np.array(actions, np.float32)
+
+
+def episode(angle: float, seed: int) -> Trajectory:
+    start = np.append(np.random.default_rng(seed).normal(0, 0.002, 2), 0.0)
+    tips, actions = walk(PlannedPath(bent_path(angle)), start)
+    count = len(actions)
+    return Trajectory({}, actions, np.zeros(count), True, np.zeros(count), tips)
+
+
+@pytest.fixture(scope="module")
+def follower() -> PathFollower:
+    angles = np.linspace(-1.2, 1.2, 12)
+    return fit_path_follower([episode(a, k) for k, a in enumerate(angles)], [bent_path(a) for a in angles], SETTINGS)[0]
+
+
+def test_what_is_seen_is_relative_to_the_tip() -> None:
+    path, moved = PlannedPath(bent_path(0.5)), PlannedPath(bent_path(0.5) + 0.1)
+    tips = [np.array([0.0, 0.001, 0.0]), np.array([0.002, 0.001, 0.0])]
+    seen = describe(tips, path, 0.002, SETTINGS)
+    assert seen.shape == (SETTINGS.size,)
+    np.testing.assert_allclose(seen, describe([tip + 0.1 for tip in tips], moved, 0.002, SETTINGS), atol=1e-4)
+    np.testing.assert_allclose(seen[:3], [-0.1, 0, 0], atol=1e-6)  # where it was before: 2 mm, 50 a metre
+
+
+def test_follows_a_path_it_has_not_seen(follower: PathFollower) -> None:
+    target = bent_path(0.7)
+    controller = follower.controller(target)
+    controller.reset()
+    tips, _ = walk(PlannedPath(target), np.array([0.0, 0.001, 0.0]), controller)
+    assert np.linalg.norm(tips - target[-1], axis=1).min() < 0.006
+
+
+def test_saved_follower_acts_the_same(follower: PathFollower, tmp_path: Path) -> None:
+    follower.save(tmp_path / "f.pt")
+    seen = np.random.default_rng(0).normal(size=(4, SETTINGS.size)).astype(np.float32)
+    np.testing.assert_array_equal(PathFollower.load(tmp_path / "f.pt").act(seen), follower.act(seen))

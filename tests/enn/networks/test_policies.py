@@ -1,5 +1,6 @@
 """Networks of policies: extractors of the thesis's tables, critics, shared features."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,75 +12,36 @@ import yaml
 from stable_baselines3 import SAC
 
 from enn.imitation.cloned_policy import CloningNetwork, CloningNetworkSettings
-from enn.networks.features import (
-    MultimodalExtractor,
-    layer_table,
-    thesis_cnn,
-    thesis_mlp,
-)
+from enn.networks.features import MultimodalExtractor, layer_table, thesis_cnn, thesis_mlp
 from enn.networks.policies import AsymmetricSACPolicy
+from tests.enn.conftest import PointEnv
 
-ARRAYS = dict[str, np.ndarray]
-
-
-class Chase(gymnasium.Env[ARRAYS, np.ndarray]):
-    """A dot on a line that is to come to zero; a picture, and its position."""
-
-    observation_space = gymnasium.spaces.Dict(
-        {
-            "image": gymnasium.spaces.Box(0, 255, (1, 40, 40), np.uint8),
-            "state": gymnasium.spaces.Box(-np.inf, np.inf, (2,), np.float32),
-        }
-    )
-    action_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
-
-    def _observe(self) -> ARRAYS:
-        image = np.zeros((1, 40, 40), np.uint8)
-        image[0, :, int(np.clip(20 + 10 * self.at, 0, 39))] = 255
-        return {"image": image, "state": np.array((self.at, self.steps / 20), np.float32)}
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[ARRAYS, dict[str, Any]]:
-        super().reset(seed=seed)
-        self.at, self.steps = self.np_random.uniform(-1, 1), 0
-        return self._observe(), {}
-
-    def step(self, action: np.ndarray) -> tuple[ARRAYS, float, bool, bool, dict[str, Any]]:
-        self.at += 0.2 * float(action[0])
-        self.steps += 1
-        return self._observe(), -abs(self.at), False, self.steps >= 10, {}
+KEYS = ("image", "place")
 
 
 def model(**arguments: Any) -> SAC:
     kwargs = {"features_extractor_kwargs": {"variant": "desk"}, "net_arch": [16], **arguments}
     sizes = {"buffer_size": 100, "batch_size": 8, "learning_starts": 8}
-    return SAC(AsymmetricSACPolicy, Chase(), policy_kwargs=kwargs, seed=0, device="cpu", **sizes)
+    return SAC(AsymmetricSACPolicy, PointEnv(KEYS), policy_kwargs=kwargs, seed=0, device="cpu", **sizes)
 
 
 def observed(rows: int = 4) -> dict[str, torch.Tensor]:
     generator = torch.Generator().manual_seed(1)
-    image = torch.randint(0, 256, (rows, 1, 40, 40), generator=generator, dtype=torch.uint8)
-    return {"image": image, "state": torch.randn(rows, 2, generator=generator)}
-
-
-def weights(module: torch.nn.Module) -> list[torch.Tensor]:
-    return [value.detach().clone() for value in module.parameters()]
-
-
-def moved(module: torch.nn.Module, before: list[torch.Tensor]) -> bool:
-    return any(not torch.equal(old, new) for old, new in zip(before, module.parameters(), strict=True))
+    image = torch.randint(0, 256, (rows, 1, 36, 36), generator=generator, dtype=torch.uint8)
+    return {"image": image, "place": torch.randn(rows, 2, generator=generator)}
 
 
 def test_the_actor_acts_without_the_critics_keys() -> None:
-    trained = model(actor_keys=("image",), critic_keys=("state",))
-    whole = Chase().reset(seed=0)[0]
+    trained = model(actor_keys=("image",), critic_keys=("place",))
+    whole = PointEnv(KEYS).reset(seed=0)[0]
     alone, _ = trained.predict({"image": whole["image"]}, deterministic=True)
     together, _ = trained.predict(whole, deterministic=True)
     assert alone.shape == (2,)
     assert np.array_equal(alone, together)
     batch, _ = trained.predict({"image": np.stack([whole["image"]] * 3)}, deterministic=True)
     assert batch.shape == (3, 2)
-    with pytest.raises(ValueError, match="actor needs the observations image, got state"):
-        trained.predict({"state": whole["state"]})
+    with pytest.raises(ValueError, match="actor needs the observations image, got place"):
+        trained.predict({"place": whole["place"]})
 
 
 @pytest.mark.parametrize("trained_by", ["actor", "critic"])
@@ -103,13 +65,13 @@ def test_shared_features_are_trained_by_one_loss(trained_by: str) -> None:
     mine = {id(value) for value in extractor.parameters()}
     assert mine <= {id(value) for group in owner.optimizer.param_groups for value in group["params"]}
     assert not mine & {id(value) for group in other.optimizer.param_groups for value in group["params"]}
-    before = weights(extractor)
+    before = [value.detach().clone() for value in extractor.parameters()]
     trained.learn(12)
-    assert moved(extractor, before)
+    assert not all(torch.equal(old, new) for old, new in zip(before, extractor.parameters(), strict=True))
 
 
 def test_saved_and_loaded_it_is_the_same(tmp_path: Path) -> None:
-    trained = model(actor_keys=("image",), critic_keys=("state",))
+    trained = model(actor_keys=("image",), critic_keys=("place",))
     trained.learn(12)
     trained.save(tmp_path / "model.zip")
     loaded = SAC.load(tmp_path / "model.zip", device="cpu")
@@ -138,11 +100,6 @@ SPACE = gymnasium.spaces.Dict(
 TABLES = Path(__file__).parents[3] / "pipeline" / "report" / "thesis.yaml"
 
 
-def batch(keys: tuple[str, ...], rows: int = 2) -> dict[str, torch.Tensor]:
-    generator = torch.Generator().manual_seed(3)
-    return {key: torch.rand((rows, *SPACE[key].shape), generator=generator) for key in keys}
-
-
 def thesis_rows(table: str) -> dict[str, list]:
     return yaml.safe_load(TABLES.read_text())["tables"][table]["rows"]
 
@@ -164,13 +121,14 @@ def test_the_cloning_network_reproduces_the_thesis_table() -> None:
 
 
 def test_bad_arguments_are_refused() -> None:
-    with pytest.raises(ValueError, match="unknown variant 'lab'; there are thesis, desk"):
-        MultimodalExtractor(SPACE, variant="lab")
-    with pytest.raises(ValueError, match="wants 'tip', but the observation has history, image"):
-        MultimodalExtractor(SPACE, ("image", "tip"))
-    with pytest.raises(ValueError, match=r"128 .* or 256 .*, got 64"):
-        MultimodalExtractor(SPACE, ("image",), image_features=64)
-    with pytest.raises(ValueError, match="expected a Dict observation"):
-        MultimodalExtractor(PICTURE, ("image",))  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match=r"\(1, 20, 20\) are too small"):
-        thesis_cnn((1, 20, 20))
+    picture: Any = PICTURE
+    refusals: list[tuple[Callable[[], object], str]] = [
+        (lambda: MultimodalExtractor(SPACE, variant="lab"), "unknown variant 'lab'; there are thesis, desk"),
+        (lambda: MultimodalExtractor(SPACE, ("image", "tip")), "wants 'tip', but the observation has history, image"),
+        (lambda: MultimodalExtractor(SPACE, ("image",), image_features=64), r"128 .* or 256 .*, got 64"),
+        (lambda: MultimodalExtractor(picture, ("image",)), "expected a Dict observation"),
+        (lambda: thesis_cnn((1, 20, 20)), r"\(1, 20, 20\) are too small"),
+    ]
+    for call, said in refusals:
+        with pytest.raises(ValueError, match=said):
+            call()

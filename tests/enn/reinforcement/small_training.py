@@ -4,8 +4,12 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+import pytest
+import torch
 
-from enn.reinforcement.training import DESK_SAC
+from enn.imitation.dagger import record
+from enn.policy import Policy
+from enn.reinforcement.training import DESK_SAC, Progress, Training
 from enn.trajectory import Trajectory
 
 SMALL = dataclasses.replace(
@@ -28,28 +32,33 @@ SMALL = dataclasses.replace(
 
 def demonstrated(point_env: Any) -> list[Trajectory]:
     """Three episodes straight to the target."""
-    env, trajectories = point_env(), []
-    for seed in range(3):
-        observation, info = env.reset(seed=seed)
-        seen, tips, states, actions, rewards = [observation], [info["tip"]], [env.start_state()], [], []
-        terminated = False
-        while not terminated:
-            action = np.clip(-observation["place"] / 0.15, -1, 1)
-            observation, reward, terminated, _, info = env.step(action)
-            for items, item in ((seen, observation), (tips, info["tip"]), (states, env.start_state())):
-                items.append(item)
-            actions.append(action)
-            rewards.append(reward)
-        places = {"place": np.stack([one["place"] for one in seen])}
-        trajectories.append(
-            Trajectory(
-                places,
-                np.stack(actions),
-                np.array(rewards),
-                True,
-                np.zeros(len(actions)),
-                np.stack(tips),
-                np.stack(states),
-            )
-        )
-    return trajectories
+    env = point_env()
+
+    def straight(observation: Any, info: Any) -> np.ndarray:
+        return np.clip(-observation["place"] / 0.15, -1, 1)
+
+    return [record(env, straight, seed=seed, keys=("place",), start_state=env.start_state) for seed in range(3)]
+
+
+class Interruption(Exception):
+    """Stops a training."""
+
+
+def interrupted(training: Training, decisions: int = 0) -> None:
+    """Runs a training that has a folder until it has made some decisions."""
+
+    def stop(moment: Progress) -> None:
+        if moment.decisions >= decisions:
+            raise Interruption
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("enn.reinforcement.training.training.TICK", 0.0)
+        with pytest.raises(Interruption):
+            training.run(stop)
+
+
+def require_same_weights(first: Policy, second: Policy) -> None:
+    """Of every part of both networks, bit for bit."""
+    theirs = second.module.state_dict()
+    for name, value in first.module.state_dict().items():
+        assert torch.equal(value, theirs[name]), name

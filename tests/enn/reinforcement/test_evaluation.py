@@ -12,16 +12,11 @@ import pytest
 import torch
 
 from enn.policy import Policy
-from enn.reinforcement.evaluation import (
-    BestPolicy,
-    EpisodeOutcome,
-    EvaluationResult,
-    LatestPolicy,
-    run_episodes,
-)
-from enn.reinforcement.free_memory import available_bytes, trim_heap
+from enn.reinforcement.evaluation import BestPolicy, EpisodeOutcome, EvaluationResult, LatestPolicy, run_episodes
+from enn.reinforcement.free_memory import available_bytes
 from enn.reinforcement.training import Training
 from enn.reinforcement.workers import Workers
+from tests.enn.conftest import PointEnv
 from tests.enn.reinforcement.small_training import SMALL
 
 
@@ -63,9 +58,14 @@ def test_the_best_policy_is_kept_not_the_last(point_env: Any, monkeypatch: pytes
     assert result.evaluation["path_mm"] == 25
 
 
+@pytest.fixture(scope="module")
+def untrained() -> Policy:
+    return Training(dataclasses.replace(SMALL, decisions=16, evaluate_every=0), PointEnv, seed=0).run().policy
+
+
 @pytest.mark.parametrize(("keeps_first", "kept"), [(True, 0), (False, 100)])
 def test_a_policy_to_start_from_stays_until_another_one_arrives(
-    keeps_first: bool, kept: int, point_env: Any, monkeypatch: pytest.MonkeyPatch
+    keeps_first: bool, kept: int, untrained: Policy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     outcomes = iter([(False, 0.0), (False, 1.0), (True, 0.0)])
 
@@ -74,12 +74,11 @@ def test_a_policy_to_start_from_stays_until_another_one_arrives(
         return EvaluationResult((EpisodeOutcome(success, 10, reward, 5.0, 0.0, 0.0),))
 
     monkeypatch.setattr("enn.reinforcement.evaluation.run_episodes", played)
-    policy = Training(dataclasses.replace(SMALL, decisions=16, evaluate_every=0), point_env, seed=0).run().policy
     best = BestPolicy(1, 0, keeps_first=keeps_first)
     for decisions in (0, 100):
-        best.evaluate(policy, [], decisions)
+        best.evaluate(untrained, [], decisions)
     assert best.best["evaluation"]["decisions"] == kept
-    best.evaluate(policy, [], 200)
+    best.evaluate(untrained, [], 200)
     assert best.best["evaluation"]["decisions"] == 200
 
 
@@ -93,7 +92,7 @@ def test_a_policy_to_start_from_stays_until_another_one_arrives(
     ],
 )
 def test_the_latest_policy_is_kept_unless_it_is_clearly_worse(
-    arrived: tuple[int, ...], kept: int, point_env: Any, monkeypatch: pytest.MonkeyPatch
+    arrived: tuple[int, ...], kept: int, untrained: Policy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     successes = iter(arrived)
 
@@ -107,10 +106,9 @@ def test_the_latest_policy_is_kept_unless_it_is_clearly_worse(
         )
 
     monkeypatch.setattr("enn.reinforcement.evaluation.run_episodes", played)
-    policy = Training(dataclasses.replace(SMALL, decisions=16, evaluate_every=0), point_env, seed=0).run().policy
     latest = LatestPolicy(16, 0)
     for number in range(len(arrived)):
-        row = latest.evaluate(policy, [], number)
+        row = latest.evaluate(untrained, [], number)
         assert row["evaluation_success"] == row["evaluation_stochastic_success"] == arrived[number] / 16
     assert latest.best["evaluation"]["decisions"] == kept
 
@@ -131,11 +129,6 @@ print(before - resident_mb())
 """
 
 
-def test_there_is_memory() -> None:
-    assert available_bytes() > 0
-    trim_heap()
-
-
 @pytest.mark.skipif(
     os.name != "posix" or not hasattr(ctypes.CDLL(None), "malloc_trim") or not Path("/proc/self/statm").is_file(),
     reason="another C library than glibc",
@@ -143,3 +136,4 @@ def test_there_is_memory() -> None:
 def test_holes_in_the_heap_are_given_back() -> None:
     run = subprocess.run([sys.executable, "-c", _PROGRAM], capture_output=True, text=True, check=True)
     assert float(run.stdout) > 100
+    assert available_bytes() > 0

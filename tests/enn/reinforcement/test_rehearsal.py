@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from enn.policy import Policy
 from enn.reinforcement.rehearsal import (
     SHOWN_FIRST,
     SHOWN_SHARE,
@@ -69,17 +70,22 @@ class WatchedEnv(WindyEnv):
         return observation, info
 
 
-def test_it_learns_in_all_cases_and_then_starts_from_that() -> None:
+@pytest.fixture(scope="module")
+def learnt() -> Policy:
+    """What a rehearsal from nothing leaves."""
     starts = [np.array([[0.2, 0.2, float(case)], [-0.3, 0.1, float(case)]]) for case in range(3)]
-    first = rehearse(WindyEnv, settings=FROM_NOTHING, starts=starts, seed=3)
-    outcome = play_cases(first.policy, WindyEnv(), seed=7)
+    return rehearse(WindyEnv, settings=FROM_NOTHING, starts=starts, seed=3).policy
+
+
+def test_it_learns_in_all_cases_and_then_starts_from_that(learnt: Policy) -> None:
+    outcome = play_cases(learnt, WindyEnv(), seed=7)
     assert outcome.success.sum() >= 2
     assert outcome.success.shape == outcome.steps.shape == (3,)
     assert len(outcome.forces) == outcome.steps.sum()
     assert outcome.force_p95 == pytest.approx(np.percentile(outcome.forces, 95))
     # the network of the policy wins over that of the settings
     settings = dataclasses.replace(FROM_NOTHING, hidden=(8,), decisions=96, evaluate_every=96)
-    second = rehearse(WindyEnv, settings=settings, policy=first.policy, seed=4)
+    second = rehearse(WindyEnv, settings=settings, policy=learnt, seed=4)
     assert second.policy.network.hidden == (32, 32)
     assert play_cases(second.policy, WindyEnv(), seed=7).success.sum() >= 2
 
@@ -123,21 +129,20 @@ def test_an_evaluation_plays_every_case_as_often() -> None:
     assert sorted(played) == sorted(list(range(3)) * (len(played) // 3))
 
 
-def test_the_first_evaluation_can_be_played_before_and_is_the_same() -> None:
+def test_the_first_evaluation_can_be_played_before_and_is_the_same(learnt: Policy) -> None:
     settings = dataclasses.replace(
         FROM_NOTHING, decisions=96, evaluate_every=96, evaluation_episodes=6, keep_latest=True
     )
-    policy = rehearse(WindyEnv, settings=dataclasses.replace(FROM_NOTHING, decisions=960), seed=3).policy
     played: list[int] = []
     watched = partial(WatchedEnv, played)
 
     def curve(**given: Any) -> list[float | None]:
         played.clear()
-        result = rehearse(WindyEnv, make_validation_env=watched, settings=settings, policy=policy, seed=5, **given)
+        result = rehearse(WindyEnv, make_validation_env=watched, settings=settings, policy=learnt, seed=5, **given)
         return [row["evaluation_success"] for row in result.curve]
 
     usual, twice = curve(), len(played)
-    before = first_evaluation(policy, watched, settings, seed=5)
+    before = first_evaluation(learnt, watched, settings, seed=5)
     once = len(played) - twice
     assert usual[0] == before.success > 0
     assert curve(first_result=before) == usual

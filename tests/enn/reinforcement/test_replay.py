@@ -61,8 +61,7 @@ def _equal(first: Any, second: Any) -> None:
             assert torch.equal(one, other)
 
 
-@pytest.mark.parametrize("n_envs", [1, 3])
-@pytest.mark.parametrize("count", [7, 75])
+@pytest.mark.parametrize(("n_envs", "count"), [(1, 7), (3, 75)])
 def test_the_same_transitions_as_the_library(n_envs: int, count: int) -> None:
     mine = ReplayBuffer(20 * n_envs, SPACE, ACTIONS, n_envs=n_envs)
     theirs = DictReplayBuffer(20 * n_envs, SPACE, ACTIONS, n_envs=n_envs)
@@ -71,12 +70,9 @@ def test_the_same_transitions_as_the_library(n_envs: int, count: int) -> None:
         theirs.add(*moment)
     there = min(count, 20)
     rows, envs = np.divmod(np.arange(there * n_envs), n_envs)
-    expected = {}
-    for name in SPACE:
-        expected[name] = torch.as_tensor(theirs.observations[name][rows, envs])
     drawn = mine.gather(rows, envs)
     for name in SPACE:
-        assert torch.equal(drawn.observations[name], expected[name])
+        assert torch.equal(drawn.observations[name], torch.as_tensor(theirs.observations[name][rows, envs]))
         assert torch.equal(drawn.next_observations[name], torch.as_tensor(theirs.next_observations[name][rows, envs]))
     assert torch.equal(drawn.actions, torch.as_tensor(theirs.actions[rows, envs]))
     assert torch.equal(drawn.rewards[:, 0], torch.as_tensor(theirs.rewards[rows, envs]))
@@ -121,7 +117,7 @@ def test_bytes_are_as_foretold_and_a_fraction_of_the_librarys() -> None:
 
 def test_too_little_memory_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replay_module, "available_bytes", lambda: 1_000_000)
-    with pytest.raises(MemoryError, match=r"1,000,000 transitions needs 0.1 GB, of which 0.0 GB.*smaller buffer_size"):
+    with pytest.raises(MemoryError, match=r"1,000,000 transitions needs 0.1 GB"):
         ReplayBuffer(1_000_000, SPACE, ACTIONS)
 
 
@@ -134,7 +130,7 @@ def test_images_that_do_not_compress_are_refused_before_they_fill_the_memory(mon
         for moment in stream:
             buffer.add(*moment)
 
-    with pytest.raises(MemoryError, match=r"images take 1\d\d bytes a transition.*100,000 of them need 0\.0 GB more"):
+    with pytest.raises(MemoryError, match=r"images take 1\d\d bytes a transition"):
         fill()
     assert buffer.added == 512
 
@@ -156,17 +152,17 @@ def test_demonstrations_make_up_their_share() -> None:
 @pytest.mark.parametrize("before", [11, 64])
 def test_goes_on_exactly_after_a_restore(before: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replay_module, "CHUNK", 8)
-    stream = _stream(before + 30, 2)
-    first, second = (ReplayBuffer(60, SPACE, ACTIONS, n_envs=2, seed=seed) for seed in (1, 2))
-    for moment in stream[:before]:
-        first.add(*moment)
-    first.sample(5)
-    pieces = {name: array.copy() for name, _, array in first.chunks()}
-    second.restore(first.state(), pieces)
-    for moment in stream[before:]:
-        first.add(*moment)
-        second.add(*moment)
-        _equal(first.sample(16), second.sample(16))
+    stream, source = _stream(before + 30, 2), Stacks(noisy=False)
+    for space, moments in ((SPACE, stream), (STACKED, [source.step(0.2) for _ in stream])):
+        first, second = (ReplayBuffer(60, space, ACTIONS, n_envs=2, seed=seed) for seed in (1, 2))
+        for moment in moments[:before]:
+            first.add(*moment)
+        first.sample(5)
+        second.restore(first.state(), {name: array.copy() for name, _, array in first.chunks()})
+        for moment in moments[before:]:
+            first.add(*moment)
+            second.add(*moment)
+            _equal(first.sample(16), second.sample(16))
 
 
 def test_refusals_say_why() -> None:
@@ -181,7 +177,7 @@ def test_refusals_say_why() -> None:
 
 
 SIDE, STACK, ENVS = 48, 3, 2
-OBSERVATION_STORE_SPACE = gymnasium.spaces.Box(0, 255, (STACK, SIDE, SIDE), np.uint8)
+STACKED = gymnasium.spaces.Box(0, 255, (STACK, SIDE, SIDE), np.uint8)
 
 
 class Stacks:
@@ -215,7 +211,7 @@ class Stacks:
 
 
 def _filled(count: int, capacity: int, *, noisy: bool = False) -> tuple[ReplayBuffer, list[tuple[Any, ...]]]:
-    buffer, source = ReplayBuffer(capacity * ENVS, OBSERVATION_STORE_SPACE, ACTIONS, n_envs=ENVS), Stacks(noisy)
+    buffer, source = ReplayBuffer(capacity * ENVS, STACKED, ACTIONS, n_envs=ENVS), Stacks(noisy)
     moments = [source.step(0.1) for _ in range(count)]
     for moment in moments:
         buffer.add(*moment)
@@ -232,8 +228,7 @@ def _same(buffer: ReplayBuffer, moments: list[tuple[Any, ...]], capacity: int) -
         np.testing.assert_array_equal(drawn.next_observations[place], last[env])
 
 
-@pytest.mark.parametrize("noisy", [False, True])
-@pytest.mark.parametrize("count", [5, 40, 97])
+@pytest.mark.parametrize(("count", "noisy"), [(5, False), (40, True), (97, False)])
 def test_every_bit_comes_back_also_where_episodes_end(count: int, noisy: bool) -> None:
     buffer, moments = _filled(count, 40, noisy=noisy)
     _same(buffer, moments, 40)
@@ -249,19 +244,3 @@ def test_each_frame_of_a_stack_is_kept_once() -> None:
     assert len({id(frame) for frame in (store._rows[0] or ())}) == STACK  # as the stacks began
     plain = 200 * ENVS * STACK * SIDE * SIDE
     assert store.nbytes < plain / 30
-
-
-def test_saved_frames_go_back_and_the_buffer_goes_on_the_same() -> None:
-    first, moments = _filled(70, 40)
-    second = ReplayBuffer(40 * ENVS, OBSERVATION_STORE_SPACE, ACTIONS, n_envs=ENVS)
-    second.restore(first.state(), {name: array.copy() for name, _, array in first.chunks()})
-    _same(second, moments, 40)
-    source = Stacks(noisy=False, seed=5)
-    for _ in range(30):
-        moment = source.step(0.2)
-        first.add(*moment)
-        second.add(*moment)
-    for _ in range(3):
-        one, other = first.sample(50), second.sample(50)
-        assert torch.equal(one.observations, other.observations)
-        assert torch.equal(one.next_observations, other.next_observations)

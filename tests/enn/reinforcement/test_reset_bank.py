@@ -1,5 +1,7 @@
 """Reset banks: draws, capacity, room of each case, more episodes where they fail, random state."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -15,37 +17,6 @@ def test_draws_its_share_from_what_was_added() -> None:
     given = [draw for draw in draws if draw is not None]
     assert 0.22 < len(given) / len(draws) < 0.28
     assert {tuple(draw) for draw in given} == {tuple(row) for row in states}
-
-
-def test_goes_on_exactly_after_a_restore() -> None:
-    bank, other = ResetBank(capacity=5, seed=1), ResetBank(capacity=5, seed=9)
-    bank.add_episode(np.arange(14.0).reshape(7, 2))
-    bank.draw()
-    other.restore(bank.state())
-    for one in (bank, other):
-        one.add_episode(np.full((2, 2), -1.0))
-    for _ in range(50):
-        first, second = bank.draw(), other.draw()
-        assert (first is None) == (second is None)
-        if first is not None:
-            np.testing.assert_array_equal(first, second)
-
-
-def test_refusals_say_why() -> None:
-    with pytest.raises(ValueError, match=r"between 0 and 1, got 1\.5"):
-        ResetBank(share=1.5)
-    with pytest.raises(ValueError, match="capacity must be at least 1"):
-        ResetBank(capacity=0)
-    bank = ResetBank()
-    bank.add_episode(np.zeros((2, 3)))
-    with pytest.raises(ValueError, match=r"keeps states of 3 values, got 4.*another wire"):
-        bank.add_episode(np.zeros((2, 4)))
-    with pytest.raises(ValueError, match="shape \\(T, n\\)"):
-        bank.add_episode(np.zeros(3))
-    with pytest.raises(ValueError, match="finite"):
-        bank.add_episode(np.full((1, 3), np.nan))
-    with pytest.raises(ValueError, match="holds 2 states, more than the capacity of 1"):
-        ResetBank(capacity=1).restore(bank.state())
 
 
 def episode(case: int, count: int, value: float = 0.0) -> np.ndarray:
@@ -81,7 +52,7 @@ def test_states_of_cases_are_drawn_by_the_seed_and_apart_from_each_other() -> No
     assert first[0] != first[1]
 
 
-def test_goes_on_exactly_after_a_restore_of_cases() -> None:
+def test_goes_on_exactly_after_a_restore() -> None:
     bank, other = CaseResetBank(3, seed=1, capacity=5), CaseResetBank(3, seed=9, capacity=5)
     bank.add_episode(episode(1, 7))
     bank.record_outcome(1, success=True)
@@ -96,3 +67,25 @@ def test_goes_on_exactly_after_a_restore_of_cases() -> None:
         assert (first is None) == (second is None)
         if first is not None:
             np.testing.assert_array_equal(first, second)
+
+
+def filled() -> ResetBank:
+    bank = ResetBank()
+    bank.add_episode(np.zeros((2, 3)))
+    return bank
+
+
+REFUSED: list[tuple[Callable[[], object], str]] = [
+    (lambda: ResetBank(share=1.5), r"between 0 and 1, got 1\.5"),
+    (lambda: ResetBank(capacity=0), "capacity must be at least 1"),
+    (lambda: filled().add_episode(np.zeros((2, 4))), r"keeps states of 3 values, got 4.*another wire"),
+    (lambda: filled().add_episode(np.zeros(3)), r"shape \(T, n\)"),
+    (lambda: filled().add_episode(np.full((1, 3), np.nan)), "finite"),
+    (lambda: ResetBank(capacity=1).restore(filled().state()), "holds 2 states, more than the capacity of 1"),
+]
+
+
+@pytest.mark.parametrize(("call", "said"), REFUSED, ids=[said for _, said in REFUSED])
+def test_refusals_say_why(call: Callable[[], object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        call()

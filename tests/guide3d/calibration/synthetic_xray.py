@@ -6,17 +6,15 @@ light towards its rim, noise that grows with the light.
 
 import itertools
 from collections.abc import Mapping
-from typing import Annotated
+from dataclasses import dataclass
 
 import numpy as np
-from annotated_types import Interval
 
 from guide3d.calibration.hexagonal_lattice import lattice_points
 from guide3d.geometry.camera import Camera
-from guide3d.setting_kinds import Angle, Pixels, Positive, settings
 
 
-@settings
+@dataclass(frozen=True)
 class SyntheticDetector:
     """An image intensifier with a distortion in closed form.
 
@@ -27,12 +25,12 @@ class SyntheticDetector:
     counts: of the noise, at full light, in units of a grey value; more is quieter
     """
 
-    width: Pixels = 1024
-    height: Pixels = 1024
-    pincushion: Annotated[float, Interval(gt=-1, lt=1)] = 0.05
-    swirl: Angle = 0.03
-    field: Annotated[float, Interval(gt=0, le=10)] = 1.15
-    counts: Positive = 4.0
+    width: int = 1024
+    height: int = 1024
+    pincushion: float = 0.05
+    swirl: float = 0.03
+    field: float = 1.15
+    counts: float = 4.0
 
     @property
     def _middle(self) -> np.ndarray:
@@ -77,14 +75,9 @@ def draw_sheet(
     angle: float = 0.3,
     irregular: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """An image of a perforated sheet.
+    """An image (h, w) uint8 of a perforated sheet, and the true raw centres (n, 2) of the holes in the lit image.
 
-    Args:
-        angle: Of the rows, rad.
-        irregular: Standard deviation of a hole's place, ideal px a coordinate.
-
-    Returns:
-        (h, w) uint8, and the true raw centres (n, 2) of the holes whose centres lie in the image and the lit field.
+    `angle` is that of the rows, rad, `irregular` the standard deviation of a hole's place, ideal px a coordinate.
     """
     turn = pitch_px * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     middle = (np.array([detector.width, detector.height]) - 1) / 2
@@ -127,17 +120,10 @@ def draw_cube(
     clutter: int = 0,
     bead_mm: float = 3.2,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """An image of a bead cube.
+    """An image (h, w) uint8 of a bead cube, the numbers (m,) of the beads in the lit image, their raw centres (m, 2).
 
-    Args:
-        camera: Its ideal geometry, world: the cube's frame.
-        points_mm: (n, 3) beads.
-        marked: Beads with a wire beside them, by "single", "double" or "circle".
-        left_out: Share of beads that are missing.
-        clutter: Dark discs of bead size that belong to nothing.
-
-    Returns:
-        (h, w) uint8; numbers (m,) of the beads drawn with their centres in the lit image; those raw centres (m, 2).
+    Some beads are `marked` by a wire beside them ("single", "double" or "circle"), a share is left out, and there may
+    be discs of bead size that belong to nothing.
     """
     place = detector.undistort(detector.pixels())
     through = np.ones(place.shape[:2])

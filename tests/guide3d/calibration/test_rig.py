@@ -12,14 +12,10 @@ from guide3d.calibration.bead_cube import find_beads
 from guide3d.calibration.cube_orientation import candidates, decide
 from guide3d.calibration.folder import cameras_in, rigs_in
 from guide3d.calibration.lattice_camera import CubeLattice, recognise_lattice
-from guide3d.calibration.pinhole_fit import (
-    ransac_camera,
-    refine_camera,
-)
+from guide3d.calibration.pinhole_fit import ransac_camera, refine_camera
 from guide3d.calibration.rig import Sighting, calibrate_rig
 from guide3d.calibration.wire_marks import WireMark, find_marks
 from guide3d.geometry.camera import Camera, write_camera, write_opencv_yaml
-from guide3d.geometry.distortion import swirl_pattern
 from guide3d.reconstruction.synthetic_scene import scenes
 from tests.guide3d.calibration.drawn_cube import (
     CAMERAS,
@@ -36,18 +32,17 @@ SIZES = {"A": (1024, 1024), "B": (1024, 1024)}
 TURNS = [[0.0, 0.0, 0.0], [0.25, -0.2, 0.5], [-0.2, 0.3, -0.4]]
 
 
-def sightings(seed: int, noise_px: float, poses: int = 3, swirl_px: float = 0.0) -> list[Sighting]:
+def sightings(seed: int, noise_px: float, poses: int = 3) -> list[Sighting]:
     rng = np.random.default_rng(seed)
     seen = []
     for pose, turn in enumerate(TURNS[:poses]):
         for detector, camera in RIG.items():
-            placed = turned_cube(
-                camera, Rotation.from_euler("xyz", turn).as_matrix(), 20.0 * np.array([pose, -pose, 0])
-            )
+            rotation = Rotation.from_euler("xyz", turn).as_matrix()
+            placed = turned_cube(camera, rotation, 20.0 * np.array([pose, -pose, 0]))
             pixels = placed.project(POINTS_MM)
             inside = np.flatnonzero(placed.contains(pixels))
-            pixels = pixels[inside] - swirl_px * swirl_pattern(pixels[inside], 1024, 1024)
-            seen.append(Sighting(f"pose{pose}", detector, inside, pixels + noise_px * rng.normal(size=pixels.shape)))
+            pixels = pixels[inside] + noise_px * rng.normal(size=(len(inside), 2))
+            seen.append(Sighting(f"pose{pose}", detector, inside, pixels))
     return seen
 
 
@@ -130,9 +125,8 @@ def seen_beads(camera: Camera, rng: np.random.Generator, dropped: float, clutter
     return pixels[order], true[order]
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_a_lattice_is_recognised_among_gaps_and_clutter(seed):
-    rng = np.random.default_rng(seed)
+def test_a_lattice_is_recognised_among_gaps_and_clutter():
+    rng = np.random.default_rng(0)
     R = Rotation.from_euler("xyz", rng.normal(size=3) * [0.15, 0.15, 0.5]).as_matrix()
     camera = turned_cube(looking_camera(0.5, 4900.0, 1250.0, 1024), R, rng.normal(size=3) * 15)
     pixels, true = seen_beads(camera, rng, dropped=0.5, clutter=10, noise_px=1.0)
@@ -216,14 +210,12 @@ def _write(folder: Path, *names: str) -> Path:
     [
         (("cam_16710.yaml", "cam_16709.yaml"), "cam_*.yaml"),
         (("camera_a.yaml", "camera_b.yaml"), "*.yaml"),
-        (("Camera_A.YAML", "Camera_B.YAML"), "*.YAML"),
         (("Cam_16710.YML", "Cam_16709.YML"), "Cam_*.YML"),
         (("left_16710.yaml", "right_16709.yaml"), "left_16710.yaml, right_16709.yaml"),
     ],
 )
-@pytest.mark.parametrize("below", ["calibration"])
-def test_one_set_is_found(tmp_path: Path, names: tuple[str, str], name: str, below: str) -> None:
-    _write(tmp_path / below, *names)
+def test_one_set_is_found(tmp_path: Path, names: tuple[str, str], name: str) -> None:
+    _write(tmp_path / "calibration", *names)
     (rig,) = rigs_in(tmp_path)
     cameras = cameras_in(tmp_path)
     assert rig.name == name

@@ -45,14 +45,7 @@ def annotation(acquisition: str, number: int, curve: np.ndarray) -> Annotation:
 
 
 def write_dataset(root: Path, *, acquisitions: int = 4, frames: int = 3, images: bool = True) -> Dataset:
-    """Writes annotations, images, cameras and truth, and opens them.
-
-    Args:
-        root: its folder.
-        acquisitions: half of them with fluid, half of each with either wire.
-        frames: of each.
-        images: write them, too.
-    """
+    """Writes annotations, images, cameras and truth, and opens them; half with fluid, half of each with either wire."""
     written, truths, curves = [], {}, {}
     for index in range(acquisitions):
         name = acquisition_name(index % 2 == 0, "bca", ("angled", "straight")[index // 2 % 2], index + 1)

@@ -1,6 +1,7 @@
-"""Two runs: images and cameras to a curve in space, what does not go together, and the command line."""
+"""Cameras of a C-arm, by hand and against the simulator's; two runs to a curve in space, and the command line."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,21 +10,16 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+pytest.importorskip("pydicom", reason="the extra guide3d[dicom] is not installed")
+
 from guide3d import reconstruct
 from guide3d.calibration.folder import cameras_in
 from guide3d.dicom import images_and_cameras
 from guide3d.dicom.__main__ import main
-from tests.guide3d.dicom.written_xray import (
-    ENHANCED_XA,
-    PATIENT,
-    enhanced_groups,
-    frames_of,
-    write,
-    xray_dataset,
-)
-
-pytest.importorskip("pydicom", reason="the extra guide3d[dicom] is not installed")
-
+from guide3d.dicom.c_arm import camera_of, detector_axes, view_warnings
+from guide3d.dicom.run_folder import read_xray
+from guide3d.dicom.xray_run import XrayRun
+from tests.guide3d.dicom.written_xray import ENHANCED_XA, PATIENT, enhanced_groups, frames_of, write, xray_dataset
 
 ANGLES_B = {"PositionerPrimaryAngle": "-60", "PositionerSecondaryAngle": "5"}
 
@@ -52,6 +48,8 @@ def test_both_files_give_a_curve_in_space(tmp_path: Path) -> None:
 def test_the_longer_run_is_cut_and_tables_are_compared(tmp_path: Path) -> None:
     a = file_of(tmp_path / "a.dcm", 4, TableHeight="100")
     b = file_of(tmp_path / "b.dcm", 3, TableHeight="140", **ANGLES_B)
+    moving = file_of(tmp_path / "moving.dcm", 2, TableLongitudinalIncrement=["0", "12"])
+    assert any("moving.dcm: the table moves by 12 mm" in said for said in images_and_cameras(moving, b).warnings)
     pair = images_and_cameras(a, b)
     assert len(pair.images_a) == len(pair.images_b) == len(pair.cameras_a) == 3
     assert np.allclose(pair.times_ms, [0, 50, 100])
@@ -99,7 +97,6 @@ def test_the_command_writes_what_reading_takes(tmp_path: Path, capsys: pytest.Ca
         (("{a}", "{gone}"), "is missing"),
         (("{a}", "{cut}"), "damaged or truncated"),
         (("{turning}",), "add --frame N"),
-        (("{a}", "--frame", "7"), "expected a frame from 0 to 1, found 7"),
         (("{a}", "--frame", "-1"), "expected a frame from 0 to 1, found -1"),
     ],
 )
@@ -140,7 +137,108 @@ def test_two_views_along_one_line_are_refused(primary: str, tmp_path: Path) -> N
         images_and_cameras(a, b)
 
 
-def test_a_table_that_moves_is_said(tmp_path: Path) -> None:
-    a = file_of(tmp_path / "a.dcm", 2, TableLongitudinalIncrement=["0", "12"])
-    pair = images_and_cameras(a, file_of(tmp_path / "b.dcm", 2, **ANGLES_B))
-    assert any("a.dcm: the table moves by 12 mm" in warning for warning in pair.warnings)
+LEFT, BACK, HEAD = np.eye(3)
+SPACING, DETECTOR, ISOCENTRE = 0.25, 1000.0, 800.0
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> XrayRun:
+    geometry = {
+        "PositionerPrimaryAngle": "0",
+        "PositionerSecondaryAngle": "0",
+        "DistanceSourceToDetector": str(DETECTOR),
+        "DistanceSourceToPatient": str(ISOCENTRE),
+        "ImagerPixelSpacing": [str(SPACING), str(SPACING)],
+    }
+    return read_xray(write(xray_dataset(frames_of(1, 101, 101), **geometry), tmp_path / "run.dcm"))
+
+
+def at(run: XrayRun, primary: float, secondary: float) -> XrayRun:
+    return replace(run, primary_deg=np.array([primary]), secondary_deg=np.array([secondary]))
+
+
+@pytest.mark.parametrize(
+    ("primary", "secondary", "point", "expected"),
+    [
+        # 10 mm beside the isocentre are 12.5 mm on the detector, 50 px
+        (0, 0, 0 * LEFT, (50, 50)),
+        (0, 0, 10 * LEFT, (100, 50)),
+        (0, 0, 10 * HEAD, (50, 0)),
+        (90, 0, 10 * BACK, (100, 50)),  # seen from the left the back is on the right
+        (90, 0, 10 * HEAD, (50, 0)),
+        (-90, 0, 10 * BACK, (0, 50)),
+        (0, 0, 10 * LEFT - 200 * BACK, (50 + 40, 50)),  # at the detector: 10 mm are 10 mm
+        (0, 0, 10 * LEFT + 300 * BACK, (50 + 80, 50)),  # towards the source: 20 mm
+        (0, 30, -10 * BACK, (50, 50 + 10 * 0.5 * 1000 / (800 + 10 * np.sqrt(0.75)) / 0.25)),  # the chest moves down
+        (30, 0, -10 * BACK, (50 + -10 * -0.5 * -1 * 1000 / (800 + 10 * np.sqrt(0.75)) / 0.25, 50)),
+    ],
+)
+def test_projections_by_hand(
+    primary: float, secondary: float, point: np.ndarray, expected: tuple[float, float], run: XrayRun
+) -> None:
+    assert np.allclose(camera_of(at(run, primary, secondary)).project(point), expected)
+
+
+def test_rows_and_columns_have_their_own_spacing(run: XrayRun) -> None:
+    camera = camera_of(replace(run, pixel_mm=np.array([[0.5, 0.2]])))
+    assert np.allclose(camera.project(10 * LEFT + 10 * HEAD), [50 + 12.5 / 0.5, 50 - 12.5 / 0.2])
+    assert (camera.width, camera.height) == (101, 101)
+
+
+@pytest.mark.parametrize(("primary", "secondary"), [(0, 0), (45, 0), (-30, 20), (90, 0), (120, -35)])
+def test_it_is_the_simulators_view_from_the_other_side(primary: float, secondary: float, run: XrayRun) -> None:
+    projector = pytest.importorskip("cathsim.fluoroscopy.projector").Projector.c_arm(
+        centre=np.zeros(3),
+        field_of_view=1e-3 * 101 * SPACING * ISOCENTRE / DETECTOR,
+        size=101,
+        primary_deg=primary,
+        secondary_deg=secondary,
+        source_detector_distance=1e-3 * DETECTOR,
+        source_object_distance=1e-3 * ISOCENTRE,
+    )
+    points = np.random.default_rng(0).normal(scale=40.0, size=(50, 3))
+    ahead = detector_axes(primary, secondary)[2]
+    # there the source stands where the detector stands here: the depth is the other way round, all else the same
+    mirrored = points - 2 * (points @ ahead)[:, None] * ahead
+    seen = camera_of(at(run, primary, secondary)).project(points)
+    assert np.allclose(seen, projector.project(1e-3 * mirrored))
+
+
+@pytest.mark.parametrize(
+    ("field", "name"),
+    [
+        ("primary_deg", r"PositionerPrimaryAngle \(0018,1510\)"),
+        ("secondary_deg", r"PositionerSecondaryAngle \(0018,1511\)"),
+        ("pixel_mm", r"ImagerPixelSpacing \(0018,1164\)"),
+    ],
+)
+def test_what_is_missing_is_named(field: str, name: str, run: XrayRun) -> None:
+    with pytest.raises(ValueError, match=rf"run.dcm: a camera needs {name}, which the file does not have"):
+        camera_of(replace(run, **{field: np.full_like(getattr(run, field), np.nan)}))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("source_isocentre_mm", [1200.0], "isocentre between source and detector"),
+        ("source_detector_mm", [100.0], "the detector 100 mm"),
+        ("primary_deg", [181.0], "primary angle from -180 to 180"),
+        ("secondary_deg", [-91.0], "secondary one from -90 to 90"),
+        ("source_detector_mm", [1e300], "300 to 3000 mm apart"),
+        ("pixel_mm", [[0.2, 0.0]], "pixel spacing from 0.001 to 100 mm"),
+        ("pixel_mm", [[0.2, 1e300]], "pixel spacing from 0.001 to 100 mm"),
+    ],
+)
+def test_impossible_geometry_is_refused(field: str, value: list, said: str, run: XrayRun) -> None:
+    with pytest.raises(ValueError, match=said):
+        camera_of(replace(run, **{field: np.array(value)}))
+    with pytest.raises(IndexError, match="expected a frame from 0 to 0, found 1"):
+        camera_of(run, 1)
+
+
+def test_mirrored_pictures_and_tilted_beams_are_said(run: XrayRun) -> None:
+    assert not view_warnings(replace(run, orientation=("L", "F")))
+    assert not view_warnings(replace(at(run, 90, 0), orientation=("L", "F")))  # across the picture: says nothing
+    assert "rows run away from the side R" in view_warnings(replace(run, orientation=("R", "F")))[0]
+    assert "columns run away from the side H" in view_warnings(replace(run, orientation=("L", "H")))[0]
+    assert "2.0 degrees askew" in view_warnings(replace(run, beam_tilt_deg=2.0))[0]

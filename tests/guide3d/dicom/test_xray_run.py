@@ -1,4 +1,4 @@
-"""X-ray runs: pixels, grey values, times and geometry as written; damaged and foreign files; no word of the patient."""
+"""X-ray runs and folders of frames: pixels, order and geometry as written; damaged files; no word of the patient."""
 
 import importlib.util
 import logging
@@ -10,26 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-pydicom = pytest.importorskip("pydicom", reason="the extra guide3d[dicom] is not installed")
+pytest.importorskip("pydicom", reason="the extra guide3d[dicom] is not installed")
 
-from pydicom.data import get_testdata_file  # noqa: E402
-from pydicom.pixels import apply_voi, apply_windowing  # noqa: E402
-from pydicom.sequence import Sequence  # noqa: E402
-from pydicom.uid import ImplicitVRLittleEndian, JPEGBaseline8Bit, JPEGLosslessSV1, RLELossless  # noqa: E402
+import pydicom
+from pydicom.data import get_testdata_file
+from pydicom.pixels import apply_voi, apply_windowing
+from pydicom.sequence import Sequence
+from pydicom.uid import ImplicitVRLittleEndian, JPEGBaseline8Bit, JPEGLosslessSV1, RLELossless
 
-from guide3d.dicom.run_folder import read_xray  # noqa: E402
-from guide3d.opencv import cv2  # noqa: E402
-from guide3d.reading.grey_image import _eight_bits  # noqa: E402
-from tests.guide3d.dicom.lossless_jpeg import encode_lossless  # noqa: E402
-from tests.guide3d.dicom.written_xray import (  # noqa: E402
-    ENHANCED_XA,
-    PATIENT,
-    enhanced_groups,
-    frames_of,
-    item,
-    write,
-    xray_dataset,
-)
+from guide3d.dicom.__main__ import main
+from guide3d.dicom.run_folder import read_xray
+from guide3d.dicom.xray_run import XrayRun
+from guide3d.opencv import cv2
+from guide3d.reading.grey_image import _eight_bits
+from tests.guide3d.dicom.lossless_jpeg import encode_lossless
+from tests.guide3d.dicom.written_xray import ENHANCED_XA, PATIENT, enhanced_groups, frames_of, item, write, xray_dataset
 
 LOSSLESS = importlib.util.find_spec("libjpeg") is not None
 
@@ -52,7 +47,6 @@ def test_frames_come_back_as_stored(bits: int, count: int, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     "window",
     [
-        {"WindowCenter": "500", "WindowWidth": "300"},
         {"WindowCenter": "500", "WindowWidth": "1"},
         {"WindowCenter": ["400", "9"], "WindowWidth": ["800", "3"]},
         {"WindowCenter": "500", "WindowWidth": "300", "VOILUTFunction": "LINEAR_EXACT"},
@@ -146,9 +140,7 @@ def test_distances_and_spacing_follow_from_what_else_is_there(tmp_path: Path) ->
     run = read_xray(write(xray_dataset(frames_of(1, 24, 32), **less), tmp_path / "run.dcm"))
     assert np.allclose(run.source_isocentre_mm, 1100 / 1.5)
     assert np.allclose(run.pixel_mm, 5.0)
-    assert [word in " ".join(run.warnings) for word in ("magnification", "field of view", "name the patient")] == 3 * [
-        True
-    ]
+    assert all(word in " ".join(run.warnings) for word in ("magnification", "field of view", "name the patient"))
 
 
 def test_enhanced_runs_say_it_frame_by_frame(tmp_path: Path) -> None:
@@ -167,13 +159,6 @@ def test_enhanced_runs_say_it_frame_by_frame(tmp_path: Path) -> None:
         window = {"WindowCenter": 100 + 20 * k, "WindowWidth": 100, "BitsStored": 8, "PixelRepresentation": 0}
         shown = apply_windowing(frames[k], item(PhotometricInterpretation="MONOCHROME2", **window))
         assert np.array_equal(run.image(k), np.rint(shown).astype(np.uint8))
-
-
-def test_run_length_coding_is_read(tmp_path: Path) -> None:
-    frames = frames_of(2, bits=10)
-    dataset = xray_dataset(frames, 10)
-    dataset.compress(RLELossless)
-    assert np.array_equal(read_xray(write(dataset, tmp_path / "run.dcm")).frames, frames)
 
 
 def test_damage_in_the_middle_of_a_jpeg_is_refused(tmp_path: Path) -> None:
@@ -200,9 +185,9 @@ def lossless_file(path: Path, frames: np.ndarray, bits: int) -> Path:
 
 
 @pytest.mark.skipif(not LOSSLESS, reason="the extra guide3d[lossless] is not installed")
-@pytest.mark.parametrize("table", [True, False])
-@pytest.mark.parametrize("fragments", [1, 3])
-@pytest.mark.parametrize("said", [3, None, 2])
+@pytest.mark.parametrize(
+    ("table", "fragments", "said"), [(True, 1, 3), (True, 3, None), (False, 3, 3), (False, 1, None), (True, 3, 2)]
+)
 def test_lossless_jpeg_in_pieces_with_and_without_a_table(
     table: bool, fragments: int, said: int | None, tmp_path: Path
 ) -> None:
@@ -234,15 +219,12 @@ def test_lossless_jpeg_without_its_decoder_says_what_to_install(tmp_path: Path) 
     ("changed", "said"),
     [
         ({"kind": "1.2.840.10008.5.1.4.1.1.2"}, "expected an X-ray run .* found CT Image Storage"),
-        ({"kind": "1.2.840.10008.5.1.4.1.1.12.3"}, "found X-Ray Angiographic Bi-Plane Image Storage"),
         ({"kind": "1.2.3.4"}, "found a file of another kind"),
         ({"SamplesPerPixel": 3}, "grey pictures, found colour"),
-        ({"PhotometricInterpretation": "PALETTE COLOR"}, "grey pictures, found colour"),
         ({"PixelRepresentation": 1}, "unsigned pixels .* signed"),
         ({"HighBit": 6}, "unsigned pixels .* the highest 6"),
         ({"BitsStored": None}, "does not say their size and bits"),
         ({"Rows": 25}, "damaged or truncated"),
-        ({"NumberOfFrames": 30}, "damaged or truncated"),
         ({"Rows": 60000}, "up to 8192 px"),
         ({"NumberOfFrames": 2}, "expected 2 frames, found pixels of 3"),
         ({"FrameTime": "-5"}, "order of their times, found steps below 0 ms"),
@@ -257,18 +239,16 @@ def test_files_of_another_kind_are_one_sentence(changed: dict[str, Any], said: s
     assert str(path) in str(raised.value)
 
 
-@pytest.mark.parametrize("kind", ["JPEG baseline", "deflated", "implicit", "big endian"])
+@pytest.mark.parametrize("kind", ["run lengths", "deflated", "implicit", "big endian"])
 def test_other_ways_of_writing(kind: str, tmp_path: Path) -> None:
-    frames = frames_of(3)
-    dataset = xray_dataset(frames)
-    if kind == "JPEG baseline":  # what decodes it is an extra
-        dataset.PixelData = pydicom.encaps.encapsulate([b"\xff\xd8\xff\xd9"] * 3)
-        dataset.file_meta.TransferSyntaxUID = "1.2.840.10008.1.2.4.50"
-        with pytest.raises(ValueError, match="compressed"):
-            read_xray(write(dataset, tmp_path / "run.dcm"))
-        return
-    syntax = {"deflated": ".1.99", "implicit": "", "big endian": ".2"}[kind]
-    dataset.file_meta.TransferSyntaxUID = f"1.2.840.10008.1.2{syntax}"
+    bits = 10 if kind == "run lengths" else 8
+    frames = frames_of(3, bits=bits)
+    dataset = xray_dataset(frames, bits)
+    if kind == "run lengths":
+        dataset.compress(RLELossless)
+    else:
+        syntax = {"deflated": ".1.99", "implicit": "", "big endian": ".2"}[kind]
+        dataset.file_meta.TransferSyntaxUID = f"1.2.840.10008.1.2{syntax}"
     assert np.array_equal(read_xray(write(dataset, tmp_path / "run.dcm")).frames, frames)
 
 
@@ -313,9 +293,7 @@ def test_a_mask_is_not_subtracted_and_that_is_said(tmp_path: Path) -> None:
     mask = Sequence([item(MaskOperation="AVG_SUB", MaskFrameNumbers=[1, 2], ApplicableFrameRange=[1, 3])])
     run = read_xray(write(xray_dataset(frames, MaskSubtractionSequence=mask), tmp_path / "run.dcm"))
     assert np.array_equal(run.frames, frames)
-    assert run.warnings == (
-        "the file asks to subtract a mask (frames 1, 2): its frames are given as recorded, not subtracted",
-    )
+    assert ["subtract a mask (frames 1, 2)" in said for said in run.warnings] == [True]
     unmasked = Sequence([item(MaskOperation="NONE")])
     for changed, notes in (({"MaskSubtractionSequence": unmasked}, 0), ({"RecommendedViewingMode": "SUB"}, 1)):
         assert len(read_xray(write(xray_dataset(frames, **changed), tmp_path / "run.dcm")).warnings) == notes
@@ -382,15 +360,7 @@ def test_what_is_read_holds_no_attribute_of_the_patient(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
-    [
-        ("CT_small.dcm", "found CT Image Storage"),
-        ("MR_small.dcm", "found MR Image Storage"),
-        ("rtplan.dcm", "found RT Plan Storage"),
-        ("SC_rgb_jpeg_gdcm.dcm", "found Secondary Capture Image Storage"),
-        ("no_meta.dcm", "found something else"),
-        ("DICOMDIR", "found Media Storage Directory Storage"),
-    ],
+    ("name", "said"), [("no_meta.dcm", "found something else"), ("DICOMDIR", "found Media Storage Directory Storage")]
 )
 def test_files_of_pydicom_are_refused_by_name(name: str, said: str) -> None:
     path = get_testdata_file(name, download=False)
@@ -400,7 +370,7 @@ def test_files_of_pydicom_are_refused_by_name(name: str, said: str) -> None:
         read_xray(path)
 
 
-@pytest.mark.parametrize("name", ["MR_small.dcm", "MR_small_RLE.dcm", "MR_small_bigendian.dcm", "SC_rgb_jpeg_gdcm.dcm"])
+@pytest.mark.parametrize("name", ["MR_small.dcm", "MR_small_RLE.dcm", "MR_small_bigendian.dcm"])
 def test_pixels_of_pydicoms_files_are_decoded_as_an_x_ray_run(name: str, tmp_path: Path) -> None:
     source = get_testdata_file(name, download=False)
     if source is None:
@@ -408,12 +378,103 @@ def test_pixels_of_pydicoms_files_are_decoded_as_an_x_ray_run(name: str, tmp_pat
     dataset = pydicom.dcmread(source)
     dataset.SOPClassUID = "1.2.840.10008.5.1.4.1.1.12.1"
     dataset.file_meta.MediaStorageSOPClassUID = dataset.SOPClassUID
-    if dataset.SamplesPerPixel == 3:
-        pydicom.dcmwrite(tmp_path / "run.dcm", dataset)
-        with pytest.raises(ValueError, match="found colour"):
-            read_xray(tmp_path / "run.dcm")
-        return
     dataset.PixelRepresentation = 0  # its values are positive
     pydicom.dcmwrite(tmp_path / "run.dcm", dataset)
     run = read_xray(tmp_path / "run.dcm")
     assert np.array_equal(run.frames[0], pydicom.dcmread(source).pixel_array)
+
+
+FRAMES = frames_of(12)
+CT = "1.2.840.10008.5.1.4.1.1.2"
+
+
+def write_frames(folder: Path, changes: list[dict[str, Any]], series: str = "1.2.3", number: str = "3") -> None:
+    """One file a frame, named by its place in `changes`."""
+    folder.mkdir(exist_ok=True)
+    for place, changed in enumerate(changes):
+        frame = FRAMES[place % len(FRAMES)][None]
+        values = {"NumberOfFrames": None, "SeriesInstanceUID": series, "SeriesNumber": number, **changed}
+        write(xray_dataset(frame, **values), folder / f"IM{number}_{place}")
+
+
+def places_of(run: XrayRun) -> list[int]:
+    """Which of the written frames each frame is."""
+    return [int(np.flatnonzero((frame == FRAMES).all(axis=(1, 2)))[0]) for frame in run.frames]
+
+
+def test_instance_numbers_give_the_order(tmp_path: Path) -> None:
+    numbers = np.random.default_rng(0).permutation(12).tolist()
+    changes = [
+        {"InstanceNumber": str(n + 1), "AcquisitionDate": "20260102", "AcquisitionTime": f"1201{n:02d}.5",
+         "PositionerPrimaryAngle": str(10 + n)}
+        for n in numbers
+    ]  # fmt: skip
+    write_frames(tmp_path / "run", changes)
+    (tmp_path / "run" / ".hidden").write_bytes(b"x")
+    (tmp_path / "run" / "DICOMDIR").write_bytes(b"x")
+    run = read_xray(tmp_path / "run")
+    assert places_of(run) == np.argsort(numbers).tolist()
+    assert np.allclose(run.times_ms, 1000.0 * np.arange(12))
+    assert np.allclose(run.primary_deg, 10 + np.arange(12))
+    assert run.pixel_mm.shape == (12, 2)
+    assert run.moves
+    assert not run.warnings
+    assert main([str(tmp_path / "run"), "--output", str(tmp_path / "out"), "--frame", "3"]) == 0
+    assert (tmp_path / "out" / "a" / "003.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("changes", "places", "said"),
+    [
+        ([{"AcquisitionTime": t} for t in ("120003", "120001", "120002.5")], [1, 2, 0], ["ordered by time"]),
+        ([{"ContentTime": t, "InstanceNumber": "1"} for t in ("", "120001")], [0, 1], ["ordered by name"]),
+        ([{"AcquisitionDateTime": f"2026010212000{t}", "InstanceNumber": "1"} for t in (2, 1)], [1, 0], ["by time"]),
+        ([{}] * 12, list(range(12)), ["ordered by name"]),
+        (
+            [{"InstanceNumber": n, "AcquisitionTime": t} for n, t in (("1", "120002"), ("2", "120001"))],
+            [0, 1],
+            ["another order by time"],
+        ),
+        ([{"InstanceNumber": n} for n in ("1", "2", "5")], [0, 1, 2], ["2 instance numbers"]),
+        ([{"InstanceNumber": "7"}], [0], []),
+        ([{"InstanceNumber": n, "FrameTime": "0.05"} for n in ("1", "2")], [0, 1], ["FrameTime is 0.05 ms, which"]),
+    ],
+)
+def test_other_orders_are_said(
+    changes: list[dict[str, Any]], places: list[int], said: list[str], tmp_path: Path
+) -> None:
+    write_frames(tmp_path, changes)
+    run = read_xray(tmp_path)
+    assert places_of(run) == places
+    assert len(run.warnings) == len(said)
+    assert all(part in whole for part, whole in zip(said, run.warnings, strict=True))
+
+
+def test_what_is_no_x_ray_is_left_out_and_said(tmp_path: Path) -> None:
+    write_frames(tmp_path, [{"InstanceNumber": str(k)} for k in range(3)])
+    (tmp_path / "notes.txt").write_text("x")
+    write(xray_dataset(FRAMES[:1], kind=CT), tmp_path / "ct.dcm")
+    run = read_xray(tmp_path)
+    assert len(run) == 3
+    assert run.warnings == ("2 files that are no X-ray images were left out: ct.dcm, notes.txt",)
+
+
+def test_what_does_not_go_together_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="holds no X-ray files"):
+        read_xray(tmp_path)
+    write_frames(tmp_path / "series", [{}] * 5)
+    write_frames(tmp_path / "series", [{}] * 2, "1.2.4", "8")
+    said = (
+        r"holds 2 series: number 3 with 5 files \(IM3_0, IM3_1, IM3_2, and 2 more\); "
+        r"number 8 with 2 files \(IM8_0, IM8_1\)"
+    )
+    with pytest.raises(ValueError, match=said):
+        read_xray(tmp_path / "series")
+    write_frames(tmp_path / "sizes", [{"InstanceNumber": "1"}])
+    write(xray_dataset(FRAMES[:1, :16, :20], SeriesInstanceUID="1.2.3"), tmp_path / "sizes" / "small")
+    with pytest.raises(ValueError, match=r"several sizes or bits \(20 x 16 px, 32 x 24 px\)"):
+        read_xray(tmp_path / "sizes")
+    write_frames(tmp_path / "runs", [{}])
+    write(xray_dataset(FRAMES, SeriesInstanceUID="1.2.3"), tmp_path / "runs" / "run.dcm")
+    with pytest.raises(ValueError, match=r"files of several frames \(run.dcm\): give one of them"):
+        read_xray(tmp_path / "runs")

@@ -9,7 +9,7 @@ from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.sequence import Sequence
 from pydicom.uid import ExplicitVRLittleEndian, generate_uid
 
-XA, RF = "1.2.840.10008.5.1.4.1.1.12.1", "1.2.840.10008.5.1.4.1.1.12.2"
+XA = "1.2.840.10008.5.1.4.1.1.12.1"
 ENHANCED_XA = "1.2.840.10008.5.1.4.1.1.12.1.1"
 PATIENT = {"PatientName": "Doe^Jonathan", "PatientID": "MRN-774411", "PatientBirthDate": "19440607"}
 GEOMETRY: dict[str, Any] = {
@@ -21,9 +21,9 @@ GEOMETRY: dict[str, Any] = {
 }
 
 
-def frames_of(count: int = 3, height: int = 24, width: int = 32, bits: int = 8, seed: int = 0) -> np.ndarray:
+def frames_of(count: int = 3, height: int = 24, width: int = 32, bits: int = 8) -> np.ndarray:
     """Noise (count, height, width) over the whole range of the stored bits."""
-    values = np.random.default_rng(seed).integers(0, 2**bits, (count, height, width))
+    values = np.random.default_rng(0).integers(0, 2**bits, (count, height, width))
     return values.astype(np.uint8 if bits <= 8 else np.uint16)
 
 
@@ -63,10 +63,10 @@ def xray_dataset(frames: np.ndarray, bits: int = 8, kind: str = XA, **changed: A
     return dataset
 
 
-def enhanced_groups(primary: list[float], isocentre_mm: float = 750.0, start_s: float = 0.0) -> dict[str, Any]:
+def enhanced_groups(primary: list[float]) -> dict[str, Any]:
     """Functional groups of an enhanced run that turns: angles and times by frame, the rest shared."""
     shared = item(
-        XRayGeometrySequence=Sequence([item(DistanceSourceToDetector=1100.0, DistanceSourceToIsocenter=isocentre_mm)]),
+        XRayGeometrySequence=Sequence([item(DistanceSourceToDetector=1100.0, DistanceSourceToIsocenter=750.0)]),
         FramePixelDataPropertiesSequence=Sequence([item(ImagerPixelSpacing=[0.3, 0.3])]),
         TablePositionSequence=Sequence(
             [item(TableTopVerticalPosition=5.0, TableTopLongitudinalPosition=1.0, TableTopLateralPosition=2.0)]
@@ -75,17 +75,12 @@ def enhanced_groups(primary: list[float], isocentre_mm: float = 750.0, start_s: 
     frames = [
         item(
             PositionerPositionSequence=Sequence([item(PositionerPrimaryAngle=angle, PositionerSecondaryAngle=0.0)]),
-            FrameContentSequence=Sequence(
-                [item(FrameAcquisitionDateTime=f"20260102030405.{round(1e6 * (start_s + 0.05 * k)):06d}")]
-            ),
+            FrameContentSequence=Sequence([item(FrameAcquisitionDateTime=f"20260102030405.{50_000 * k:06d}")]),
             FrameVOILUTSequence=Sequence([item(WindowCenter=str(100 + 20 * k), WindowWidth="100")]),
         )
         for k, angle in enumerate(primary)
     ]
-    return {
-        "SharedFunctionalGroupsSequence": Sequence([shared]),
-        "PerFrameFunctionalGroupsSequence": Sequence(frames),
-    }
+    return {"SharedFunctionalGroupsSequence": Sequence([shared]), "PerFrameFunctionalGroupsSequence": Sequence(frames)}
 
 
 def write(dataset: Dataset, path: Path) -> Path:

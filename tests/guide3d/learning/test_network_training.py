@@ -1,4 +1,4 @@
-"""Networks trained on a drawn data set: predictors in mm and masks, what is kept, damaged images, two processes."""
+"""Networks trained on a drawn data set, what is kept of them, damaged images, two processes; their errors are known."""
 
 import dataclasses
 import json
@@ -7,20 +7,21 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 import torch
 
 from guide3d.dataset.dataset import Dataset, split
-from guide3d.learning.evaluation import dice
+from guide3d.learning.evaluation import dice, evaluate_segmentation, evaluate_shape
 from guide3d.learning.network_training import train_network
 from guide3d.learning.picture_store import PictureStore, Preprocessing
 from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor
 from guide3d.learning.recipes import fgrn_recipe, segmentation_recipe, shape_recipe
 from guide3d.learning.shape_samples import ShapeAugmentation, ShapeObjective, clips_of, curve_of, sideways, walks_of
 from guide3d.train import main
-from tests.guide3d.learning.drawn_data import draw
+from tests.guide3d.learning.drawn_data import SIDE, draw
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +62,7 @@ def test_shape_network_learns_and_is_kept(data: Dataset, tmp_path: Path, form: s
     assert np.array_equal(again.predict(images), curve)
     # one frame is as good as that frame three times
     assert np.array_equal(again.predict(images[:1]), again.predict([images[0]] * 3))
-    with pytest.raises(ValueError, match="expected an image of 128 x 128 px, uint8, got"):
+    with pytest.raises(ValueError, match="expected an image of 128 x 128 px"):
         again.predict([np.zeros((64, 64), np.uint8)])
     with pytest.raises(ValueError, match="expected at least one image"):
         again.predict([])
@@ -91,9 +92,6 @@ def test_a_segmenter_learns_and_is_kept(data: Dataset, tmp_path: Path) -> None:
     predictor.save(tmp_path / "unet.pt")
     again = SegmentationPredictor.load(tmp_path / "unet.pt")
     assert np.array_equal(again.predict(frame.image("b")), mask)
-    (tmp_path / "unet.pt").write_bytes(b"torn")
-    with pytest.raises(ValueError, match="is damaged or no network"):
-        SegmentationPredictor.load(tmp_path / "unet.pt")
     with pytest.raises(FileNotFoundError, match="there is no network"):
         SegmentationPredictor.load(tmp_path / "none.pt")
 
@@ -112,30 +110,23 @@ def test_a_damaged_image_is_skipped_once_by_name(tmp_path: Path, caplog: pytest.
     for camera in "ab":
         file = broken.image_path(camera)
         file.write_bytes(file.read_bytes()[:200])
-    with caplog.at_level(logging.WARNING):
-        _, report = train_network(
-            data, parts, with_epochs(shape_recipe("smoke"), 3), "spherical", folder=tmp_path / "shape"
-        )
-        assert len(report.rows) == 3
-        told = [record.getMessage() for record in caplog.records if "is skipped" in record.getMessage()]
-        assert len(told) == 1
-        assert broken.label in told[0]
+    segmenter = dataclasses.replace(segmentation_recipe("unet", "smoke"), images=0)
+    for recipe, count in ((shape_recipe("smoke"), 1), (segmenter, 2)):  # of segmenters both cameras, once each
         caplog.clear()
-        recipe = dataclasses.replace(with_epochs(segmentation_recipe("unet", "smoke"), 3), images=0)
-        train_network(data, parts, recipe, folder=tmp_path / "segmenter")
+        with caplog.at_level(logging.WARNING):
+            _, report = train_network(data, parts, with_epochs(recipe, 2), "spherical", folder=tmp_path / str(count))
+        assert len(report.rows) == 2
         told = [record.getMessage() for record in caplog.records if "is skipped" in record.getMessage()]
-        assert len(told) == 2  # both cameras, once each
-    assert len(data.frames) > 6
+        assert len(told) == count
+        assert broken.label in told[0]
     for frame in data.frames:
         frame.image_path("a").write_bytes(b"")
     caplog.clear()
     store = PictureStore(data.frames, "a", Preprocessing(32, 128))
     with caplog.at_level(logging.WARNING):
         assert not store.healthy(np.arange(len(data.frames))).any()
-    assert [record.getMessage().partition(":")[0] for record in caplog.records] == [
-        *(f"frame {frame.label} is skipped" for frame in data.frames[:5]),
-        "more frames are skipped, which are not named",
-    ]
+    assert len(caplog.records) == 5 + 1 < len(data.frames)  # five by name, and that there are more
+    assert data.frames[4].label in caplog.records[4].getMessage()
     with pytest.raises(ValueError, match="images cannot be read, the first of frame"):
         train_network(data, parts, shape_recipe("smoke"), "spherical", folder=tmp_path / "none")
 
@@ -202,18 +193,15 @@ def test_command_line_refuses_in_a_sentence(
     for option, text, sentence in (
         ("--settings", '{"sizes": {"layers": 3}}', "unet cannot have the sizes {'layers': 3}"),
         ("--settings", '{"fit": {"epochs": 2}}', "--settings: the fields of the fit are given by --fit"),
-        ("--settings", '{"images": -1}', "images must be greater than or equal to 0, got -1"),
-        ("--settings", '{"crop_px": 63}', "crop_px=63: expected a multiple of"),
         ("--settings", '{"crop_px": 1024}', "crop_px=1024: expected a multiple of"),
         ("--fit", '{"rate": 1}', "rate Unexpected keyword argument, got 1"),
     ):
         words = [str(data.root), "--network", "unet", "--size", "smoke", "--output", str(tmp_path / "fit")]
         assert main([*words, option, text]) == 2
         assert sentence in caplog.records[-1].getMessage()
-    for text in ("[1]", "{"):
-        with pytest.raises(SystemExit):
-            main([*words, "--fit", text])
-        assert "expected a JSON object of fields" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main([*words, "--fit", "[1]"])
+    assert "expected a JSON object of fields" in capsys.readouterr().err
 
 
 def test_the_command_line_changes_recipe_and_fit(data: Dataset, tmp_path: Path) -> None:
@@ -268,3 +256,70 @@ def test_a_store_made_by_two_processes_at_once_never_gives_an_empty_picture(
     expected = np.stack([preprocessing(frame.image("a")) for frame in data.frames])
     for one in [*others, store]:
         assert np.array_equal(one.pictures(indices), expected)
+
+
+class _TrueShape:
+    """Predicts the true curves of an acquisition in its order, moved along x."""
+
+    preprocessing = Preprocessing(32, SIDE)
+    network = type("Network", (), {"frames": 1})
+    metadata: ClassVar[dict[str, Any]] = {}
+
+    def __init__(self, curves: list[np.ndarray]) -> None:
+        self.curves = curves
+
+    def predict_pictures(self, windows: np.ndarray) -> list[np.ndarray]:
+        assert len(windows) == len(self.curves)
+        return self.curves
+
+    def predict(self, images: list[np.ndarray]) -> np.ndarray:
+        assert images[0].shape == (SIDE, SIDE)
+        return self.curves[0]
+
+
+class _TrueMask:
+    """Predicts the true masks of images in the order in which they are asked for, or their opposite."""
+
+    metadata: ClassVar[dict[str, Any]] = {"mask_px": 4.0}
+    preprocessing = Preprocessing(SIDE, SIDE)
+
+    def __init__(self, data: Dataset, wrong: bool) -> None:
+        self.data, self.wrong = data, wrong
+
+    def chances(self, picture: np.ndarray) -> np.ndarray:
+        own = next(f.mask(v, 4.0) for f in self.data.frames for v in "ab" if np.array_equal(f.image(v), picture)) > 0
+        return (own != self.wrong).astype(np.float32)
+
+    def enlarged(self, chances: np.ndarray) -> np.ndarray:
+        return chances
+
+    def predict(self, image: np.ndarray) -> np.ndarray:
+        return 255 * self.chances(image).astype(np.uint8)
+
+
+def test_shapes_that_are_moved_are_off_by_as_much(data: Dataset) -> None:
+    name = next(iter(data.acquisitions))
+    curves = [data.frames[index].curve_mm for index in data.acquisitions[name]]
+    figures, examples = evaluate_shape(_TrueShape([c + np.array([2.0, 0.0, 0.0]) for c in curves]), data, [name])  # type: ignore[arg-type]
+    assert figures["frames"] == len(curves)
+    for metric in ("max_ed", "mers", "frechet"):
+        assert figures[metric] == pytest.approx([2.0, 0.0], abs=1e-6)
+    assert figures["length_error_mm"][0] == pytest.approx(0.0, abs=1e-9)
+    assert figures["along_error_mm"] == pytest.approx([2.0] * len(figures["along_mm"]), abs=1e-6)
+    assert figures["reprojection_px"][0] > 0.2
+    assert set(examples) == {"frames"} | {f"{what}{k}" for what in ("predicted", "true") for k in range(3)}
+    assert set(examples["frames"]) <= set(data.acquisitions[name])
+
+
+def test_masks_that_are_right_and_wrong(data: Dataset) -> None:
+    name = next(iter(data.acquisitions))
+    calls: list[tuple[int, int]] = []
+    true: Any = _TrueMask(data, False)
+    right, examples = evaluate_segmentation(true, data, [name], images=3, progress=lambda *call: calls.append(call))
+    assert right["images"] == 3
+    assert calls == [(0, 3), (1, 3), (2, 3)]
+    assert right["dice"] == right["miou"] == [100.0, 0.0]
+    assert list(right["by_kind"].values()) == [[100.0, 0.0]]
+    assert np.array_equal(examples["true1"] > 0, examples["predicted1"] > 0)
+    wrong, _ = evaluate_segmentation(_TrueMask(data, True), data, [name], images=3)  # type: ignore[arg-type]
+    assert wrong["dice"] == wrong["miou"] == [0.0, 0.0]

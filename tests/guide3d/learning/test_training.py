@@ -112,18 +112,17 @@ def test_a_killed_training_loses_an_epoch_at_most(tmp_path: Path) -> None:
 
 def test_checkpoints_of_something_else_are_refused(tmp_path: Path) -> None:
     fit(network(), Line(), SETTINGS, folder=tmp_path)
-    with pytest.raises(TrainingError, match="of a training with other settings"):
-        fit(network(), Line(), dataclasses.replace(SETTINGS, batch_size=4), folder=tmp_path)
-    with pytest.raises(TrainingError, match="of a training with other items"):
-        fit(network(), Line(16), SETTINGS, folder=tmp_path)
-    other = Line()
-    other.validation_items = other.validation_items[::-1]
-    with pytest.raises(TrainingError, match="of a training with other items"):
-        fit(network(), other, SETTINGS, folder=tmp_path)
-    with pytest.raises(TrainingError, match="of a training with other settings"):
-        fit(network(), Line(), SETTINGS, folder=tmp_path, recipe={"mask_px": 30})
-    with pytest.raises(TrainingError, match="of another architecture"):
-        fit(torch.nn.Linear(1, 1), Line(), SETTINGS, folder=tmp_path)
+    turned = Line()
+    turned.validation_items = turned.validation_items[::-1]
+    for module, line, settings, recipe, said in (
+        (network(), Line(), dataclasses.replace(SETTINGS, batch_size=4), None, "of a training with other settings"),
+        (network(), Line(), SETTINGS, {"mask_px": 30}, "of a training with other settings"),
+        (network(), Line(16), SETTINGS, None, "of a training with other items"),
+        (network(), turned, SETTINGS, None, "of a training with other items"),
+        (torch.nn.Linear(1, 1), Line(), SETTINGS, None, "of another architecture"),
+    ):
+        with pytest.raises(TrainingError, match=said):
+            fit(module, line, settings, folder=tmp_path, recipe=recipe)
     (tmp_path / LAST).write_bytes(b"torn")
     with pytest.raises(TrainingError, match=r"last\.pt is damaged or no checkpoint"):
         fit(network(), Line(), SETTINGS, folder=tmp_path)

@@ -16,8 +16,6 @@ from guide3d.learning.build import (
     SHAPE_SIZES,
     build_segmenter,
     build_shape_network,
-    described,
-    rebuilt,
 )
 from guide3d.learning.recipes import segmentation_recipe
 from guide3d.modeling.pretrained import load_pretrained
@@ -76,13 +74,11 @@ def test_thesis_sizes_are_the_published_ones() -> None:
     assert count(fgrn) == convolutions + 128 * 100 * 256 + 256 + 256 * 128 + 128 + 129 * 300
 
 
-@pytest.mark.parametrize("size", ["smoke"])
 @pytest.mark.parametrize("name", SEGMENTERS)
-def test_a_segmenter_gives_a_logit_a_pixel(name: str, size: str) -> None:
-    side = 128 if size == "desk" else 64
-    network = build_segmenter(name, side, **SEGMENTER_SIZES[name][size])
-    logits = network(torch.rand(2, 1, side, side))
-    assert logits.shape == (2, 1, side, side)
+def test_a_segmenter_gives_a_logit_a_pixel(name: str) -> None:
+    network = build_segmenter(name, 64, **SEGMENTER_SIZES[name]["smoke"])
+    logits = network(torch.rand(2, 1, 64, 64))
+    assert logits.shape == (2, 1, 64, 64)
     logits.sum().backward()
     assert all(weight.grad is not None for weight in network.parameters())
 
@@ -114,14 +110,6 @@ def test_shape_network_tells_a_curve_a_window(form: SphericalForm | None, anchor
         network(clips[:, :2])
 
 
-def test_a_network_is_rebuilt_from_what_is_kept_of_it() -> None:
-    for form in (FORM, None):
-        network = build_shape_network(SHAPE_SIZES["smoke"], form, 12)
-        again = rebuilt(described(SHAPE_SIZES["smoke"], form, 12))
-        again.load_state_dict(network.state_dict())
-        assert again.form == form
-
-
 def test_steps_have_the_radius_and_lie_on_the_curve() -> None:
     curve = wire(0.3, 10.0)
     walk = steps_of_radius(curve, 1.7)
@@ -137,7 +125,7 @@ def test_steps_have_the_radius_and_lie_on_the_curve() -> None:
 def test_angles_give_the_walk_again(cumulative: bool) -> None:
     walks = [steps_of_radius(wire(turn, 10.0), 2.0) for turn in np.linspace(-3, 3, 9)]  # all round
     form = SphericalForm.fit(walks, 2.0, cumulative=cumulative)
-    for walk in walks:
+    for walk in walks[::2]:
         offsets = form.encode(walk)
         again = form.decode(torch.from_numpy(walk[0]), torch.from_numpy(offsets)).numpy()
         assert np.abs(again - walk).max() < 1e-3 * len(walk)
@@ -171,9 +159,8 @@ TORCHVISION = {
 
 
 def network(channels: int = 1, image_px: int = 32, width: int = 16) -> VisionTransformer:
-    return VisionTransformer(
-        image_px=image_px, patch_px=8, channels=channels, width=width, depth=2, heads=2, hidden=32
-    ).eval()
+    sizes = {"patch_px": 8, "depth": 2, "heads": 2, "hidden": 32}
+    return VisionTransformer(image_px=image_px, channels=channels, width=width, **sizes).eval()
 
 
 def renamed(source: VisionTransformer, names: dict[str, str]) -> dict[str, torch.Tensor]:
@@ -211,17 +198,16 @@ def test_files_that_are_no_such_weights_are_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="there are no pretrained weights"):
         load_pretrained(network(), file)
     file.write_bytes(b"no weights at all")
-    with pytest.raises(ValueError, match=r"no file of weights that torch\.load reads safely"):
+    with pytest.raises(ValueError, match="no file of weights"):
         load_pretrained(network(), file)
-    torch.save({"layer.weight": torch.zeros(3)}, file)
-    with pytest.raises(ValueError, match="weights of no vision transformer that timm or torchvision makes"):
-        load_pretrained(network(), file)
-    torch.save(renamed(network(width=8), TIMM), file)
-    with pytest.raises(ValueError, match=r"of another size: class_token should be \(1, 1, 16\)"):
-        load_pretrained(network(), file)
-    torch.save([1, 2], file)
-    with pytest.raises(ValueError, match="holds a list, not a state dictionary"):
-        load_pretrained(network(), file)
+    for content, said in (
+        ({"layer.weight": torch.zeros(3)}, "weights of no vision transformer"),
+        (renamed(network(width=8), TIMM), r"of another size: class_token should be \(1, 1, 16\)"),
+        ([1, 2], "holds a list"),
+    ):
+        torch.save(content, file)
+        with pytest.raises(ValueError, match=said):
+            load_pretrained(network(), file)
 
 
 def test_shifted_windows_keep_distant_tokens_apart() -> None:

@@ -7,17 +7,14 @@ from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array, arc_length, at_length, distances_to, resample
 from guide3d.opencv import cv2
+from guide3d.reading.maps import ReaderMaps
 
 Map = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnMaps:
-    """Maps with the wire they show.
-
-    points_px: (n, 2) tip first
-    wire, tip: (h, w) of 0 to 1
-    """
+    """Maps (h, w) of 0 to 1 with the wire (n, 2) that they show, tip first."""
 
     points_px: Array
     wire: Map
@@ -45,16 +42,11 @@ def maps_of(
     size_px: int = 1024,
     gaps: tuple[tuple[float, float], ...] = (),
     weak: tuple[tuple[float, float, float], ...] = (),
-    width_px: float = 5.0,
     tip: float = 0.9,
 ) -> DrawnMaps:
-    """Draws the maps of a wire.
+    """Draws the maps of a wire (n, 2) px, tip first, with a peak of some height at its tip.
 
-    Args:
-        points: (n, 2) px, tip first.
-        gaps: px of arc length from the tip between which nothing is seen.
-        weak: the same, and the probability there.
-        tip: height of the tip map's peak; 0: none.
+    Gaps are px of arc length from the tip between which nothing is seen; weak parts also have a probability.
     """
     points = resample(points, spacing=1.0)
     leaves = np.flatnonzero(((points < 0) | (points > size_px - 1)).any(axis=1))
@@ -69,7 +61,7 @@ def maps_of(
     cuts = np.flatnonzero(np.diff(value)) + 1
     for part in np.split(np.arange(len(points)), cuts):
         if value[part[0]] > 0 and len(part) > 1:
-            wire = np.maximum(wire, value[part[0]] * soft_line(shape, points[part], width_px))
+            wire = np.maximum(wire, value[part[0]] * soft_line(shape, points[part]))
     blob = np.zeros(shape, np.float32)
     if tip:
         y, x = np.mgrid[:size_px, :size_px]
@@ -77,14 +69,14 @@ def maps_of(
     return DrawnMaps(points, np.clip(0.98 * wire, 0, 1), blob)
 
 
-def clutter(maps: DrawnMaps, seed: int, marks: int = 12, pieces: int = 4) -> DrawnMaps:
-    """Adds false marks, short bits of lines, noise, and longer wrong pieces to the map of the wire."""
+def clutter(maps: DrawnMaps, seed: int) -> DrawnMaps:
+    """Adds twelve false marks, short bits of lines, noise, and four longer wrong pieces to the map of the wire."""
     rng = np.random.default_rng(seed)
     size = maps.wire.shape[0]
     wire = maps.wire.copy()
-    for number in range(marks + pieces):
-        length = rng.uniform(8, 30) if number < marks else rng.uniform(40, 110)
-        level = rng.uniform(0.4, 0.95) if number < marks else rng.uniform(0.4, 0.8)
+    for number in range(16):
+        length = rng.uniform(8, 30) if number < 12 else rng.uniform(40, 110)
+        level = rng.uniform(0.4, 0.95) if number < 12 else rng.uniform(0.4, 0.8)
         line = bent([(length, rng.normal(0, 0.01))], tuple(rng.uniform(60, size - 60, 2)), rng.uniform(0, 6.28))
         wire = np.maximum(wire, np.float32(level) * soft_line(wire.shape, line, rng.uniform(2.5, 6)))
     noise = cv2.GaussianBlur(rng.standard_normal(wire.shape).astype(np.float32), (0, 0), 1.5) * 0.15
@@ -105,27 +97,18 @@ def order_error(points: Array, truth: Array) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class ReaderLikeMaps:
-    """Maps as `guide3d.reading.maps.ReaderMaps` has them."""
-
-    wire: Map
-    catheter: Map
-    tip: Map
-
-
-@dataclass(frozen=True, eq=False)
 class DarkLineReader:
     """Stands in for a network on drawn images: dark is wire."""
 
     tip: Map | None = None
 
-    def maps(self, image: NDArray[np.uint8]) -> ReaderLikeMaps:
+    def maps(self, image: NDArray[np.uint8]) -> ReaderMaps:
         """Maps of an image that `picture` drew."""
         wire = np.clip((150.0 - image.astype(np.float32)) / 90.0, 0.0, 1.0)
         if wire.mean() > 0.3:  # a negative: nothing that looks like a wire
             wire = np.zeros_like(wire)
         empty = np.zeros_like(wire)
-        return ReaderLikeMaps(wire, empty, empty if self.tip is None else self.tip)
+        return ReaderMaps(wire, empty, empty if self.tip is None else self.tip)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,11 +117,11 @@ class DrawnReader:
 
     drawn: list[DrawnMaps]
 
-    def maps(self, image: NDArray[np.uint8]) -> ReaderLikeMaps:
+    def maps(self, image: NDArray[np.uint8]) -> ReaderMaps:
         """Maps of an image that `picture` drew."""
         found = next((maps for maps in self.drawn if np.array_equal(picture(maps), image)), None)
         empty = np.zeros(image.shape, np.float32)
-        return ReaderLikeMaps(*((empty,) * 3 if found is None else (found.wire, empty, found.tip)))
+        return ReaderMaps(*((empty,) * 3 if found is None else (found.wire, empty, found.tip)))
 
 
 def picture(maps: DrawnMaps) -> NDArray[np.uint8]:

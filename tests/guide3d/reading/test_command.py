@@ -22,8 +22,7 @@ from guide3d.reading.pair_reading import PairReading, read_pair
 from guide3d.reconstruction.synthetic_scene import scenes
 from tests.guide3d.reading.drawn_maps import DarkLineReader, maps_of, picture
 
-SCENES = list(scenes(2, seed=77))
-SCENE = SCENES[1]
+SCENE = list(scenes(2, seed=77))[1]
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +34,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "cameras").mkdir()
     for detector, camera in zip(("16710", "16709"), SCENE.cameras, strict=True):
         write_camera(camera, folder / "cameras" / f"today_{detector}.txt")
-    (folder / "swapped").mkdir()
-    for detector, camera in zip(("16710", "16709"), SCENE.cameras[::-1], strict=True):
-        write_camera(camera, folder / "swapped" / f"today_{detector}.txt")
     (folder / "named").mkdir()
     for letter, camera in zip("ab", SCENE.cameras, strict=True):
         write_opencv_yaml(camera, folder / "named" / f"camera_{letter}.yaml")
@@ -48,7 +44,6 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_png(rng.integers(170, 190, (1024, 1024), dtype=np.uint8), folder / "empty.png")
     whole = (folder / "a.png").read_bytes()
     (folder / "cut.png").write_bytes(whole[: len(whole) // 2])
-    (folder / "text.png").write_text("no picture")
     (folder / "cut.dcm").write_bytes(bytes(128) + b"DICM" + whole[:50])
     return folder
 
@@ -74,27 +69,14 @@ def test_one_image_is_written_as_curve_and_overlay(data: Path, tmp_path: Path) -
 
 
 def _points_of_polydata(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Points and deviations of a poly-line through all points; VTK reads the same, where it is installed."""
+    """Points and deviations of a poly-line through all points."""
     piece = ElementTree.parse(path).getroot().find("PolyData/Piece")
     points = np.array(piece.findtext("Points/DataArray").split(), float).reshape(-1, 3)
-    deviations = np.array(piece.findtext("PointData/DataArray").split(), float)
-    try:
-        from vtkmodules.util.numpy_support import vtk_to_numpy
-        from vtkmodules.vtkIOXML import vtkXMLPolyDataReader
-    except ModuleNotFoundError:
-        return points, deviations
-    reader = vtkXMLPolyDataReader()
-    reader.SetFileName(str(path))
-    reader.Update()
-    content = reader.GetOutput()
-    assert (content.GetNumberOfLines(), content.GetCell(0).GetNumberOfPoints()) == (1, len(points))
-    assert np.array_equal(vtk_to_numpy(content.GetPoints().GetData()), points)
-    return points, vtk_to_numpy(content.GetPointData().GetArray("sd_mm"))
+    return points, np.array(piece.findtext("PointData/DataArray").split(), float)
 
 
-@pytest.mark.parametrize("cameras", ["cameras", "named"])
-def test_two_images_are_written_as_a_wire_in_space(cameras: str, data: Path, tmp_path: Path) -> None:
-    words = [str(data / "a.png"), str(data / "b.png"), "--cameras", str(data / cameras), "--output", str(tmp_path)]
+def test_two_images_are_written_as_a_wire_in_space(data: Path, tmp_path: Path) -> None:
+    words = [str(data / "a.png"), str(data / "b.png"), "--cameras", str(data / "named"), "--output", str(tmp_path)]
     assert command.main(words) == 0
     names = {"curve.csv", "curve.json", "curve.mrk.json", "curve.vtp", "overlay_a.png", "overlay_b.png", "view.html"}
     assert {file.name for file in tmp_path.iterdir()} == names
@@ -131,8 +113,6 @@ def test_a_sequence_has_a_row_a_frame(data: Path, tmp_path: Path) -> None:
     assert float(rows[2]["length"]) < float(rows[0]["length"]) - 2.0
     assert len(json.loads((tmp_path / "out" / "frames.json").read_text())) == 3
     assert (tmp_path / "out" / "view.html").is_file()
-    assert command.main([str(tmp_path / "a"), "--video", "--output", str(tmp_path / "one")]) == 0
-    assert not (tmp_path / "one" / "view.html").exists()
 
 
 def test_results_of_an_earlier_reading_of_another_kind_go(data: Path, tmp_path: Path, capsys) -> None:
@@ -171,10 +151,9 @@ def test_a_film_is_a_sequence(data: Path, tmp_path: Path, capsys: pytest.Capture
         for _ in range(2):
             film.write(np.repeat(image[..., None], 3, axis=2))
         film.release()
-    assert command.main([str(tmp_path / "a.avi"), "--video", "--output", str(tmp_path / "out")]) == 0
-    assert (tmp_path / "out" / "frames.csv").read_text().count("\n") == 3
     both = [str(tmp_path / f"{letter}.avi") for letter in "ab"]
     assert command.main([*both, "--cameras", str(data / "cameras"), "--video", "--output", str(tmp_path / "pair")]) == 0
+    assert (tmp_path / "pair" / "frames.csv").read_text().count("\n") == 3
     assert "A has 10 frames a second and B 20: frames of one number, taken as one moment" in capsys.readouterr().err
 
 
@@ -193,30 +172,21 @@ def test_images_that_are_not_read_are_said(data: Path, tmp_path: Path, capsys: p
     said = capsys.readouterr().err
     assert "a.tif holds 3 images, of which the first" in said
     assert "b.tif holds 2 images, of which the first" in said
-    assert command.main([str(tmp_path / "a.tif"), "--output", str(tmp_path / "one")]) == 0
-    assert "a.tif holds 3 images, of which the first was read: add --video to read all" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         (("photograph.png",), "coloured"),
-        (("small.png",), "at least 128 x 128 px, got 64 x 64"),
-        (("black.png",), "no contrast"),
         (("empty.png",), "no wire was found"),
         (("cut.png",), "cannot be read"),
-        (("text.png",), "cannot be read"),
         (("missing.png",), "is missing"),
-        (("missing.mp4", "--video"), "is missing"),
         (("cut.dcm",), "cut.dcm"),
         (("a.png", "b.png"), "add --cameras FOLDER"),
         (("a.png", "a.png", "--cameras", "cameras"), "two views need two different images"),
-        (("a.png", "a.png", "--cameras", "cameras", "--video"), "two views need two different images"),
         (("a.png", "--cameras", "cameras"), "--cameras needs two images"),
-        (("a.png", "b.png", "--cameras", "missing"), "is missing"),
         (("a.png", "b.png", "--cameras", "."), "holds no cameras"),
         (("a.png", "small.png", "--cameras", "cameras"), "has 64 x 64 px, but camera B was calibrated for 1024 x 1024"),
-        (("a.png", "empty.png", "--cameras", "cameras"), "empty.png: no wire was found"),
         (("a.png", "black.png", "--cameras", "cameras"), "black.png: the image has no contrast"),
     ],
 )
@@ -229,13 +199,6 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(
     assert said in error
     assert error.count("\n") == 1
     assert not (tmp_path / "out").exists()
-
-
-def test_an_inverted_and_a_deep_image_are_read(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    image = read_grey_levels(data / "a.png").astype(np.uint8)
-    write_png(255 - image, tmp_path / "negative.png")
-    assert command.main([str(tmp_path / "negative.png"), "--output", str(tmp_path)]) == 0
-    assert "was inverted" in capsys.readouterr().err
 
 
 def test_of_several_sets_that_fit_the_last_by_name_is_taken(
@@ -251,13 +214,10 @@ def test_of_several_sets_that_fit_the_last_by_name_is_taken(
     assert "2024-03_*.txt was taken of several sets" in capsys.readouterr().err
 
 
-SPACE_PAGE_SCENE = next(iter(scenes(1, seed=77)))
-
-
 @pytest.fixture(scope="module")
 def reading() -> PairReading:
-    images = [picture(maps_of(points)) for points in SPACE_PAGE_SCENE.points]
-    return read_pair(*images, SPACE_PAGE_SCENE.cameras, reader=DarkLineReader())
+    images = [picture(maps_of(points)) for points in SCENE.points]
+    return read_pair(*images, SCENE.cameras, reader=DarkLineReader())
 
 
 def test_data_and_pictures_stand_in_the_page(reading: PairReading) -> None:
@@ -275,18 +235,11 @@ def test_data_and_pictures_stand_in_the_page(reading: PairReading) -> None:
 
 
 def test_an_overlay_shows_confidence_by_colour() -> None:
-    maps = maps_of(SPACE_PAGE_SCENE.points[0], gaps=((150, 260),))
+    points = next(iter(scenes(1, seed=77))).points[0]
+    maps = maps_of(points, gaps=((150, 260),))
     image = picture(maps)
-    overlay = draw_reading(image, read(image, DarkLineReader()), truth_px=SPACE_PAGE_SCENE.points[0][::50])
+    overlay = draw_reading(image, read(image, DarkLineReader()), truth_px=points[::50])
     assert overlay.shape == (1024, 1024, 3)
     red, green = (overlay == confidence_colour(share) for share in (0.0, 1.0))
     assert red.all(axis=2).any() or (overlay[..., 0].astype(int) - overlay[..., 1] > 60).any()
     assert green.all(axis=2).any() or (overlay[..., 1].astype(int) - overlay[..., 0] > 60).any()
-
-
-def test_an_image_of_another_moment_is_said(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_png(picture(maps_of(SCENES[0].points[1])), tmp_path / "other.png")
-    words = [str(data / "a.png"), str(tmp_path / "other.png"), "--cameras", str(data / "cameras")]
-    command.main([*words, "--output", str(tmp_path)])
-    error = capsys.readouterr().err
-    assert "fit each other poorly" in error or "do not show one wire" in error

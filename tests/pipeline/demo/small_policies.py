@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +24,13 @@ TASK_OF_DEMO = Task(wire_length_mm=380.0, image_size_px=64, max_steps=7)
 CARD = "# {0}\n\nSteers `{0}`.\n\n| file |\n\n**What it sees.** The `image`\nalone.\n\n**Figures.** None.\n"
 
 
+@functools.cache
+def spaces_of_demo() -> tuple[Any, Any]:
+    """Of observations by the scan, and of actions; a simulation is made to ask it for them."""
+    environment = UnseenTask(("bca",), TASK_OF_DEMO).test_environment("type_1", "bca", "default", ROADMAP_KEYS)
+    return environment.observation_space, environment.action_space
+
+
 def ship(folder: Path, monkeypatch: pytest.MonkeyPatch, cameras: tuple[str, ...] = ONE_CAMERA) -> Path:
     """Puts two untrained policies where enn finds the shipped ones; gives their folder.
 
@@ -34,9 +43,7 @@ def ship(folder: Path, monkeypatch: pytest.MonkeyPatch, cameras: tuple[str, ...]
     perception = ImagePerception(LumenSegmenter(4, 32), WireSegmenter(4), cameras=cameras)
     settings = RecurrentPolicySettings(features=perception.size, hidden=8, action_repeat=3)
     RecurrentPolicy(settings, perception=perception.content()).save(weights / "navigator.pt", **metadata)
-    environment = UnseenTask(("bca",), TASK_OF_DEMO).test_environment("type_1", "bca", "default", ROADMAP_KEYS)
-    spaces = environment.observation_space, environment.action_space
-    network = NetworkSettings(hidden=(8, 8), keys=ROADMAP_KEYS)
+    spaces, network = spaces_of_demo(), NetworkSettings(hidden=(8, 8), keys=ROADMAP_KEYS)
     Policy(network, build_network(network, *spaces), *spaces, action_repeat=3, metadata=metadata).save(
         weights / "generalist.pt"
     )

@@ -27,14 +27,18 @@ def one_sentence(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return line
 
 
-def test_an_episode_leaves_log_films_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_attempts_leave_log_films_and_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(retrying, "_BACK", 9)  # steps in which a wire that has not arrived is drawn back
     folder = tmp_path / "demo"
-    assert main(("--output", str(folder), "--seed", "3", "--attempts", "1")) == 0
+    assert main(("--output", str(folder), "--seed", "3", "--attempts", "2")) == 0
     printed = capsys.readouterr().out
     assert "the navigator steers to the BCA of random arch 40003" in printed
+    assert "did not reach the target at attempt 2 in 2.3 s" in printed
     assert printed.endswith(f"open {folder / 'index.html'}\n")
     with EpisodeReader(folder / LOG) as episode:
-        assert episode.outcome.steps == TASK_OF_DEMO.max_steps
+        assert episode.outcome.steps == 2 * TASK_OF_DEMO.max_steps + 9
         assert episode.info.phantom == "random_40003"
     width, height = next(imageio_ffmpeg.read_frames(str(folder / MP4)))["size"]
     assert height == VIEW_PX + TITLE_PX
@@ -43,9 +47,7 @@ def test_an_episode_leaves_log_films_and_page(tmp_path: Path, capsys: pytest.Cap
         assert gif.n_frames >= 2
     page = (folder / "index.html").read_text(encoding="utf-8")
     assert page.index("film.mp4") < page.index("<h1>")
-    for words in ("Not reached within 0.7 s", "The image alone.", "read off the X-ray image", LOG,
-                  "<code>.venv/bin/endonav models navigator</code>", "BCA, brachiocephalic artery",
-                  'poster="film.gif"'):  # fmt: skip
+    for words in ("Not reached", "The image alone.", LOG, 'poster="film.gif"'):
         assert words in page
 
 
@@ -60,20 +62,8 @@ def test_a_surface_of_ones_own_and_the_roadmap(tmp_path: Path, capsys: pytest.Ca
     assert "It gets no image" in (tmp_path / "demo" / "index.html").read_text(encoding="utf-8")
 
 
-def test_a_wire_that_has_not_arrived_is_drawn_back_and_tries_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(retrying, "_BACK", 9)
-    assert main(("--output", str(tmp_path), "--seed", "3", "--attempts", "2")) == 0
-    assert "did not reach the target at attempt 2 in 2.3 s" in capsys.readouterr().out
-    with EpisodeReader(tmp_path / LOG) as episode:
-        assert episode.outcome.steps == 2 * TASK_OF_DEMO.max_steps + 9
-
-
 def test_files_that_are_no_anatomy_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "there is no anatomy nowhere.stl: give the path of a surface" in one_sentence(
-        capsys, "--anatomy", "nowhere.stl"
-    )
+    assert "there is no anatomy nowhere.stl" in one_sentence(capsys, "--anatomy", "nowhere.stl")
     damaged = tmp_path / "damaged.stl"
     damaged.write_bytes(b"no mesh at all")
     assert "damaged.stl" in one_sentence(capsys, "--anatomy", str(damaged))
@@ -84,22 +74,12 @@ def test_a_model_that_is_not_there_is_refused(shipped: Path, capsys: pytest.Capt
     assert one_sentence(capsys) == "there is no model 'navigator': choose from generalist"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--seed", "1000"), "expected a whole number from 0 to 999, got '1000'"),
-        (("--attempts", "0"), "expected a whole number from 1 to 9, got '0'"),
-        (("--model", "reader"), "invalid choice: 'reader'"),
-        (("--unit", "km"), "invalid choice: 'km'"),
-    ],
-)
-def test_wrong_arguments_are_refused(
-    arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as end:
-        main(arguments)
-    assert end.value.code == EXIT_USAGE
-    assert message in capsys.readouterr().err
+def test_wrong_arguments_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    for option, value in (("--seed", "1000"), ("--attempts", "0"), ("--model", "reader"), ("--unit", "km")):
+        with pytest.raises(SystemExit) as end:
+            main((option, value))
+        assert end.value.code == EXIT_USAGE
+        assert f"'{value}'" in capsys.readouterr().err
 
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -66,19 +66,15 @@ def test_panels_show_what_is_read(model: str, tmp_path: Path, monkeypatch: pytes
         film.add(environment)
     first, last = film._frames
     frontal, lateral = (panel[TITLE_PX:] for panel in (last[:, :VIEW_PX], last[:, VIEW_PX : 2 * VIEW_PX]))
-    assert shows(frontal, TARGET)
-    assert shows(lateral, TARGET)
-    assert shows(frontal, WAY)
-    assert shows(frontal, WIRE)
+    assert all(shows(frontal, colour) for colour in (TARGET, WAY, WIRE))
+    assert all(shows(lateral, colour) for colour in (TARGET, TRUE_WIRE))
     assert shows(lateral, WIRE) is not by_images
-    assert shows(lateral, TRUE_WIRE)
     assert shows(frontal, LUMEN) is by_images
     assert first.shape == last.shape
     assert (first != last).any()
-    assert {name: len(values) for name, values in film.curves.items()} == {
-        "distance_mm": STRIDE + 1,
-        "force_n": STRIDE + 1,
-    }
+    assert {name: len(values) for name, values in film.curves.items()} == dict.fromkeys(
+        ("distance_mm", "force_n"), STRIDE + 1
+    )
     assert 10 < film.curves["distance_mm"][0] < 500
     film.close()
     environment.close()
@@ -116,32 +112,10 @@ def test_a_catheter_is_in_the_views_for_people() -> None:
     environment.close()
 
 
-CARD = """# a
-
-Steers.
-
-| file |
-|---|
-
-**What it sees.** The `image`
-alone.
-
-**Command.** None.
-
-**Figures.** Some.
-
-| x |
-
-**Limits.** Many,
-
-```bash
-make demo
-```
-"""
-
-
 def test_parts_of_a_card_are_plain_text() -> None:
-    assert sections(CARD) == {"What it sees": "The image alone.", "Limits": "Many, make demo"}
+    head = "# a\n\nSteers.\n\n| file |\n|---|\n\n**What it sees.** The `image`\nalone.\n\n**Command.** None.\n\n"
+    card = f"{head}**Figures.** Some.\n\n| x |\n\n**Limits.** Many,\n\n```bash\nmake demo\n```\n"
+    assert sections(card) == {"What it sees": "The image alone.", "Limits": "Many, make demo"}
 
 
 def test_a_plot_spans_its_width_and_height() -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.episodes import Camera, EpisodeInfo, EpisodeOutcome, EpisodeWriter, PhantomMesh, StepRecord
+from pipeline.episodes import Camera, DeviceRecord, EpisodeInfo, EpisodeOutcome, EpisodeWriter, PhantomMesh, StepRecord
 
 WIDTH, HEIGHT = 33, 20
 
@@ -107,9 +107,9 @@ def draw_episode(steps: int, seed: int = 0) -> Episode:
     return episode
 
 
-def compare_records(found: StepRecord, given: StepRecord) -> None:
-    """Compare two steps bit by bit."""
-    for name in StepRecord.__dataclass_fields__:
+def compare_records(found: Any, given: StepRecord | DeviceRecord) -> None:
+    """Compare two steps, or the devices of two, bit by bit."""
+    for name in given.__dataclass_fields__:
         one, other = getattr(found, name), getattr(given, name)
         if isinstance(other, np.ndarray):
             assert one.shape == other.shape, name

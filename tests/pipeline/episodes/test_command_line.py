@@ -26,25 +26,14 @@ def damaged_path(log_path):
 def test_info_tells_the_episode(log_path, capsys):
     assert main(["info", str(log_path)]) == 0
     text = capsys.readouterr().out
-    for part in (
-        "type_1",
-        "descending_aorta -> bca, seed 17",
-        "success, 22 steps of 0.1 s",
-        "spl",
-        "33 x 20 px, image + mask",
-    ):
+    for part in ("type_1", "descending_aorta -> bca, seed 17", "success, 22 steps", "33 x 20 px, image + mask"):
         assert part in text
-
-
-def test_check_counts(log_path, capsys):
-    assert main(["check", str(log_path)]) == 0
-    assert capsys.readouterr().out == f"{log_path} is fine: 23 records, 46 pictures\n"
 
 
 def test_check_of_several_files_reports_each(log_path, damaged_path, capsys):
     assert main(["check", str(log_path), str(damaged_path)]) == 1
     out, err = capsys.readouterr()
-    assert "is fine" in out
+    assert out == f"{log_path} is fine: 23 records, 46 pictures\n"
     assert err.count("\n") == 1
     assert f"{damaged_path} is damaged: " in err
     assert main(["check", str(damaged_path), str(log_path.with_name("none"))]) == 2
@@ -66,21 +55,18 @@ def test_recover_names_its_output(damaged_path, log_path, capsys):
 
 
 @pytest.mark.parametrize("command", ["info", "check", "recover"])
-@pytest.mark.parametrize("content", [b"", b"text\n" * 50, b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + bytes(range(256)) * 20])
-def test_bad_files_get_one_sentence(command, content, tmp_path, capsys):
-    path = tmp_path / "bad.mcap"
-    path.write_bytes(content)
-    assert main([command, str(path)]) == 1
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1
-    assert str(path) in err
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["bad.mcap"]
-
-
-@pytest.mark.parametrize("command", ["info", "check", "recover"])
-def test_missing_file_is_usage(command, tmp_path, capsys):
+def test_bad_and_missing_files_get_one_sentence(command, log_path, tmp_path, capsys):
+    path, whole = tmp_path / "bad.mcap", log_path.read_bytes()
+    garbage = (b"text\n" * 50, b"\x89MCAP0\r\n", b"\x89MCAP0\r\n" + bytes(range(256)) * 20)
+    for content in (*garbage, *(whole[:length] for length in (0, 7, 30, 200))):
+        path.write_bytes(content)
+        assert main([command, str(path)]) == 1
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        assert str(path) in err
+        assert sorted(file.name for file in tmp_path.iterdir()) == ["bad.mcap", "episode.mcap"]
     assert main([command, str(tmp_path / "none.mcap")]) == 2
-    assert capsys.readouterr().err == f"{tmp_path / 'none.mcap'} is no file: give the path of an episode log\n"
+    assert f"{tmp_path / 'none.mcap'} is no file" in capsys.readouterr().err
     assert main([command, str(tmp_path)]) == 2
 
 
@@ -103,8 +89,3 @@ def test_module_runs_without_simulator_and_learning_library(log_path):
         [sys.executable, "-c", code, str(log_path)], cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
-    shown = subprocess.run(
-        [sys.executable, "-m", "pipeline.episodes", "--help"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert shown.returncode == 0
-    assert "recover" in shown.stdout

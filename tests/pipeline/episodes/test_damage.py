@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import json
-import struct
-import zlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import Writer
 
 from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError
 from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.container import McapFile
-from pipeline.episodes.encoding.scan import messages, read_chunk
-from pipeline.episodes.encoding.schema import topic_messages
-from pipeline.episodes.records import seal_episode, seal_outcome
+from pipeline.episodes.records import seal_episode
 from pipeline.episodes.recovery import recover
-from pipeline.episodes.writer import schema_data
+from tests.pipeline.episodes.forged_logs import sealed
 
 
 def flip(data: bytes, offset: int, bit: int) -> bytes:
@@ -55,7 +49,7 @@ def test_every_flipped_bit_is_found(log_path, episode, assert_same, tmp_path):
     rng = np.random.default_rng(5)
     ends = {*range(12), *range(len(data) - 120, len(data))}
     victim = tmp_path / "victim.mcap"
-    for offset in sorted(ends | {int(offset) for offset in rng.integers(len(data), size=150)}):
+    for offset in sorted(ends | {int(offset) for offset in rng.integers(len(data), size=60)}):
         victim.write_bytes(flip(data, offset, int(rng.integers(8))))
         problems = check(victim).problems
         assert len(problems) == 1, offset
@@ -73,7 +67,7 @@ def test_recovery_of_one_flipped_bit_loses_one_flush_at_most(log_path, episode, 
     data = log_path.read_bytes()
     rng = np.random.default_rng(6)
     victim = tmp_path / "victim.mcap"
-    for number, offset in enumerate(rng.integers(8, len(data), size=60)):
+    for number, offset in enumerate(rng.integers(8, len(data), size=25)):
         victim.write_bytes(flip(data, int(offset), int(rng.integers(8))))
         saved = tmp_path / f"saved_{number}.mcap"
         report = recover(victim, saved)
@@ -81,7 +75,7 @@ def test_recovery_of_one_flipped_bit_loses_one_flush_at_most(log_path, episode, 
         assert report.steps_kept + len(report.missing_steps) == 23, offset
 
 
-@pytest.mark.parametrize("fraction", [0.5, 0.6, 0.7, 0.8, 0.999])
+@pytest.mark.parametrize("fraction", [0.5, 0.8, 0.999])
 def test_cut_file_is_found_and_recovered(log_path, episode, assert_same, tmp_path, fraction):
     data = log_path.read_bytes()
     victim, saved = tmp_path / "victim.mcap", tmp_path / "saved.mcap"
@@ -89,7 +83,7 @@ def test_cut_file_is_found_and_recovered(log_path, episode, assert_same, tmp_pat
     victim.write_bytes(data[:length])
     with EpisodeReader(log_path) as log:  # chunk 0 holds what stands once, then come five steps a chunk
         whole = sum(chunk.chunk_start_offset + chunk.chunk_length <= length for chunk in log.summary.chunk_indexes)
-    with pytest.raises(EpisodeReadError, match=r"no index at its end.*; run 'python -m pipeline\.episodes recover"):
+    with pytest.raises(EpisodeReadError, match=r"no index at its end"):
         EpisodeReader(victim)
     assert len(check(victim).problems) == 1
     report = recover(victim, saved)
@@ -97,18 +91,6 @@ def test_cut_file_is_found_and_recovered(log_path, episode, assert_same, tmp_pat
     assert_recovered(saved, episode, assert_same, 1)
     with EpisodeReader(saved) as log:
         assert log.outcome.status == ("finished" if report.outcome_kept else "interrupted")
-
-
-@pytest.mark.parametrize("length", [0, 1, 7, 8, 30, 200])
-def test_nothing_to_recover_is_said(log_path, tmp_path, length):
-    victim = tmp_path / "victim.mcap"
-    victim.write_bytes(log_path.read_bytes()[:length])
-    with pytest.raises(EpisodeReadError, match=r"empty|damaged"):
-        EpisodeReader(victim)
-    assert len(check(victim).problems) == 1
-    with pytest.raises(EpisodeReadError, match=r"nothing to recover|cannot be recovered"):
-        recover(victim, tmp_path / "saved.mcap")
-    assert [path.name for path in tmp_path.iterdir() if "saved" in path.name] == []
 
 
 def test_lost_steps_are_named(log_path, tmp_path):
@@ -149,32 +131,6 @@ def test_recovery_of_a_fine_log_keeps_all(log_path, episode, assert_same, tmp_pa
         recover(log_path, log_path)
 
 
-def test_recovery_numbers_foreign_channels_anew(log_path, episode, assert_same, tmp_path):
-    """Another program may have written the same topics in another order."""
-    other = tmp_path / "other.mcap"
-    with log_path.open("rb") as source, other.open("wb") as target:
-        reader, writer = make_reader(source), Writer(target)
-        writer.start()
-        for metadata in reader.iter_metadata():
-            writer.add_metadata(metadata.name, metadata.metadata)
-        schemas = {
-            schema.id: writer.register_schema(schema.name, schema.encoding, schema.data)
-            for schema in reader.get_summary().schemas.values()
-        }
-        channels = {
-            channel.id: writer.register_channel(channel.topic, "protobuf", schemas[channel.schema_id])
-            for channel in reversed(reader.get_summary().channels.values())
-        }
-        for _, channel, message in reader.iter_messages():
-            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
-        writer.finish()
-    with EpisodeReader(other) as log:
-        assert_same(log.step(3), episode.records[3])
-    report = recover(other, tmp_path / "saved.mcap")
-    assert report.steps_kept == 23
-    assert_recovered(tmp_path / "saved.mcap", episode, assert_same, 23)
-
-
 def write_container(path, metadata: dict[str, dict[str, str]]) -> None:
     file = McapFile(path, "test")
     for name, values in metadata.items():
@@ -182,28 +138,19 @@ def write_container(path, metadata: dict[str, dict[str, str]]) -> None:
     file.close_with_index()
 
 
-def reseal(values: dict[str, str], version: str) -> dict[str, str]:
-    checksum = zlib.crc32(f"{version} {values['json']}".encode())
-    return {**values, "schema_version": version, "crc32": f"{checksum:08x}"}
-
-
 def test_foreign_and_newer_logs_are_refused(episode, tmp_path):
     foreign, newer, bare = (tmp_path / f"{name}.mcap" for name in ("foreign", "newer", "bare"))
     write_container(foreign, {"robot": {"name": "arm"}})
-    sealed = seal_episode(episode.info, episode.cameras)
-    write_container(newer, {"endonav.episode": reseal(sealed, "2")})
+    said = seal_episode(episode.info, episode.cameras)["json"]
+    write_container(newer, {"endonav.episode": sealed(said, "2")})
     write_container(bare, {"endonav.episode": {"json": json.dumps({})}})
     with pytest.raises(EpisodeReadError, match=r"has no metadata record endonav\.episode"):
         EpisodeReader(foreign)
-    with pytest.raises(EpisodeReadError, match="has schema version 2, this reader knows up to 1: update"):
-        EpisodeReader(newer)
-    with pytest.raises(EpisodeReadError, match="has schema version 2, this reader knows up to 1: update"):
-        recover(newer, tmp_path / "saved.mcap")
+    for use in (EpisodeReader, lambda path: recover(path, tmp_path / "saved.mcap")):
+        with pytest.raises(EpisodeReadError, match="has schema version 2, this reader knows up to 1"):
+            use(newer)
     with pytest.raises(EpisodeReadError, match="has no schema version"):
         EpisodeReader(bare)
-    (tmp_path / "text.mcap").write_text("not a log at all\n" * 100)
-    with pytest.raises(EpisodeReadError, match="does not begin as an MCAP file"):
-        EpisodeReader(tmp_path / "text.mcap")
 
 
 def test_check_finds_what_checksums_cannot(episode, tmp_path):
@@ -215,34 +162,3 @@ def test_check_finds_what_checksums_cannot(episode, tmp_path):
         "step 3 has a non-finite number in tip",
         "step 4 has a non-finite number in extra distance_m",
     ]
-    # Swap two messages' steps, drop an image and miscount, in an otherwise valid container.
-    odd = tmp_path / "odd.mcap"
-    file = McapFile(odd, "test")
-    topics = topic_messages(("frontal",))
-    ids = {topic: file.register(topic, m.DESCRIPTOR.full_name, schema_data(m)) for topic, m in topics.items()}
-    file.add_metadata("endonav.episode", seal_episode(episode.info, episode.cameras))
-    with EpisodeReader(path) as log:
-        chunk = read_chunk(log._fd, log.summary.chunk_indexes[1])
-        for span in messages(chunk):
-            late = 1 if span.channel_id == ids["/step"] else 0
-            if span.channel_id == ids["/camera/frontal/image"] and span.log_time_ns == episode.info.time_ns(2):
-                continue
-            file.add(span.channel_id, span.log_time_ns + late, 0, chunk[span.start : span.end])
-    file.add_metadata("endonav.outcome", seal_outcome(episode.outcome))
-    file.close_with_index()
-    problems = "\n".join(check(odd).problems)
-    assert f"step 0 has log time {episode.info.time_ns(0) + 1}" in problems
-    assert "/camera/frontal/image has 4 messages for 5, odd from 2 on" in problems
-    assert "the outcome counts 22 steps, the records 4" in problems
-
-
-def test_huge_lengths_do_not_allocate(log_path, tmp_path):
-    data = bytearray(log_path.read_bytes())
-    with EpisodeReader(log_path) as log:
-        offset = log.summary.chunk_indexes[3].chunk_start_offset
-    data[offset + 25 : offset + 33] = struct.pack("<Q", 2**60)  # the uncompressed size
-    victim = tmp_path / "victim.mcap"
-    victim.write_bytes(data)
-    with EpisodeReader(victim) as log, pytest.raises(EpisodeReadError, match="impossible size"):
-        log.step(11)
-    assert recover(victim, tmp_path / "saved.mcap").steps_kept == 18

@@ -12,11 +12,10 @@ import pytest
 from pipeline.episodes import DeviceRecord, EpisodeReader, EpisodeReadError
 from pipeline.episodes.__main__ import main
 from pipeline.episodes.checking import check
-from pipeline.episodes.encoding.schema import CATHETER_TOPIC, DEVICE_FIELDS, DEVICES_TOPIC, WIRE_TOPIC, topic_messages
+from pipeline.episodes.encoding.schema import CATHETER_TOPIC, DEVICES_TOPIC, WIRE_TOPIC, topic_messages
 from pipeline.episodes.encoding.step_codec import decode_devices, encode_devices
 from pipeline.episodes.recovery import recover
-
-ARRAYS = [name for name in DEVICE_FIELDS if name != "step"]
+from tests.pipeline.episodes.conftest import compare_records
 
 
 def draw_devices(step: int, rng: np.random.Generator) -> DeviceRecord:
@@ -45,21 +44,13 @@ def pair(episode: Any) -> Any:
     return episode
 
 
-def assert_same_devices(found: DeviceRecord | None, given: DeviceRecord) -> None:
-    assert found is not None
-    for name in ARRAYS:
-        one, other = np.asarray(getattr(found, name)), np.asarray(getattr(given, name))
-        assert one.shape == other.shape, name
-        assert one.tobytes() == other.tobytes(), name
-
-
 def test_both_devices_come_back(pair: Any, tmp_path: Path) -> None:
     path = pair.write(tmp_path / "pair.mcap")
     with EpisodeReader(path) as log:
         assert log.info.catheter_name == "simmons2"
         for found, given in zip(log, pair.records, strict=True):
-            assert_same_devices(found.devices, given.devices)
-        assert_same_devices(log.step(17).devices, pair.records[17].devices)
+            compare_records(found.devices, given.devices)
+        compare_records(log.step(17).devices, pair.records[17].devices)
         arrays = log.load_arrays(pictures=False)
     assert arrays["action"].shape == (23, 4)
     np.testing.assert_array_equal(arrays["devices/wire_count"], [4 + i % 2 for i in range(23)])
@@ -68,6 +59,18 @@ def test_both_devices_come_back(pair: Any, tmp_path: Path) -> None:
     np.testing.assert_array_equal(arrays["devices/feeder_forces"][5], pair.records[5].devices.feeder_forces)
     assert arrays["devices/lead"].shape == (23,)
     assert not check(path).problems
+
+
+def test_the_scene_shows_each_device(pair: Any, tmp_path: Path) -> None:
+    from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+
+    shown = {WIRE_TOPIC: ("wire", "wire_points"), CATHETER_TOPIC: ("catheter", "catheter_points")}
+    with EpisodeReader(pair.write(tmp_path / "pair.mcap")) as log:
+        for topic, (name, points) in shown.items():
+            lines = [SceneUpdate.FromString(payload).entities[0] for _, payload in log.payloads(topic)]
+            assert [entity.id for entity in lines] == [name] * 23
+            found = [[point.x, point.y, point.z] for point in lines[9].lines[0].points]
+            np.testing.assert_array_equal(found, getattr(pair.records[9].devices, points))
 
 
 def test_each_device_has_masks_of_its_own(pair: Any, tmp_path: Path) -> None:
@@ -88,29 +91,6 @@ def test_each_device_has_masks_of_its_own(pair: Any, tmp_path: Path) -> None:
     assert (report.problems, report.notes, report.pictures) == ([], [], 4 * 23)
 
 
-def test_the_wire_alone_has_one_mask(episode: Any, tmp_path: Path) -> None:
-    mask = {"frontal": episode.masks[0]}
-    with (
-        episode.writer(tmp_path / "a.mcap") as log,
-        pytest.raises(ValueError, match="a log without a catheter has no mask_wire"),
-    ):
-        log.step(episode.records[0], images={"frontal": episode.images[0]}, masks=mask, device_masks={"wire": mask})
-
-
-def test_the_scene_shows_each_device(pair: Any, tmp_path: Path) -> None:
-    from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-
-    with EpisodeReader(pair.write(tmp_path / "pair.mcap")) as log:
-        lines = {
-            topic: [SceneUpdate.FromString(payload).entities[0] for _, payload in log.payloads(topic)]
-            for topic in (WIRE_TOPIC, CATHETER_TOPIC)
-        }
-    assert [entity.id for entity in lines[CATHETER_TOPIC]] == ["catheter"] * 23
-    for topic, name in ((WIRE_TOPIC, "wire_points"), (CATHETER_TOPIC, "catheter_points")):
-        shown = [[point.x, point.y, point.z] for point in lines[topic][9].lines[0].points]
-        np.testing.assert_array_equal(shown, getattr(pair.records[9].devices, name))
-
-
 def test_the_wire_alone_has_no_topic_of_devices(log_path: Path) -> None:
     with EpisodeReader(log_path) as log:
         topics = {channel.topic for channel in log.summary.channels.values()}
@@ -122,13 +102,17 @@ def test_the_wire_alone_has_no_topic_of_devices(log_path: Path) -> None:
 
 
 def test_devices_and_configuration_must_agree(episode: Any, pair: Any, tmp_path: Path) -> None:
-    bare = [replace(record, devices=None) for record in pair.records]
-    pictures = {"images": {"frontal": episode.images[0]}, "masks": {"frontal": episode.masks[0]}}
+    mask = {"frontal": episode.masks[0]}
+    pictures = {"images": {"frontal": episode.images[0]}, "masks": mask}
+    bare = replace(pair.records[0], devices=None)
     with pair.writer(tmp_path / "a.mcap") as log, pytest.raises(ValueError, match="names a catheter: got none in step"):
-        log.step(bare[0], **pictures)
+        log.step(bare, **pictures)
     pair.info = replace(pair.info, configuration={})
-    with pair.writer(tmp_path / "b.mcap") as log, pytest.raises(ValueError, match="a catheter: got devices in step 0"):
-        log.step(pair.records[0], **pictures)
+    with pair.writer(tmp_path / "b.mcap") as log:
+        with pytest.raises(ValueError, match="a catheter: got devices in step 0"):
+            log.step(pair.records[0], **pictures)
+        with pytest.raises(ValueError, match="a log without a catheter has no mask_wire"):
+            log.step(bare, **pictures, device_masks={"wire": mask})
 
 
 def test_what_is_no_pair_is_refused() -> None:
@@ -138,7 +122,7 @@ def test_what_is_no_pair_is_refused() -> None:
     message = encode_devices(4, devices)
     step, found = decode_devices(message)
     assert step == 4
-    assert_same_devices(found, devices)
+    compare_records(found, devices)
     with pytest.raises(ValueError, match="no message"):
         decode_devices(message[:-3])
 
@@ -151,7 +135,7 @@ def test_a_partial_log_is_recovered_with_its_devices(pair: Any, tmp_path: Path) 
     assert report.steps_kept == 20
     with EpisodeReader(tmp_path / "saved.mcap") as saved:
         for found, given in zip(saved, pair.records[:20], strict=True):
-            assert_same_devices(found.devices, given.devices)
+            compare_records(found.devices, given.devices)
 
 
 def test_the_check_finds_what_is_not_finite(pair: Any, tmp_path: Path) -> None:

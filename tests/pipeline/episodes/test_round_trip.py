@@ -10,13 +10,11 @@ import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from mcap.reader import NonSeekingReader, make_reader
-from mcap.stream_reader import StreamReader
+from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from PIL import Image
 
 from pipeline.episodes import (
-    Camera,
     EpisodeOutcome,
     EpisodeReader,
     EpisodeReadError,
@@ -26,10 +24,10 @@ from pipeline.episodes import (
 )
 from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.png import decode_image, decode_mask, encode_image, encode_mask
-from pipeline.episodes.encoding.scene import decode_phantom, encode_wire_line, encode_wire_points
+from pipeline.episodes.encoding.scene import encode_wire_line, encode_wire_points
 
 
-@pytest.mark.parametrize("flush_every", [1, 5, 10])
+@pytest.mark.parametrize("flush_every", [1, 10])
 def test_every_field_comes_back(episode, assert_same, tmp_path, flush_every):
     path = episode.write(tmp_path / "episode.mcap", flush_every=flush_every)
     with EpisodeReader(path) as log:
@@ -40,8 +38,10 @@ def test_every_field_comes_back(episode, assert_same, tmp_path, flush_every):
             assert_same(found, given)
         np.testing.assert_array_equal(np.stack(list(log.images("frontal"))), episode.images)
         np.testing.assert_array_equal(np.stack(list(log.masks("frontal"))), episode.masks)
-        assert log.camera("frontal").P.tobytes() == episode.cameras["frontal"].P.tobytes()
-        assert log.phantom_mesh().vertices.tobytes() == episode.mesh.vertices.tobytes()
+        for name in ("P", "K", "R", "t"):
+            assert getattr(log.camera("frontal"), name).tobytes() == getattr(episode.cameras["frontal"], name).tobytes()
+        for name in ("vertices", "faces", "target", "entry"):
+            assert getattr(log.phantom_mesh(), name).tobytes() == getattr(episode.mesh, name).tobytes()
 
 
 def test_random_access_equals_streaming(log_path, episode, assert_same):
@@ -50,10 +50,6 @@ def test_random_access_equals_streaming(log_path, episode, assert_same):
             assert_same(log.step(int(step)), episode.records[step])
             np.testing.assert_array_equal(log.image("frontal", int(step)), episode.images[step])
             np.testing.assert_array_equal(log.mask("frontal", int(step)), episode.masks[step])
-
-
-def test_same_episode_same_bytes(episode, tmp_path):
-    assert episode.write(tmp_path / "a.mcap").read_bytes() == episode.write(tmp_path / "folder" / "b.mcap").read_bytes()
 
 
 def test_stock_decoder_reads_all_topics(log_path, episode):
@@ -71,26 +67,11 @@ def test_stock_decoder_reads_all_topics(log_path, episode):
         assert message.resultant_force_norm == record.resultant_force_norm
         assert dict(message.extra) == dict(record.extra)
     counts = {topic: len(messages) for topic, messages in found.items()}
-    assert counts == {
-        "/step": 23,
-        "/wire": 23,
-        "/wire/points": 23,
-        "/phantom": 1,
-        "/tf": 1,
-        "/camera/frontal/calibration": 1,
-        "/camera/frontal/image": 23,
-        "/camera/frontal/mask": 23,
-    }
+    every_step = ("/step", "/wire", "/wire/points", "/camera/frontal/image", "/camera/frontal/mask")
+    once = ("/phantom", "/tf", "/camera/frontal/calibration")
+    assert counts == dict.fromkeys(every_step, 23) | dict.fromkeys(once, 1)
     image = found["/camera/frontal/image"][4][1]
     assert (image.format, image.frame_id) == ("png", "camera/frontal")
-
-
-def test_stock_stream_reader_accepts_all_checksums(log_path):
-    with log_path.open("rb") as stream:
-        assert sum(1 for _ in StreamReader(stream, validate_crcs=True).records) > 5 * 23
-    with log_path.open("rb") as stream:
-        topics = {channel.topic for _, channel, _ in NonSeekingReader(stream, validate_crcs=True).iter_messages()}
-    assert "/step" in topics
 
 
 def test_arrays_are_stacked_and_padded(log_path, episode):
@@ -123,7 +104,6 @@ def test_large_pictures_close_chunks_early(episode, tmp_path):
         with pytest.raises(EpisodeReadError, match="holds nothing on /camera/big/mask"):
             log.mask("big", 0)
     assert max(sizes) <= 256 * 1024
-    assert Image.fromarray(image).size == (500, 400)
     assert not check(path).problems
 
 
@@ -205,14 +185,23 @@ def test_wrong_steps_are_refused_and_not_recorded(episode, tmp_path):
 
 
 def test_wrong_arguments_are_refused(episode, tmp_path):
-    with pytest.raises(ValueError, match="flush_every must be 1 to 10"):
-        episode.writer(tmp_path / "a.mcap", flush_every=11)
-    with pytest.raises(ValueError, match="control_dt"):
-        replace(episode.info, control_dt=0.0)
-    with pytest.raises(ValueError, match="finished, interrupted, got 'lost'"):
-        replace(episode.outcome, status="lost")
-    with pytest.raises(EpisodeReadError, match="No such file"):
-        EpisodeReader(tmp_path / "none.mcap")
+    camera = episode.cameras["frontal"]
+    for message, make in {
+        "flush_every must be 1 to 10": lambda: episode.writer(tmp_path / "a.mcap", flush_every=11),
+        "control_dt": lambda: replace(episode.info, control_dt=0.0),
+        "finished, interrupted, got 'lost'": lambda: replace(episode.outcome, status="lost"),
+        "No such file": lambda: EpisodeReader(tmp_path / "none.mcap"),
+        "up to scale": lambda: replace(camera, t=camera.t + 0.1),
+        "orthonormal": lambda: replace(camera, R=camera.R * 1.1),
+        "must index 2 vertices, got 0 to 2": lambda: PhantomMesh(
+            vertices=np.zeros((2, 3)), faces=np.array([[0, 1, 2]]), target=np.zeros(3), entry=np.zeros(3)
+        ),
+        r"must be \(H, W\) uint8, got \(3, 3\) float64": lambda: encode_image(np.zeros((3, 3))),
+        "bool or uint8": lambda: encode_mask(np.zeros((3, 3, 3), bool)),
+        "not a readable PNG": lambda: decode_image(encode_image(np.zeros((9, 9), np.uint8))[:-30], 9, 9),
+    }.items():
+        with pytest.raises((ValueError, EpisodeReadError), match=message):
+            make()
 
 
 def test_non_finite_metrics_become_none(episode):
@@ -230,7 +219,7 @@ def test_asking_for_what_is_not_there(log_path):
             log.image("side", 0)
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (80, 80), (7, 300), (255, 256), (1, 65535), (400, 401)])
+@pytest.mark.parametrize("shape", [(1, 1), (7, 300), (255, 256), (1, 65535)])
 def test_pictures_round_trip(shape):
     rng = np.random.default_rng(1)
     image = rng.integers(0, 256, shape, dtype=np.uint8)
@@ -246,28 +235,8 @@ def test_other_programs_read_the_pictures():
     assert (picture.mode, picture.size) == ("L", (80, 60))
     picture.verify()  # compares the checksum of every chunk
     assert Image.open(io.BytesIO(encode_mask(image > 9))).mode == "1"
-
-
-def test_non_contiguous_pictures_are_written():
-    image = np.arange(600, dtype=np.uint16).astype(np.uint8).reshape(20, 30)[::2, ::3]
-    np.testing.assert_array_equal(decode_image(encode_image(image), *image.shape), image)
-
-
-def test_other_arrays_are_refused():
-    with pytest.raises(ValueError, match=r"must be \(H, W\) uint8, got \(3, 3\) float64"):
-        encode_image(np.zeros((3, 3)))  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="bool or uint8"):
-        encode_mask(np.zeros((3, 3, 3), bool))
-    with pytest.raises(ValueError, match="not a readable PNG"):
-        decode_image(encode_image(np.zeros((9, 9), np.uint8))[:-30], 9, 9)
-
-
-def test_camera_refuses_what_does_not_fit(episode):
-    camera = episode.cameras["frontal"]
-    with pytest.raises(ValueError, match="up to scale"):
-        replace(camera, t=camera.t + 0.1)
-    with pytest.raises(ValueError, match="orthonormal"):
-        replace(camera, R=camera.R * 1.1)
+    part = image[::2, ::3]  # not contiguous
+    np.testing.assert_array_equal(decode_image(encode_image(part), *part.shape), part)
 
 
 def test_messages_of_a_camera_project_as_its_matrix(episode):
@@ -285,27 +254,12 @@ def test_messages_of_a_camera_project_as_its_matrix(episode):
     assert (calibration.width, calibration.height) == (camera.width, camera.height)
 
 
-def test_camera_keeps_every_bit_as_json(episode):
-    camera = episode.cameras["frontal"]
-    found = Camera.from_json(camera.to_json())
-    for name in ("P", "K", "R", "t"):
-        assert getattr(found, name).tobytes() == getattr(camera, name).tobytes()
-
-
-def test_phantom_round_trips(episode):
-    found = decode_phantom(episode.mesh.scene(77))
-    for name in ("vertices", "faces", "target", "entry"):
-        assert getattr(found, name).tobytes() == getattr(episode.mesh, name).tobytes()
+def test_phantom_lies_in_the_world(episode):
     entity = SceneUpdate.FromString(episode.mesh.scene(1_500_000_007)).entities[0]
     assert (entity.frame_id, entity.timestamp.seconds, entity.timestamp.nanos) == ("world", 1, 500_000_007)
 
 
-def test_phantom_refuses_faces_without_vertices():
-    with pytest.raises(ValueError, match="must index 2 vertices, got 0 to 2"):
-        PhantomMesh(vertices=np.zeros((2, 3)), faces=np.array([[0, 1, 2]]), target=np.zeros(3), entry=np.zeros(3))
-
-
-@pytest.mark.parametrize("count", [0, 1, 29, 200])
+@pytest.mark.parametrize("count", [0, 29])
 def test_wire_messages_hold_the_wire(count):
     points = np.random.default_rng(2).normal(size=(count, 3))
     entity = SceneUpdate.FromString(encode_wire_line(points, 3_000_000_001)).entities[0]

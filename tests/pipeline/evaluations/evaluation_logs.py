@@ -23,6 +23,7 @@ def write_evaluation(
     success: bool = True,
     operator: str = "policy",
     phantom: str = "type_1",
+    phantom_hash: str = "5f" * 32,
     target: str = "bca",
     seed: int = 0,
     contacts: int = 2,
@@ -51,51 +52,36 @@ def write_evaluation(
         devices = DeviceRecord(**pairs, **points, lead=0.0, feeder_forces=np.array(feeder_forces))
     end = (0.004 if success else 0.03) if end_distance is None else end_distance
     distances = np.linspace(0.1, end, steps + 1)
-    info = EpisodeInfo(
-        phantom=phantom,
-        phantom_hash="5f" * 32,
-        target=target,
-        entry="descending",
-        seed=seed,
-        operator=operator,
-        control_dt=0.1,
-        start_time_ns=started_ns,
-        configuration={
-            "success_radius": RADIUS,
-            "start_jitter": 0.001,
-            "max_steps": MAX_STEPS,
-            **(task or {}),
-            **metadata,
-        },
-        versions={},
-    )
+    usual = {"success_radius": RADIUS, "start_jitter": 0.001, "max_steps": MAX_STEPS}
+    episode = {"target": target, "seed": seed, "operator": operator, "start_time_ns": started_ns}
+    info = _info(phantom, phantom_hash, {**usual, **(task or {}), **metadata}, **episode)
     path.parent.mkdir(parents=True, exist_ok=True)
     with EpisodeWriter(path, info, overwrite=True) as log:
         for step in range(steps + 1):
-            pressed = force if step else 9.0
-            log.step(
-                StepRecord(
-                    step=step,
-                    action=np.zeros(2),
-                    reward=1.0,  # the training's reward is another one than the thesis's
-                    terminated=step == steps and success,
-                    truncated=step == steps and not success,
-                    joint_positions=np.zeros(2),
-                    joint_velocities=np.zeros(2),
-                    wire_points=np.zeros((2, 3)),
-                    tip=np.array([0.0, 0.0, way * step / steps]),
-                    contact_positions=np.zeros((contacts, 3)),
-                    contact_forces=np.tile([pressed / max(contacts, 1), 0.0, 0.0], (contacts, 1)),
-                    resultant_force=np.array([0.0, pressed, 0.0]),
-                    insertion=0.0,
-                    rotation=0.0,
-                    extra={"distance_m": float(distances[step]), **(loads or {})},
-                    devices=devices,
-                )
-            )
+            last = step == steps
+            ended = {"terminated": last and success, "truncated": last and not success}
+            extra = {"distance_m": float(distances[step]), **(loads or {})}
+            tip = np.array([0.0, 0.0, way * step / steps])
+            places = np.zeros((contacts, 3))
+            log.step(_step(step, force if step else 9.0, places, tip=tip, extra=extra, devices=devices, **ended))
         said = success if outcome_success is None else outcome_success
         log.finish(EpisodeOutcome(success=said, steps=steps, status=status))
     return path
+
+
+def _info(phantom: str, phantom_hash: str, configuration: dict[str, Any], **further: Any) -> EpisodeInfo:
+    place = {"phantom": phantom, "phantom_hash": phantom_hash, "entry": "descending"}
+    return EpisodeInfo(**place, control_dt=0.1, configuration=configuration, versions={}, **further)
+
+
+def _step(step: int, pressed: float, places: np.ndarray, **further: Any) -> StepRecord:
+    """A record whose contacts, at these places, share a force."""
+    forces = np.tile([pressed / max(len(places), 1), 0.0, 0.0], (len(places), 1))
+    contacts = {"contact_positions": places, "contact_forces": forces, "resultant_force": np.array([0.0, pressed, 0.0])}
+    still = {"joint_positions": np.zeros(2), "joint_velocities": np.zeros(2), "wire_points": np.zeros((2, 3))}
+    still |= {"tip": np.zeros(3), "insertion": 0.0, "rotation": 0.0, "terminated": False, "truncated": False}
+    # the training's reward is another one than the thesis's
+    return StepRecord(step=step, action=np.zeros(2), reward=1.0, **contacts | still | further)
 
 
 def write_row(
@@ -116,15 +102,9 @@ def write_row(
     base = run / (folder or stage) / phantom / target / row / f"seed{seed}" / "evaluation" / mode
     first = 1_000_000 + 1000 * seed
     origin = {"stage": stage, "row": row, "mode": mode, "training_seed": seed, "variant": variant}
+    given = {"phantom": phantom, "target": target, **origin, **log}
     return [
-        write_evaluation(
-            base / f"{index:03d}.mcap",
-            success=success,
-            phantom=phantom,
-            target=target,
-            seed=first + index,
-            **{**origin, **log},
-        )
+        write_evaluation(base / f"{index:03d}.mcap", success=success, seed=first + index, **given)
         for index, success in enumerate(successes)
     ]
 
@@ -148,30 +128,11 @@ def write_curve(folder: Path, *, end: int = 1000, success: float = 1.0, evaluate
 
 def write_force_log(path: Path, forces: np.ndarray, *, phantom: str = "type_1", target: str = "bca") -> None:
     """A log whose step i > 0 has two contacts that share the force forces[i - 1], and none where that is zero."""
-    info = EpisodeInfo(
-        phantom=phantom, phantom_hash="5f" * 32, target=target, entry="descending", seed=0, operator="sampling_expert",
-        control_dt=0.1, configuration={"expert": {"free_force": 0.15}}, versions={},
-    )  # fmt: skip
+    configuration = {"expert": {"free_force": 0.15}}
     path.parent.mkdir(parents=True, exist_ok=True)
-    with EpisodeWriter(path, info) as log:
+    with EpisodeWriter(
+        path, _info(phantom, "5f" * 32, configuration, target=target, seed=0, operator="sampling_expert")
+    ) as log:
         for step, force in enumerate([7.0, *forces]):  # what lies in the state after reset does not count
-            count = 2 if force > 0 else 0
-            log.step(
-                StepRecord(
-                    step=step,
-                    action=np.zeros(2),
-                    reward=0.0,
-                    terminated=False,
-                    truncated=False,
-                    joint_positions=np.zeros(4),
-                    joint_velocities=np.zeros(4),
-                    wire_points=np.zeros((3, 3)),
-                    tip=np.zeros(3),
-                    contact_positions=np.tile([0.0, 0.01, 0.001 * step], (count, 1)),
-                    contact_forces=np.tile([0.5 * force, 0.0, 0.0], (count, 1)),
-                    resultant_force=np.array([0.0, force, 0.0]),
-                    insertion=0.0,
-                    rotation=0.0,
-                )
-            )
+            log.step(_step(step, force, np.tile([0.0, 0.01, 0.001 * step], (2 if force > 0 else 0, 1))))
         log.finish(EpisodeOutcome(success=True, steps=len(forces), metrics={}))

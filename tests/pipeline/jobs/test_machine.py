@@ -5,16 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
 from pipeline.jobs.machine import FOLDER, Gpu, Machine, shared_machine
-from pipeline.jobs.worker import Job
-from tests.pipeline.jobs.toy_training import square
+from pipeline.jobs.pool import Job, run_jobs
+from pipeline.store.run_folder import RunFolder
+from tests.pipeline.jobs.toy_training import GB, SECONDS_BESIDE_OTHERS, gpu, overlap, square, where
 
-GB = 1_000_000_000
 ALIVE, ALSO_ALIVE = os.getpid(), os.getppid()  # owners of jobs must be processes that there are
 
 
@@ -93,10 +92,6 @@ def test_a_stage_without_a_job_comes_before_one_that_has_some(monkeypatch: pytes
         assert act(one, "a", 1.0)
 
 
-def gpu(visible: str, free_gb: int) -> Gpu:
-    return Gpu(visible, "drawn", free_gb * GB, 24 * GB)
-
-
 def test_gpus_are_looked_for_once_a_chain() -> None:
     with shared_machine(1, 1.0):
         found = [here(gpu("0", 10), gpu("GPU-7f", 5)).gpus, here(gpu("1", 1)).gpus]
@@ -114,53 +109,13 @@ def test_a_stage_sees_what_others_were_promised_of_a_gpu(monkeypatch: pytest.Mon
         assert takes(machine, "b", 0.0, 7.0)
 
 
-STAGE = """
-import sys, time
-from pathlib import Path
-from pipeline.jobs.machine import Gpu
-from pipeline.jobs.pool import Job, run_jobs
-from pipeline.store.run_folder import Identity, RunFolder
-
-PLACE, NAME = Path(sys.argv[1]), sys.argv[2]
-
-def hold(given, report):
-    (PLACE / f"{report.device}-{NAME}-{given}").touch()
-    while not (PLACE / "end").exists():
-        time.sleep(0.02)
-    return 1
-
-if __name__ == "__main__":
-    folder = RunFolder(PLACE / NAME, Identity("c", {}, 1))
-    jobs = [Job(f"job{k}", hold, k, gpu_gb=6.0 * (k < 2)) for k in range(3)]
-    with folder.locked():
-        folder.prepare()
-        run_jobs(folder, jobs, workers=3, device="cuda", find=lambda: [Gpu("0", "drawn", 13 * 10**9, 24 * 10**9)])
-"""
-
-
-def test_jobs_of_two_stages_share_a_gpu_by_its_memory(tmp_path: Path) -> None:
-    """Two of four jobs of 6 GB have room on a GPU of 13 GB, from whichever stage; the job without a GPU starts."""
-    file = tmp_path / "stage.py"
-    file.write_text(STAGE, encoding="utf-8")
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
+def test_jobs_share_a_gpu_with_those_of_another_stage(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two jobs of 6 GB have room on a GPU of 13 GB, and another stage has one there."""
     with shared_machine(6, 8.0):
-        environment[FOLDER] = os.environ[FOLDER]
-        processes = [
-            subprocess.Popen([sys.executable, str(file), str(tmp_path), name], env=environment)
-            for name in ("one", "other")
-        ]
-        try:
-            deadline = time.monotonic() + 120
-            while len(list(tmp_path.glob("cpu-*"))) < 2 or len(list(tmp_path.glob("cuda-*"))) < 2:
-                assert all(process.poll() is None for process in processes)
-                assert time.monotonic() < deadline
-                time.sleep(0.02)
-            time.sleep(1.0)  # in which a third one would start
-            assert len(list(tmp_path.glob("cuda-*"))) == 2
-            (tmp_path / "end").touch()
-            assert [process.wait(timeout=120) for process in processes] == [0, 0]
-            assert len(list(tmp_path.glob("cuda-*"))) == 4
-        finally:
-            for process in processes:
-                process.kill()
-                process.wait()
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "getpid", lambda: ALSO_ALIVE)
+            assert takes(here(gpu("0", 13)), "another's", 0.0, 6.0)
+        jobs = [Job(f"job{k}", where, SECONDS_BESIDE_OTHERS, gpu_gb=6.0) for k in range(2)]
+        told = run_jobs(folder, jobs, workers=3, device="cuda", find=lambda: [gpu("0", 13)])
+    assert [one["visible"] for one in told.values()] == ["0", "0"]
+    assert not overlap(*told.values())

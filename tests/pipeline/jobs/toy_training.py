@@ -8,8 +8,12 @@ import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import pydantic.dataclasses
+from annotated_types import Gt
+
+from pipeline.jobs.machine import Gpu
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Report
 from pipeline.store.atomic_files import write_text
@@ -25,7 +29,14 @@ class Toy:
     steps: int = 3
     seconds_a_step: float = 0.0
     checkpoint_every: int = 1
-    fails: str = ""  # "error", "sentence", "disk" or "kill"
+    fails: str = ""  # "error", "sentence", "refusal", "disk" or "kill"
+
+
+@pydantic.dataclasses.dataclass
+class Fit:
+    """Settings of a package, as it checks them."""
+
+    epochs: Annotated[int, Gt(0)] = 1
 
 
 def train(toy: Toy, report: Report) -> dict[str, Any]:
@@ -38,6 +49,8 @@ def train(toy: Toy, report: Report) -> dict[str, Any]:
         raise ZeroDivisionError("a toy's trouble")
     if toy.fails == "sentence":
         raise StageError("the toy is broken: mend it")
+    if toy.fails == "refusal":
+        Fit(epochs=-1)
     if toy.fails == "disk":
         raise OSError(errno.ENOSPC, "No space left on device", "weights.pt")
     if toy.fails == "kill":
@@ -74,19 +87,28 @@ def run_toys(root: Path, names: list[str], steps: int, seconds_a_step: float, ch
     folder = RunFolder(root, Identity("c", {}, 1))
     with folder.locked():
         folder.prepare()
-        run_jobs(
-            folder,
-            [
-                Job(name, train, Toy(root / name, steps, seconds_a_step, checkpoint_every=checkpoint_every))
-                for name in names
-            ],
-            workers=2,
-            label="toys",
-        )
+        toys = {name: Toy(root / name, steps, seconds_a_step, checkpoint_every) for name in names}
+        run_jobs(folder, [Job(name, train, toy) for name, toy in toys.items()], workers=2, label="toys")
 
 
-def where(given: Any, report: Report) -> Any:
+GB = 1_000_000_000
+
+
+def gpu(visible: str, free_gb: float) -> Gpu:
+    """One of 24 GB, which is not there."""
+    return Gpu(visible, "drawn", int(free_gb * GB), 24 * GB)
+
+
+SECONDS_BESIDE_OTHERS = 1.0  # longer than it takes to start those beside it
+
+
+def where(seconds: float | None, report: Report) -> Any:
     """Where a job finds itself, and from when to when."""
     began = time.monotonic()
-    time.sleep(1.0)  # longer than it takes to start those beside it
+    time.sleep(seconds or 0.0)
     return {"visible": os.environ["CUDA_VISIBLE_DEVICES"], "device": report.device, "time": [began, time.monotonic()]}
+
+
+def overlap(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Whether two that `where` told of ran at the same time."""
+    return bool(one["time"][0] < other["time"][1] and other["time"][0] < one["time"][1])

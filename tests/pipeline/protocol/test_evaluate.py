@@ -1,4 +1,4 @@
-"""The command `endonav evaluate`: claims are checked, cases are kept and not mixed; intervals are of anatomies."""
+"""The command `endonav evaluate`: claims are checked, cases are kept and not mixed; and tables in documents."""
 
 from __future__ import annotations
 
@@ -19,8 +19,10 @@ from pipeline.data.sources import Source, SourceFile, Sources
 from pipeline.protocol import navigation, rehearsal, run
 from pipeline.protocol.claims import Rehearsal, read_protocol
 from pipeline.protocol.command import main
+from pipeline.protocol.pages import documents, outdated, render, rendered
 from pipeline.protocol.run import KINDS, play, result_text, summary
 from pipeline.store.errors import ConfigurationError
+from pipeline.store.provenance import PROJECT_ROOT
 
 NO_VESSEL = hashlib.sha256(b"solid no vessel").hexdigest()
 SCENES = """
@@ -77,15 +79,15 @@ def test_an_entry_that_is_not_understood_is_refused(protocol: Path, old: str, ne
 
 def test_wrong_words_end_in_a_sentence(protocol: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert _evaluate(protocol, "curves") == 2
-    assert "there is no claim 'curves': choose from wires" in capsys.readouterr().err
+    assert "no claim 'curves': choose from wires" in capsys.readouterr().err
     assert _evaluate(protocol, "wires", "--seeds", "0") == 2
     assert main(["--protocol", str(protocol.parent / "none.yaml")]) == 2
     capsys.readouterr()
     assert _evaluate(protocol, "wires", "--to", str(protocol)) == 2
-    assert "(file exists): a file lies where a folder is needed" in capsys.readouterr().err
+    assert "a file lies where a folder is needed" in capsys.readouterr().err
     for words in (["--board", "arch_variety"], ["--episodes", "3"], ["--row", "row.json"]):  # all claims take hours
         assert _evaluate(protocol, *words) == 2
-        assert "are of a policy's row: name its file by --policy" in capsys.readouterr().err
+        assert "--policy" in capsys.readouterr().err
 
 
 def test_reasons_keep_names_of_files_and_no_folders(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,30 +154,22 @@ def test_ctrl_c_ends_it_at_once_and_other_libraries_begin_anew(protocol: Path, m
         assert len(list(journal.parent.glob("wires.old-*.jsonl"))) == aside
 
 
-def test_a_damaged_journal_is_set_aside_and_an_unknown_policy_is_one_sentence(
-    protocol: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_damaged_journal_and_an_unknown_policy_are_told(protocol: Path, capsys: pytest.CaptureFixture[str]) -> None:
     journal = protocol.parent / "results" / "wires.jsonl"
     journal.parent.mkdir()
     journal.write_text('{"commit": "ab')
     assert _evaluate(protocol) == 0
     (old,) = journal.parent.glob("wires.old-*.jsonl")
     assert old.read_text() == '{"commit": "ab'
-    protocol.write_text(
-        "version: 1\nclaims: {steer: {kind: navigation, title: T, limits: L, arches: random, first: 690000, count: 1, "
-        "targets: [bca], policies: [nobody]}}"
-    )
+    steer(protocol, "arches: random, count: 1", "nobody")
     assert _evaluate(protocol) == 2
-    assert "endonav evaluate: there is no model 'nobody'" in capsys.readouterr().err
+    assert "there is no model 'nobody'" in capsys.readouterr().err
 
 
 def test_cases_of_one_anatomy_belong_together() -> None:
-    apart = [{"anatomy": f"arch_{k}", "success": k % 2 == 0} for k in range(40)]
-    together = [{"anatomy": f"arch_{k // 10}", "success": k < 20} for k in range(40)]
-    width = [
-        summary(cases)["success_pct"]["high"] - summary(cases)["success_pct"]["low"] for cases in (apart, together)
-    ]
-    assert width[1] > 2 * width[0]
+    apart = summary([{"anatomy": f"arch_{k}", "success": k % 2 == 0} for k in range(40)])["success_pct"]
+    together = summary([{"anatomy": f"arch_{k // 10}", "success": k < 20} for k in range(40)])["success_pct"]
+    assert together["high"] - together["low"] > 2 * (apart["high"] - apart["low"])
     whole = summary([{"anatomy": f"arch_{k}", "success": True} for k in range(40)])["success_pct"]
     assert whole["mean"] == whole["high"] == 100
     assert 90 < whole["low"] < 93
@@ -186,10 +180,7 @@ def test_data_that_are_not_here_and_files_that_are_refused_are_said(
 ) -> None:
     sources = Sources("", {"box": _source("box.stl"), "tube": _source("tube.stl")}, tmp_path)
     monkeypatch.setattr("pipeline.protocol.navigation.read_sources", lambda: sources)
-    protocol.write_text(
-        "version: 1\nclaims: {steer: {kind: navigation, title: T, limits: L, sources: open, first: 690000, count: 2, "
-        "targets: [bca], policies: [generalist]}}"
-    )
+    steer(protocol, "sources: open, count: 2", "generalist")
     claim = read_protocol(protocol).claims["steer"]
     assert _evaluate(protocol) == 2
     assert "data are missing: `endonav data fetch box tube`" in capsys.readouterr().err
@@ -206,22 +197,24 @@ def test_data_that_are_not_here_and_files_that_are_refused_are_said(
     assert navigation.files(claim) == dict.fromkeys(("box/box.stl", "tube/tube.stl"), NO_VESSEL)
 
 
+def steer(protocol: Path, where: str, *policies: str) -> None:
+    """Makes a protocol one of policies that navigate."""
+    claim = f"kind: navigation, title: T, limits: L, first: 690000, targets: [bca], {where}"
+    protocol.write_text(f"version: 1\nclaims: {{steer: {{{claim}, policies: [{', '.join(policies)}]}}}}")
+
+
 def _source(name: str) -> Source:
     file = SourceFile(name, 15, NO_VESSEL)
     return Source(use="open", vessels="arch", repository="a/b", commit="ab", licence="MIT", files=(file,))
 
 
+FORCES = "forces, first: 690000, count: 1, accuracy: accurate, noise_mm: 0.5, members: 4, pieces: 2"
+SPEED = "speed, phantoms: [type_1], steps: 60"
+
+
 @pytest.mark.parametrize(
     ("entry", "figure", "low", "high"),
-    [
-        (
-            "forces, first: 690000, count: 1, accuracy: accurate, noise_mm: 0.5, members: 4, pieces: 2",
-            "resultant_error_pct_median",
-            0,
-            60,
-        ),
-        ("speed, phantoms: [type_1], steps: 60", "steps_per_s_mean", 1, 5000),
-    ],
+    [(FORCES, "resultant_error_pct_median", 0, 60), (SPEED, "steps_per_s_mean", 1, 5000)],
 )
 def test_other_kinds_are_measured(protocol: Path, entry: str, figure: str, low: float, high: float) -> None:
     protocol.write_text(f"version: 1\nclaims: {{one: {{title: T, limits: L, kind: {entry}}}}}")
@@ -234,7 +227,9 @@ def test_other_kinds_are_measured(protocol: Path, entry: str, figure: str, low: 
 def test_a_rehearsal_is_read_from_the_stages_tables() -> None:
     claim = Rehearsal(kind="rehearsal", title="T", limits="L", arches="random", first=690000, count=1, target="bca")
     (case,) = rehearsal.cases(claim, 0)
-    outcome = rehearsal.play(claim, case, "stage.choose_catheter=false", "stage.demonstrations=0", budget="smoke")
+    small = ("stage.decisions=48", "stage.hidden=16", "stage.task.max_steps=20")
+    words = ("stage.choose_catheter=false", "stage.demonstrations=0", *small)
+    outcome = rehearsal.play(claim, case, *words, budget="smoke")
     assert outcome["success"] == (outcome["after_pct"] >= 90)
     assert outcome["decisions"] > 0
     with pytest.raises(ValueError, match="seed"):
@@ -243,12 +238,9 @@ def test_a_rehearsal_is_read_from_the_stages_tables() -> None:
 
 @pytest.mark.slow
 def test_shipped_policies_steer_in_a_drawn_arch(protocol: Path) -> None:
-    protocol.write_text(
-        "version: 1\nclaims: {steer: {kind: navigation, title: T, limits: L, arches: random, first: 690000, count: 1, "
-        "targets: [bca], policies: [generalist, generalist_jb2], "
-        "variations: {bad day: {shift_mm: 2, turn_deg: 3, stiffness: 1.5, friction: 0.5, breathing_mm: 3, wall_n_mm: 1}"
-        "}}}"
-    )
+    bad_day = "{shift_mm: 2, turn_deg: 3, stiffness: 1.5, friction: 0.5, breathing_mm: 3, wall_n_mm: 1}"
+    where = f"arches: random, count: 1, variations: {{bad day: {bad_day}}}"
+    steer(protocol, where, "generalist", "generalist_jb2")
     assert _evaluate(protocol) == 0
     (case,) = json.loads((protocol.parent / "results" / "steer.json").read_text())["cases"]
     assert case["success"]
@@ -256,3 +248,76 @@ def test_shipped_policies_steer_in_a_drawn_arch(protocol: Path) -> None:
     assert case["depth_mm"] > 10
     assert case["policy"] in ("generalist", "generalist_jb2")
     assert 0 < case["force_p95_n"] <= case["force_max_n"]
+
+
+RESULTS = PROJECT_ROOT / "results"
+KEPT = sorted(RESULTS.glob("*.json"))
+
+
+def test_tables_of_the_documents_are_those_of_the_results() -> None:
+    for path in documents():
+        text = path.read_text(encoding="utf-8")
+        assert rendered(text, RESULTS) == text, f"{path}: run endonav evaluate --pages"
+
+
+@pytest.mark.parametrize("path", KEPT, ids=[path.stem for path in KEPT])
+def test_results_are_of_the_present_policies_data_and_protocol(path: Path) -> None:
+    assert not outdated(json.loads(path.read_text(encoding="utf-8")), read_protocol())
+
+
+def test_targets_and_variations_have_tables_of_their_own(tmp_path: Path) -> None:
+    figure = {"mean": 50.0, "low": 10.0, "high": 90.0}
+    summary = {"cases": 4, "anatomies": 2, "success_pct": figure, "straight_pct": figure, "force_max_n": 1.5}
+    summary |= {"success_bca_pct": figure, "success_still_pct": figure, "success_moving_pct": figure | {"mean": 25.0}}
+    declared = {"title": "Steer", "limits": "Drawn.", "targets": ["bca"], "variations": {"still": {}, "moving": {}}}
+    made = {"seeds": 3, "protocol": 3, "made_by": {"commit": "abc"}, "claim": "steer"}
+    (tmp_path / "steer.json").write_text(json.dumps(made | {"summary": summary, "declared": declared}))
+    text = "<!-- navigation: steer -->\n<!-- end of results -->\n<!-- variations: steer -->\n<!-- end of results -->\n"
+    text = rendered(text, tmp_path)
+    assert "| Steer | 4; 2 | **50 (10 to 90)** | bca 50 | 50 | - | -; 1.5 |" in text
+    assert "| moving | 25 (10 to 90) |" in text
+    assert text.count("`endonav evaluate steer --seeds 3`, commit `abc`") == 2
+
+
+@pytest.mark.parametrize("path", sorted((RESULTS / "board").glob("*.json")), ids=lambda path: path.stem)
+def test_the_board_says_what_its_rows_do(path: Path) -> None:
+    row = json.loads(path.read_text(encoding="utf-8"))
+    reached = f"{sum(case['success'] for case in row['cases'])} of {len(row['cases'])}"
+    page = (PROJECT_ROOT / "docs" / "results" / "board.md").read_text(encoding="utf-8")
+    assert reached in page
+    assert f"results/board/{path.name}" in page
+    assert not row["made_by"]["changes"]
+
+
+def test_a_table_is_made_from_results_and_a_change_of_them_is_seen(tmp_path: Path) -> None:
+    protocol, results = tmp_path / "protocol.yaml", tmp_path / "results"
+    protocol.write_text(SCENES)
+    assert main(["wires", "--protocol", str(protocol), "--to", str(results), "--workers", "1"]) == 0
+    (tmp_path / "docs").mkdir()
+    page = tmp_path / "docs" / "wires.md"
+    page.write_text("# Wires\n\n<!-- results: wires -->\nold\n<!-- end of results -->\n\nmore\n")
+    (tmp_path / "README.md").write_text("<!-- results: wires wires -->\n<!-- end of results -->\n")
+    assert len(render(results, tmp_path)) == 2
+    assert not render(results, tmp_path)
+    result = json.loads((results / "wires.json").read_text())
+    text = page.read_text()
+    mean = result["summary"]["mean_mm_mean"]
+    assert f"| distance along the wire, mm | {mean['mean']:.3g} | {mean['low']:.3g} to {mean['high']:.3g} |" in text
+    assert text.endswith("\n\nmore\n")
+    assert f"| Wires | {mean['mean']:.3g} mm (" in (tmp_path / "README.md").read_text()
+    mean["mean"] += 1
+    (results / "wires.json").write_text(json.dumps(result))
+    assert rendered(text, results) != text
+    assert not outdated(result, read_protocol(protocol))
+    protocol.write_text(SCENES.replace("count: 6", "count: 7"))
+    assert "entry" in outdated(result, read_protocol(protocol))
+    for damaged in (json.dumps(result)[:90], "[]", "{}"):
+        (results / "wires.json").write_text(damaged)
+        with pytest.raises(ConfigurationError, match=r"wires\.json is damaged"):
+            rendered(text, results)
+    result["made_by"]["inputs"] = {"a policy": "of other weights"}
+    protocol.write_text(SCENES)
+    assert "policies" in outdated(result, read_protocol(protocol))
+    (results / "wires.json").unlink()
+    with pytest.raises(ConfigurationError, match="endonav evaluate wires"):
+        rendered(text, results)

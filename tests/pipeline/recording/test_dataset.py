@@ -73,15 +73,12 @@ def test_windows_beyond_the_end_are_padded(logs: Path) -> None:
 
 
 def test_pictures_go_through_the_transform(logs: Path) -> None:
-    seen: list[torch.dtype] = []
-
     def halved(pictures: torch.Tensor) -> torch.Tensor:
-        seen.append(pictures.dtype)
+        assert pictures.dtype == torch.uint8
         return pictures[..., ::2, ::2].float()
 
     data = EpisodeDataset(logs, ("image/frontal",), window=2, image_transform=halved)
     assert data[0]["image/frontal"].shape == (2, 1, 12, 12)
-    assert seen == [torch.uint8]
 
 
 def test_workers_read_the_same(logs: Path) -> None:
@@ -119,8 +116,7 @@ def test_two_devices_and_chosen_episodes(tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         ({"fields": ("tip", "colour")}, "have no colour; there are tip, feeder"),
-        ({"fields": ("image/lateral",)}, "have no image/lateral; .* image/frontal"),
-        ({"window": 9}, "no episode has 9 steps, the longest has 8: take a shorter window, or pad=True"),
+        ({"window": 9}, "no episode has 9 steps, the longest has 8"),
         ({"window": 0}, "window must be a whole number of at least 1, got 0"),
         ({"where": lambda info, outcome: False}, "no episode in .* is taken"),
     ],

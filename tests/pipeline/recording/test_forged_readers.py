@@ -23,16 +23,11 @@ WRONG_CONFIGURATION: dict[str, dict[str, Any]] = {
     "no wire": {"wire": None},
     "wire a number": {"wire": 5},
     "wire of other fields": {"wire": {"colour": "red"}},
-    "wire of other values": {"wire": {"length": "long"}},
     "time stepping a number": {"numerics": 5},
     "time stepping of other fields": {"numerics": {"speed": 3}},
     "steps a text": {"max_steps": "many"},
-    "steps none": {"max_steps": None},
-    "radius a list": {"success_radius": [1]},
     "radius negative": {"success_radius": -1.0},
-    "jitter a text": {"start_jitter": "wide"},
     "expert a number": {"expert": 5},
-    "expert's force a text": {"expert": {"free_force": "strong"}},
     "test set a list": {"test_set": [1]},
     "policy a list": {"policy": [1], "row": {"a": 1}, "mode": 5, "stage": None},
 }
@@ -91,10 +86,9 @@ def test_a_configuration_that_cannot_be_used_is_one_sentence(name: str, log: Pat
     [
         ({"phantom_hash": "0" * 64}, r"recorded in type_1 \(00000000\), the simulator has type_1"),
         ({"phantom": "../../etc"}, "says a phantom, entry or camera that cannot be used"),
-        ({"phantom": "type_9"}, "says a phantom, entry or camera that cannot be used"),
         ({"entry": "nowhere"}, "says a phantom, entry or camera that cannot be used"),
         ({"action": np.full(2, np.nan)}, "takes finite ones"),
-        ({"action": np.zeros(5)}, "the environment takes finite ones"),
+        ({"action": np.zeros(5)}, "takes finite ones"),
     ],
 )
 def test_what_no_simulator_repeats_is_refused(changed: dict[str, Any], words: str, log: Path, tmp_path: Path) -> None:
@@ -102,28 +96,21 @@ def test_what_no_simulator_repeats_is_refused(changed: dict[str, Any], words: st
         replay(rewritten(log, tmp_path / "forged.mcap", **changed))
 
 
-@pytest.mark.parametrize(
-    "metrics", [{"steps": "many"}, {"unknown": 1}, {"target": "bca"}, {"force_mean": [1], "steps": None}]
-)
-def test_a_user_study_leaves_out_what_it_cannot_use(metrics: dict[str, Any], log: Path, tmp_path: Path) -> None:
+def test_a_user_study_leaves_out_what_it_cannot_use(log: Path, tmp_path: Path, caplog) -> None:
     with EpisodeReader(log) as reader:
         kept = dict(reader.outcome.metrics)
-    good = rewritten(log, tmp_path / "good.mcap")
-    annotate(good, "questionnaire", {"ease": "very"})
-    forged = {**kept, **metrics} if "steps" in metrics else metrics
-    bad = rewritten(log, tmp_path / "bad.mcap", outcome={"metrics": forged})
-    study = gather([log, good, bad], UserStudySettings(max_steps=3))
-    assert study.unreadable == 2
-    assert len(study.counted) == 1
-
-
-@pytest.mark.parametrize("name", ["a/b", "/etc/x", "..", "", "a" * 300, "a\0b"])
-@pytest.mark.parametrize("field", ["target", "phantom"])
-def test_a_user_study_leaves_out_names_that_no_file_can_have(field, name, log: Path, tmp_path: Path, caplog) -> None:
-    study = gather([log, rewritten(log, tmp_path / "forged.mcap", **{field: name})], UserStudySettings(max_steps=3))
-    assert (study.unreadable, len(study.counted)) == (1, 1)
-    assert "left out: " in caplog.text
-    assert "cannot be a file's name" in caplog.text
+    answered = rewritten(log, tmp_path / "answered.mcap")
+    annotate(answered, "questionnaire", {"ease": "very"})
+    metrics = ({**kept, "steps": "many"}, {**kept, "force_mean": [1], "steps": None}, {"unknown": 1}, {"target": "bca"})
+    bad = [rewritten(log, tmp_path / f"{k}.mcap", outcome={"metrics": one}) for k, one in enumerate(metrics)]
+    names = [(field, name) for field in ("target", "phantom") for name in ("a/b", "..", "", "a" * 300, "a\0b")]
+    for number, (field, name) in enumerate(names):  # that no file can have
+        bad.append(rewritten(log, tmp_path / f"name{number}.mcap", **{field: name}))
+    study = gather([log, answered, *bad], UserStudySettings(max_steps=3))
+    assert study.counted == [log]
+    assert study.unreadable == 1 + len(bad)
+    assert caplog.text.count("left out: ") == 1 + len(bad)
+    assert caplog.text.count("cannot be a file's name") == len(names)
 
 
 def test_a_user_study_draws_what_can_be_drawn(log: Path, tmp_path: Path, caplog) -> None:

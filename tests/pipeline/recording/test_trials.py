@@ -72,18 +72,14 @@ def test_a_recorded_episode_is_not_repeated_and_an_unfinished_one_is(tmp_path: P
     assert not list((tmp_path / "half").glob("*.partial"))
 
 
-def test_pictures_on_request(tmp_path: Path) -> None:
-    trials(tmp_path, Draws(), count=1, pictures=True)
-    with EpisodeReader(tmp_path / "000.mcap") as log:
-        assert log.load_arrays()["image/frontal"].shape == (7, 80, 80)
-
-
-def test_summary_and_refusals(tmp_path: Path) -> None:
-    row = summary(trials(tmp_path, Draws()))
+def test_pictures_on_request_a_summary_and_refusals(tmp_path: Path) -> None:
+    row = summary(trials(tmp_path, Draws(), pictures=True))
     assert row["n"] == 3
     assert row["episode_length_steps"] == 6
     assert row["success_pct"] == 0
-    with pytest.raises(ValueError, match="unknown mode 'best'; there are deterministic, stochastic"):
+    with EpisodeReader(tmp_path / "000.mcap") as log:
+        assert log.load_arrays()["image/frontal"].shape == (7, 80, 80)
+    with pytest.raises(ValueError, match="unknown mode 'best'"):
         run_trials(TASK.environment("tip"), Draws(), tmp_path, seeds=[0], mode="best", origin=ORIGIN)
 
 
@@ -93,9 +89,7 @@ ACTIONS = np.random.default_rng(3).uniform(-0.2, 1.0, (40, 2)).astype(np.float32
 def record(path: Path, *, pictures: bool, seed: int = 5, **arguments) -> Path:
     environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=25, start_rotation=3.0, **arguments)
     steps = iter(ACTIONS)
-    record_episode(
-        environment, lambda observation, info: next(steps), path, seed=seed, operator="test", pictures=pictures
-    )
+    record_episode(environment, lambda *_: next(steps), path, seed=seed, operator="test", pictures=pictures)
     return path
 
 
@@ -162,12 +156,8 @@ def test_a_log_without_pictures_replays_too(tmp_path: Path) -> None:
     assert replay(log, ("image",)).observations["image"].shape == (26, 1, 80, 80)
 
 
-def test_a_coarser_physics_is_replayed_as_it_was(tmp_path: Path) -> None:
-    assert len(replay(record(tmp_path / "fast.mcap", pictures=False, accuracy="fast"))) == 25
-
-
-def test_a_pace_is_replayed_as_it_was(tmp_path: Path) -> None:
-    log = record(tmp_path / "pace.mcap", pictures=False, pace="arch_variety")
+def test_a_coarser_physics_and_a_pace_are_replayed_as_they_were(tmp_path: Path) -> None:
+    log = record(tmp_path / "pace.mcap", pictures=False, pace="arch_variety", accuracy="fast")
     with EpisodeReader(log) as reader:
         assert reader.info.control_dt == pytest.approx(1 / 7.5)
     assert len(replay(log)) == 25
@@ -181,28 +171,25 @@ def test_an_entry_of_ones_own_is_replayed(tmp_path: Path, entry: str | tuple[flo
     np.testing.assert_array_equal(replay(log).tips, tips)
 
 
-def test_what_does_not_repeat_is_refused(log: Path, tmp_path: Path) -> None:
+def test_what_does_not_repeat_is_refused(tmp_path: Path) -> None:
     other = record(tmp_path / "robot.mcap", pictures=False, drive="robot")
-    with pytest.raises(
-        ReplayError, match=r"robot.mcap does not repeat: at step \d+ the tip is .* mm from where it was"
-    ):
+    with pytest.raises(ReplayError, match=r"robot.mcap does not repeat: at step \d+ the tip is"):
         replay(other)
 
 
-@pytest.mark.parametrize("devices", [{"catheter": "simmons2"}, {"catheter": "vertebral_6f", "torsion": "rigid"},
-                                     {"catheter": "vertebral", "wire": None}])  # fmt: skip
+@pytest.mark.parametrize(
+    "devices", [{"catheter": "vertebral_6f", "torsion": "rigid"}, {"catheter": "vertebral", "wire": None}]
+)
 def test_two_devices_are_replayed_as_they_were(tmp_path: Path, devices: dict[str, Any]) -> None:
     steps = np.random.default_rng(4).uniform(-0.3, 1.0, (30, 2 if "wire" in devices else 4)).astype(np.float32)
     environment = NavigateEnv("type_1", "bca", observation="feeder", max_steps=15, start_rotation=3.0, **devices)
     seen, actions = [], iter(steps)
-    record_episode(
-        environment,
-        lambda observation, info: (seen.append(observation), next(actions))[1],
-        tmp_path / "0.mcap",
-        seed=5,
-        operator="test",
-        pictures=False,
-    )
+
+    def policy(observation: Any, info: Any) -> Any:
+        seen.append(observation)
+        return next(actions)
+
+    record_episode(environment, policy, tmp_path / "0.mcap", seed=5, operator="test", pictures=False)
     trajectory = replay(tmp_path / "0.mcap", ("feeder", "devices"))
     np.testing.assert_array_equal(trajectory.observations["feeder"][:-1], seen)
     with EpisodeReader(tmp_path / "0.mcap") as log:
@@ -221,7 +208,8 @@ def test_a_log_keeps_the_catheter_and_not_its_name_alone(tmp_path: Path) -> None
     environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=3, catheter=own)
     record_episode(environment, lambda *_: np.ones(4), tmp_path / "0.mcap", seed=1, operator="test", pictures=False)
     with EpisodeReader(tmp_path / "0.mcap") as log:
-        assert (log.info.catheter_name, recorded_catheter(log.info)) == ("own catheter", own)
+        assert log.info.catheter_name.startswith("own catheter ")
+        assert recorded_catheter(log.info) == own
     assert len(replay(tmp_path / "0.mcap")) == 3
 
 

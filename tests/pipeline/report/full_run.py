@@ -48,10 +48,8 @@ def add_full_run(run: Path) -> None:
     for key, table in THESIS.items():
         stage = table.get("stage") or "validate"
         if stage != "report":
-            names = [*table["rows"], *OWN_ROWS.get(key, []), *FURTHER_ROWS.get(key, [])] or [
-                "type_1/bca/round 1",
-                "other_row",
-            ]
+            names = [*table["rows"], *OWN_ROWS.get(key, []), *FURTHER_ROWS.get(key, [])]
+            names = names or ["type_1/bca/round 1", "other_row"]
             tables.setdefault(stage, {})[key] = {name: _cells(table, name, generator) for name in names}
     tables["validate"]["force_validation"] |= {"agrees": {"value": SENTENCE * 3}, "differs": {"value": SENTENCE * 5}}
     for stage in available_stages():

@@ -15,18 +15,11 @@ from pipeline.evaluations.logs import COUNTED, evaluation_folders, read_logs
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.report import learning_figures, learning_plots
 from pipeline.report.learning import learning_section
-from pipeline.report.learning_figures import Material, draw_learning, task_words
-from pipeline.report.learning_plots import Curve, Point, draw_front, draw_generalisation, draw_training, read_curves
+from pipeline.report.learning_figures import Material, draw_learning
 from pipeline.store.atomic_files import write_json
 from pipeline.store.run_folder import Identity, RunFolder
 from pipeline.tables import write_results
 from tests.pipeline.evaluations.evaluation_logs import write_curve, write_evaluation, write_row
-
-
-def finish(run: Path, stage: str) -> None:
-    """Makes a stage's folder a finished one."""
-    folder = RunFolder(run / stage, Identity("c", {}, 1))
-    folder.finish(stage=stage, run=run.name, budget="smoke", seed=0, config={}, started=0.0)
 
 
 def test_report_tabulates_the_logs_beside_what_results_say(tmp_path: Path, run_python: Callable[[str], str]) -> None:
@@ -36,17 +29,11 @@ def test_report_tabulates_the_logs_beside_what_results_say(tmp_path: Path, run_p
     bad = write_row(run, "enn", "V", successes=(True,) * 3, phantom="mine")[2]
     bad.write_bytes(b"")
     write_results(run / "enn", {"own_table": {"a": {"b": 1.0}}})
-    finish(run, "enn")
+    folder = RunFolder(run / "enn", Identity("c", {}, 1))
+    folder.finish(stage="enn", run=run.name, budget="smoke", seed=0, config={}, started=0.0)
     printed = run_python(
-        "import sys\n"
-        "from pipeline.config import RunConfig\n"
-        "from pipeline.stages.report import ReportSettings\n"
-        "from pipeline.execution import execute\n"
-        "config = RunConfig(stage=ReportSettings(), budget={'name': 'desk'}, name='tried', runs_dir="
-        + repr(str(tmp_path))
-        + ")\n"
-        "execute(config)\n"
-        "print('torch' in sys.modules)"
+        "import sys\nfrom pathlib import Path\nfrom tests.pipeline.stages.test_report import run_report\n"
+        f"run_report(Path({str(tmp_path)!r}), 'tried')\nprint('torch' in sys.modules)"
     )
     assert printed.strip().endswith("False"), "the report must not import torch"
     page = (run / "report" / "index.html").read_text()
@@ -60,8 +47,7 @@ def test_report_tabulates_the_logs_beside_what_results_say(tmp_path: Path, run_p
 def test_a_stage_that_has_not_finished_does_not_count(tmp_path: Path) -> None:
     write_row(tmp_path, "enn", "V")
     section = learning_section(tmp_path, [], tmp_path / "figures")
-    assert section.results == [{}]
-    assert section.folder is None
+    assert (section.results, section.folder) == ([{}], None)
 
 
 def test_people_count_once_the_user_study_has_selected_their_logs(tmp_path: Path) -> None:
@@ -89,15 +75,10 @@ def test_each_seed_of_a_repeated_stage_has_tables_of_its_own(tmp_path: Path) -> 
     assert learning_section(tmp_path, list(seeds), tmp_path / "figures").by_seed == {}
 
 
-def material(run: Path, **tables: dict) -> Material:
-    """What the report would draw from a run."""
-    folders = evaluation_folders(run)
-    evaluations = read_logs(folders).evaluations
-    return Material(run, evaluations, read_curves(folders), {**tables_from_logs(run), **tables})
-
-
-def test_an_empty_run_has_no_figures(tmp_path: Path) -> None:
+def test_an_empty_run_has_no_figures_and_long_heat_maps_take_episodes_evenly(tmp_path: Path) -> None:
     assert draw_learning(Material(tmp_path, [], [], {}), tmp_path / "figures") == []
+    assert learning_figures._evenly(range(20), 3) == [0, 10, 19]
+    assert learning_figures._evenly([], 3) == []
 
 
 def test_each_figure_appears_when_there_is_something_for_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -117,20 +98,13 @@ def test_each_figure_appears_when_there_is_something_for_it(tmp_path: Path, monk
     write_evaluation(run / "human/type_1/bca/000.mcap", operator="human", steps=9)
     # a phantom that the library does not know is in no picture of a vessel
     write_row(run, "enn", "I+V+M", phantom="mine")
-    given = material(
-        run, generalisation_curve={"roadmap/4": {"success_pct": 80.0}, "roadmap/16": {"success_pct": [90, 5]}}
+    learnt_in = {"roadmap/4": {"success_pct": 80.0}, "roadmap/16": {"success_pct": [90, 5]}}
+    folders = evaluation_folders(run)
+    tables = {**tables_from_logs(run), "generalisation_curve": learnt_in}
+    figures = draw_learning(
+        Material(run, read_logs(folders).evaluations, learning_plots.read_curves(folders), tables), folder
     )
-    figures = draw_learning(given, folder)
-    assert [figure.title for figure in figures] == [
-        "Training curves, baselines",
-        "Training curves, ENN",
-        "Episode length during training",
-        "Largest forces of the baselines",
-        "Type I arch, BCA: contact forces of the baselines",
-        "Type I arch, BCA: paths of the tip",
-        "Success against force",
-        "Success against training anatomies",
-    ]
+    assert len(figures) == 8
     written = {path.name for path in folder.glob("*.png")}
     assert written == {
         "training_baselines.png", "training_enn.png", "largest_forces.png", "front.png", "generalisation.png"
@@ -145,25 +119,12 @@ def test_each_figure_appears_when_there_is_something_for_it(tmp_path: Path, monk
     vertices, episodes, _ = drawn["heat"][0]
     assert len(episodes) == 3
     assert vertices.shape == (5, 3)
-    assert "24 contacts of 3 of 3 deterministic episodes" in figures[4].caption
+    assert "24 contacts of 3 of 3" in figures[4].caption
 
 
-def test_long_heat_maps_take_episodes_evenly(tmp_path: Path) -> None:
-    write_row(tmp_path, "enn", "I+V+M", successes=(True,) * 20)
-    evaluations = read_logs(evaluation_folders(tmp_path)).evaluations
-    taken = learning_figures._evenly(evaluations, 3)
-    assert [one.seed % 1000 for one in taken] == [0, 10, 19]
-    assert learning_figures._evenly([], 3) == []
-
-
-def test_tasks_are_in_words() -> None:
-    assert task_words("type_2", "lcca") == "Type II arch, LCCA"
-    assert task_words("mine", "lsa") == "mine, LSA"
-
-
-def curve(x: list[float], y: list[float]) -> Curve:
+def curve(x: list[float], y: list[float], row: str = "V") -> learning_plots.Curve:
     values = {"decisions": np.array(x), "env_steps": np.array(x), "reward": np.array(y)}
-    return Curve("enn", "type_1", "bca", "V", "seed0", values)
+    return learning_plots.Curve("enn", "type_1", "bca", row, "seed0", values)
 
 
 def image(path: Path) -> np.ndarray:
@@ -172,19 +133,56 @@ def image(path: Path) -> np.ndarray:
 
 def test_plots_show_what_they_are_given(tmp_path: Path) -> None:
     """A curve more, a weight more, an anatomy more: each darkens more pixels."""
-    one, two = (
-        {"V": [curve([0, 1, 2], [0, 1, 0])]},
-        {"V": [curve([0, 1, 2], [0, 1, 0])], "I": [curve([0, 1, 2], [1, 0, 1])]},
-    )
+    one = {"V": [curve([0, 1, 2], [0, 1, 0])]}
+    two = one | {"I": [curve([0, 1, 2], [1, 0, 1])]}
     for name, rows in (("one", one), ("two", two)):
-        draw_training({"task": rows}, {"I": "Internal"}, tmp_path / f"{name}.png")
+        learning_plots.draw_training({"task": rows}, {"I": "Internal"}, tmp_path / f"{name}.png")
     assert (image(tmp_path / "one.png") < 250).sum() < (image(tmp_path / "two.png") < 250).sum()
     points = [
-        Point("a", "I+V+M", None, (0.2, 0.01), (100.0, 0.0), (0.9, 0.1), (90.0, 3.0)),
-        Point("a", "safe 1", 1.0, (0.1, 0.01), (95.0, 2.0), (0.4, 0.1), (100.0, 2.0)),
+        learning_plots.Point("a", "I+V+M", None, (0.2, 0.01), (100.0, 0.0), (0.9, 0.1), (90.0, 3.0)),
+        learning_plots.Point("a", "safe 1", 1.0, (0.1, 0.01), (95.0, 2.0), (0.4, 0.1), (100.0, 2.0)),
     ]
-    draw_front(points[:1], tmp_path / "front_1.png")
-    draw_front(points, tmp_path / "front_2.png")
+    learning_plots.draw_front(points[:1], tmp_path / "front_1.png")
+    learning_plots.draw_front(points, tmp_path / "front_2.png")
     assert (image(tmp_path / "front_1.png") != 255).sum() < (image(tmp_path / "front_2.png") != 255).sum()
-    draw_generalisation({"roadmap": [(4, 80.0, 1.0), (1, 50.0, 0.0)]}, tmp_path / "generalisation.png")
+    learning_plots.draw_generalisation({"roadmap": [(4, 80.0, 1.0), (1, 50.0, 0.0)]}, tmp_path / "generalisation.png")
     assert image(tmp_path / "generalisation.png").std() > 5
+
+
+def test_curves_are_found_and_a_cut_off_line_is_skipped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write_curve(tmp_path / "enn/type_1/bca/I+V/seed3")
+    path.write_text(path.read_text() + "1100,44")
+    write_curve(tmp_path / "enn@stage.decisions=9/type_2/lcca/V/seed0")
+    empty = tmp_path / "enn/type_1/bca/V/seed0/training.csv"
+    empty.parent.mkdir(parents=True)
+    empty.write_text("decisions,reward\n")
+    found = learning_plots.read_curves(evaluation_folders(tmp_path))
+    assert [(one.stage, one.phantom, one.target, one.row, one.seed) for one in found] == [
+        ("enn", "type_1", "bca", "I+V", "seed3"),
+        ("enn", "type_2", "lcca", "V (stage.decisions=9)", "seed0"),
+    ]
+    decisions, success = found[0].pairs("decisions", "evaluation_success")
+    np.testing.assert_allclose(decisions, [0, 200, 400, 600, 800, 1000])
+    np.testing.assert_allclose(success, [0, 0.2, 0.4, 0.6, 0.8, 1.0])
+    assert len(found[0].pairs("env_steps", "reward")[0]) == 11
+    assert [len(part) for part in found[0].pairs("decisions", "no_such_column")] == [0, 0]
+    assert str(empty) in caplog.text
+    path = tmp_path / "training.csv"
+    path.write_bytes(bytes(range(256)))
+    assert learning_plots.read_columns(path) == {}
+    assert learning_plots.read_columns(tmp_path / "missing.csv") == {}
+
+
+def test_seeds_are_joined_only_where_all_of_them_trained() -> None:
+    band = learning_plots.join_seeds(
+        [curve([0, 10], [0.0, 1.0]), curve([2, 4, 6], [1.0, 1.0, 1.0])], "decisions", "reward"
+    )
+    assert band is not None
+    assert (band.x[0], band.x[-1], band.seeds) == (2, 6, 2)
+    np.testing.assert_allclose(band.mean, (band.x / 10 + 1) / 2)
+    np.testing.assert_allclose(band.spread, np.abs(band.x / 10 - 1) / np.sqrt(2))
+    alone = learning_plots.join_seeds([curve([0, 1], [3.0, np.nan]), curve([0, 1], [3.0, 5.0])], "decisions", "reward")
+    assert alone is not None
+    assert (alone.seeds, alone.mean[-1], alone.spread.max()) == (1, 5.0, 0.0)
+    assert learning_plots.join_seeds([curve([0, 1], [0, 1]), curve([5, 6], [0, 1])], "decisions", "reward") is None
+    assert learning_plots.join_seeds([], "decisions", "reward") is None

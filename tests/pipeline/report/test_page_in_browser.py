@@ -51,19 +51,15 @@ def show(tab: Tab, address: str, width: int, *, unfolded: bool = False) -> None:
 
 
 @pytest.mark.parametrize("name", ["full", "empty"])
-def test_the_page_is_short_and_its_first_screen_compares(tab: Tab, pages: dict[str, str], name: str) -> None:
+def test_the_page_is_short_compares_at_once_and_fits_the_screen(tab: Tab, pages: dict[str, str], name: str) -> None:
     show(tab, pages[name], 1440)
     assert 500 < tab.value("document.documentElement.scrollHeight") <= MOST_PIXELS
     assert tab.value("document.getElementById('headlines').getBoundingClientRect().bottom") <= 900
     assert tab.value(BLURRED) == []
-
-
-@pytest.mark.parametrize("name", ["full", "empty"])
-@pytest.mark.parametrize("width", [390, 1440])
-def test_nothing_is_wider_than_the_screen(tab: Tab, pages: dict[str, str], name: str, width: int) -> None:
-    show(tab, pages[name], width, unfolded=True)
-    assert tab.value("document.documentElement.scrollWidth") <= width
-    assert tab.value(WIDER) == []
+    for width in (1440, 390):
+        show(tab, pages[name], width, unfolded=True)
+        assert tab.value("document.documentElement.scrollWidth") <= width
+        assert tab.value(WIDER) == []
 
 
 def test_a_link_to_a_folded_table_opens_it(tab: Tab, pages: dict[str, str]) -> None:

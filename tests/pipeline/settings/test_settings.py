@@ -9,7 +9,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import pydantic.dataclasses
 import pytest
+from annotated_types import Gt
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -24,7 +26,7 @@ from pipeline.task import Task
 from tests.pipeline.composed import unchecked
 
 SETTINGS = {name: load_stage(name).settings for name in available_stages()}
-NONSENSE = ("nan", "-inf", "-1", "1e300", "text", "true")
+NONSENSE = ("nan", "-1", "1e300", "text", "true")
 # Settings in which 0 means something: none of them, a number that the recipe chooses, one process a core, no noise.
 ZERO_IS_LEGAL = {
     "annotation_noise_px", "arches", "dagger_rounds", "demonstrations", "disturbed_episodes", "disturbed_images",
@@ -80,6 +82,12 @@ def fields_of(owner: type, *kinds: Any) -> Iterator[tuple[str, bool]]:
             yield item.name, True
 
 
+def own_fields(stage: str, *kinds: Any) -> list[tuple[str, bool]]:
+    """Those of a stage; of its task, which is of one class everywhere, only for one stage."""
+    fields = fields_of(SETTINGS[stage], *kinds)
+    return [(name, several) for name, several in fields if stage == "navigation" or not name.startswith("task.")]
+
+
 def key_of(name: str) -> str:
     """A setting as an error names it: a task is the run's, or a stage's own."""
     return f"task.{name.partition('.')[2]}" if "." in name else f"stage.{name}"
@@ -91,13 +99,14 @@ def test_every_number_that_cannot_be_meant_is_refused_with_one_sentence(
 ) -> None:
     config = resolved[stage]
     assert run_config(config).stage.name == stage
-    for name, several in fields_of(SETTINGS[stage], int, float):
+    numbers = {name for name, _ in fields_of(SETTINGS[stage], float)}
+    for name, several in own_fields(stage, int, float):
         for value in (*NONSENSE, "0"):
             override = f"stage.{name}={f'[{value}]' if several else value}"
             if value == "0" and name.rpartition(".")[2] in ZERO_IS_LEGAL and (stage, name) not in ZERO_IS_REFUSED_THERE:
                 given(config, override)
                 continue
-            if value == "true" and name in {n for n, _ in fields_of(SETTINGS[stage], float)}:
+            if value == "true" and name in numbers:
                 continue  # OmegaConf makes a float of it
             with pytest.raises((ConfigurationError, OmegaConfBaseException)) as refused:
                 given(config, override)
@@ -107,16 +116,16 @@ def test_every_number_that_cannot_be_meant_is_refused_with_one_sentence(
             assert len(words) < 300, words
 
 
-@pytest.mark.parametrize("value", [*NONSENSE])
-def test_a_seed_that_cannot_be_meant_is_refused(value: str, composed: dict[str, DictConfig]) -> None:
-    with pytest.raises((ConfigurationError, OmegaConfBaseException)) as refused:
-        given(composed["report"], f"seed={value}")
-    assert one_line(refused.value, []).startswith("seed")
+def test_a_seed_that_cannot_be_meant_is_refused(composed: dict[str, DictConfig]) -> None:
+    for value in NONSENSE:
+        with pytest.raises((ConfigurationError, OmegaConfBaseException)) as refused:
+            given(composed["report"], f"seed={value}")
+        assert one_line(refused.value, []).startswith("seed")
 
 
 @pytest.mark.parametrize("stage", list(SETTINGS))
 def test_no_name_leads_out_of_the_run_folder(stage: str, resolved: dict[str, DictConfig]) -> None:
-    for name, several in fields_of(SETTINGS[stage], str):
+    for name, several in own_fields(stage, str):
         if name.rpartition(".")[2] in NOT_NAMES:
             continue
         for value in BAD_NAMES[::3]:
@@ -127,23 +136,23 @@ def test_no_name_leads_out_of_the_run_folder(stage: str, resolved: dict[str, Dic
 
 
 @pytest.mark.parametrize("key", ["name", "target", "modality", "phantom.name"])
-@pytest.mark.parametrize("value", BAD_NAMES)
-def test_no_name_of_the_run_leads_out_of_its_folder(key: str, value: str, composed: dict[str, DictConfig]) -> None:
-    with pytest.raises((ConfigurationError, OmegaConfBaseException), match=rf"^{key}|^stage\.{key}"):
-        given(composed["enn"], f"{key}={value!r}")
+def test_no_name_of_the_run_leads_out_of_its_folder(key: str, composed: dict[str, DictConfig]) -> None:
+    for value in BAD_NAMES if key == "name" else BAD_NAMES[::3]:
+        with pytest.raises((ConfigurationError, OmegaConfBaseException), match=rf"^{key}|^stage\.{key}"):
+            given(composed["enn"], f"{key}={value!r}")
 
 
-@pytest.mark.parametrize("names", ["5", "text", "[]", "[../x]", "{lcca: 5}", "{lcca: a/b}", "[[a]]", "nan"])
-def test_branch_names_are_a_mapping_or_a_list(names: str, composed: dict[str, DictConfig], tmp_path: Path) -> None:
+def test_branch_names_are_a_mapping_or_a_list(composed: dict[str, DictConfig], tmp_path: Path) -> None:
     (tmp_path / "own.stl").write_bytes(b"solid")
     config = composed["phantoms"].copy()
     OmegaConf.update(config, "phantom.mesh", str(tmp_path / "own.stl"))
-    with pytest.raises(ConfigurationError, match=r"^phantom\.names (must be a mapping|cannot be)"):
-        given(config, f"phantom.names={names}")
+    for names in ("5", "[]", "[../x]", "{lcca: 5}", "{lcca: a/b}", "[[a]]"):
+        with pytest.raises(ConfigurationError, match=r"^phantom\.names (must be a mapping|cannot be)"):
+            given(config, f"phantom.names={names}")
     assert given(config, "phantom.names={lcca: lsa}").stage.names == {"lcca": "lsa"}
 
 
-@pytest.mark.parametrize("override", ["name=../../evil", "stage.name=../../evil", f"name={'a' * 300}"])
+@pytest.mark.parametrize("override", ["name=../../evil", "stage.name=../../evil"])
 def test_a_name_that_cannot_be_a_folder_makes_none(override: str, pipeline_process) -> None:
     done = pipeline_process.run_here("stage=report", override)
     assert done.returncode == 2
@@ -152,40 +161,31 @@ def test_a_name_that_cannot_be_a_folder_makes_none(override: str, pipeline_proce
 
 
 def test_a_stage_is_not_renamed(composed: dict[str, DictConfig]) -> None:
-    with pytest.raises(ConfigurationError, match=r"stage\.name cannot be 'expert': choose a stage by stage=NAME"):
+    with pytest.raises(ConfigurationError, match=r"stage\.name cannot be 'expert'"):
         given(composed["report"], "stage.name=expert")
 
 
-@pytest.mark.parametrize("key", ["phantom.nmae", "guide3d.rot", "stage.episode"])
-def test_misspelt_added_keys_are_refused(key: str, composed: dict[str, DictConfig]) -> None:
-    config = composed["expert"].copy()
-    OmegaConf.update(config, key, 3, force_add=True)
-    with pytest.raises(ConfigurationError, match=f"unknown setting '{key}'"):
-        run_config(config)
-
-
-def test_unknown_keywords_are_refused_in_python_too() -> None:
+def test_misspelt_keys_are_refused_in_python_too(composed: dict[str, DictConfig]) -> None:
+    for key in ("phantom.nmae", "guide3d.rot", "stage.episode"):
+        config = composed["expert"].copy()
+        OmegaConf.update(config, key, 3, force_add=True)
+        with pytest.raises(ConfigurationError, match=f"unknown setting '{key}'"):
+            run_config(config)
     with pytest.raises(ConfigurationError, match=r"unknown setting 'stage\.episode'"):
         ExpertSettings(phantoms=["type_1"], targets=["bca"], episode=2)  # type: ignore[call-arg]
 
 
 def test_a_package_s_settings_are_refused_with_their_class_s_name() -> None:
-    from typing import Annotated
-
-    from annotated_types import Gt
-    from pydantic import ValidationError
-    from pydantic.dataclasses import dataclass
-
-    @dataclass
+    @pydantic.dataclasses.dataclass
     class Fit:
-        epochs: Annotated[int, Gt(0)] = 1
+        epochs: typing.Annotated[int, Gt(0)] = 1
 
         def __post_init__(self) -> None:
             if self.epochs == 7:
                 raise ValueError("epochs must not be 7")
 
     for epochs, expected in ((-1, "Fit.epochs must be greater than 0, got -1"), (7, "epochs must not be 7")):
-        with pytest.raises(ValidationError) as refused:
+        with pytest.raises(pydantic.ValidationError) as refused:
             Fit(epochs=epochs)
         assert sentence(refused.value) == expected
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import torch
@@ -15,7 +17,7 @@ from pipeline.jobs.pool import Job
 from pipeline.jobs.worker import Report
 from pipeline.recording.record import record_episode
 from pipeline.seeds import expert_seeds, held_out_seeds
-from pipeline.stages import StageContext
+from pipeline.stages import StageContext, load_stage
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.run_folder import Identity, RunFolder
 from pipeline.task import TASK as KEY
@@ -64,3 +66,14 @@ def context(run: Path, stage: str, reads: Sequence[str] = ("enn",)) -> StageCont
 def in_this_process(folder: RunFolder, jobs: Sequence[Job], **_: Any) -> dict[str, Any]:
     """Stands in for `run_jobs`: one after another, here, with what a process of their own would be given."""
     return {job.key: job.run(pickle.loads(pickle.dumps(job.given)), Report()) for job in jobs}
+
+
+def run_here(settings: Any, run: Path, module: Any, reads: Sequence[str] = ("enn",)) -> dict[str, Any]:
+    """Runs a stage below a run's folder with its jobs, which a module starts, in this process; gives its results."""
+    place = context(run, settings.name, reads)
+    with mock.patch.object(module, "run_jobs", in_this_process):
+        results = load_stage(settings.name).run(settings, place)
+    assert results is not None
+    results.write(place.path)
+    found: dict[str, Any] = json.loads((place.path / "results.json").read_text())
+    return found

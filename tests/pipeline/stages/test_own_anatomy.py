@@ -137,15 +137,13 @@ def test_a_changed_file_is_refused_by_replay_and_left_out_of_the_report(mesh: Pa
         replay(log)
 
 
-def test_unseen_tests_in_the_file_what_it_has_learnt_in_random_arches(
-    mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("pipeline.stages.unseen.stage.training_arch", lambda seed, arches: ("random", 3))
+def test_unseen_tests_in_the_file_what_it_learnt(mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("stage", "task"):
+        monkeypatch.setattr(f"pipeline.stages.unseen.{module}.training_arch", lambda seed, arches: ("random", 3))
     monkeypatch.setattr("pipeline.stages.unseen.stage.training_arches", lambda run, count: range(3, 3 + count))
     for module in ("stage", "trials"):
         monkeypatch.setattr(f"pipeline.stages.unseen.{module}.unseen_arches", lambda count: range(3, 3 + count))
     monkeypatch.setattr("pipeline.stages.unseen.stage.validation_arches", lambda count, every: range(3, 3 + count))
-    monkeypatch.setattr("pipeline.stages.unseen.task.training_arch", lambda seed, arches: ("random", 3))
     folder = run_stage("unseen", tmp_path, f"phantom.file='{mesh}'", "phantom.unit=mm", NAMES, f"target={TARGET}")
     (log,) = folder.rglob("my_patient/*.mcap")
     with EpisodeReader(log) as reader:
@@ -170,13 +168,21 @@ def test_points_lie_in_the_file_s_axes(mesh: Path) -> None:
 
 
 @pytest.mark.parametrize("stage", ["expert", "baselines", "enn", "imitation", "rehearsal", "unseen", "navigation"])
-def test_what_the_file_does_not_have_is_one_sentence(stage: str, mesh: Path) -> None:
-    given = (stage, f"phantom.file='{mesh}'", "phantom.unit=mm", NAMES)
+def test_a_target_that_the_file_does_not_have_is_refused(stage: str, mesh: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"unknown target 'lcca_ned' .*choose from bca, .*left_carotid"):
-        settled(*given, "target=lcca_ned")
-    with pytest.raises(ConfigurationError, match="outside the lumen"):
-        settled(*given, "stage.point_mm=[900,0,0]")
-    with pytest.raises(ConfigurationError, match=r"unknown entry 'groin' .*choose from descending, ascending"):
-        settled(*given, "phantom.entry=groin", f"target={TARGET}")
-    with pytest.raises(ConfigurationError, match=r"my patient\.stl is no label volume, it takes no labels"):
-        settled(*given, "phantom.labels={3: aorta}")
+        settled(stage, f"phantom.file='{mesh}'", "phantom.unit=mm", NAMES, "target=lcca_ned")
+
+
+@pytest.mark.parametrize("stage", ["expert", "unseen"])
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ("stage.point_mm=[900,0,0]", "outside the lumen"),
+        ("phantom.entry=groin", r"unknown entry 'groin' .*choose from descending"),
+        ("phantom.labels={3: aorta}", r"my patient\.stl is no label volume"),
+    ],
+)
+def test_what_else_the_file_does_not_have_is_refused(stage: str, asked: str, message: str, mesh: Path) -> None:
+    given = (f"phantom.file='{mesh}'", "phantom.unit=mm", NAMES, *([] if "point" in asked else [f"target={TARGET}"]))
+    with pytest.raises(ConfigurationError, match=message):
+        settled(stage, *given, asked)

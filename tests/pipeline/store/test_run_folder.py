@@ -10,8 +10,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,21 +57,19 @@ def test_finished_folder_is_up_to_date_and_its_manifest_round_trips(folder: RunF
     written = finish(folder)
     assert folder.is_up_to_date()
     assert read_manifest(folder.path) == written
+    content = json.loads((folder.path / "manifest.json").read_text())
+    assert content["identity"]["input_hashes"] == {"phantoms": "inputs"}
     assert set(written.outputs) == {"a.txt", "b.txt", "c.txt"}
     assert written.outputs["a.txt"]["bytes"] == 1
     assert 2.0 <= written.wall_time_s < 10
     assert not (folder.path / ".progress").exists()
 
 
-@pytest.mark.parametrize("changed", [
-    Identity("other", {"phantoms": "inputs"}, 1),
-    Identity("config", {"phantoms": "other"}, 1),
-    Identity("config", {"phantoms": "inputs"}, 2),
-], ids=["config", "inputs", "version"])  # fmt: skip
-def test_a_change_puts_the_folder_out_of_date_and_moves_it_aside(folder: RunFolder, changed: Identity, caplog) -> None:
+@pytest.mark.parametrize("changed", [{"config_hash": "other"}, {"input_hashes": {"phantoms": "b"}}, {"version": 2}])
+def test_a_change_puts_the_folder_out_of_date_and_moves_it_aside(folder: RunFolder, changed: Any, caplog) -> None:
     build(folder)
     earlier = finish(folder)
-    later = RunFolder(folder.path, changed)
+    later = RunFolder(folder.path, replace(IDENTITY, **changed))
     assert not later.is_up_to_date()
     assert build(later, "x") == ["x"]
     assert set(finish(later).outputs) == {"x.txt"}
@@ -120,13 +120,13 @@ def test_a_changed_output_is_made_again_and_a_foreign_file_is_named(folder: RunF
     assert finish(folder).outputs_hash == first.outputs_hash
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", '{"version": 99}', '{"version": 1, "stage": "x"}'])
-def test_an_unreadable_manifest_counts_as_not_run(folder: RunFolder, content: str) -> None:
+def test_an_unreadable_manifest_counts_as_not_run(folder: RunFolder) -> None:
     build(folder)
     finish(folder)
-    (folder.path / "manifest.json").write_text(content)
-    assert read_manifest(folder.path) is None
-    assert not folder.is_up_to_date()
+    for content in ("", "{", "[]", '{"version": 99}', '{"version": 1, "stage": "x"}'):
+        (folder.path / "manifest.json").write_text(content)
+        assert read_manifest(folder.path) is None
+        assert not folder.is_up_to_date()
 
 
 @pytest.mark.parametrize(
@@ -181,13 +181,10 @@ def test_kept_items_are_dropped_when_the_configuration_changes_or_force_is_given
     assert build(changed) == ["a", "b", "c"]
 
 
-def test_items_need_different_keys(folder: RunFolder) -> None:
-    with folder.locked(), pytest.raises(ValueError, match="different keys"):
-        folder.pending(["a", "a"])
-
-
-def test_similar_keys_do_not_share_a_marker(folder: RunFolder) -> None:
+def test_items_need_different_keys_and_similar_ones_do_not_share_a_marker(folder: RunFolder) -> None:
     with folder.locked():
+        with pytest.raises(ValueError, match="different keys"):
+            folder.pending(["a", "a"])
         folder.prepare()
         folder.mark_done("type_1/bca", {"n": 1})
         assert RunFolder(folder.path, IDENTITY).result_of("type_1_bca") is None
@@ -208,14 +205,6 @@ def test_a_folder_with_somebodys_files_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(StageError, match="files that no stage wrote"), RunFolder(tmp_path, IDENTITY).locked():
         pass
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
-
-
-def test_manifest_is_plain_json(folder: RunFolder) -> None:
-    build(folder)
-    finish(folder)
-    content = json.loads((folder.path / "manifest.json").read_text())
-    assert content["identity"]["input_hashes"] == {"phantoms": "inputs"}
-    assert {"commits", "versions", "wall_time_s", "seed", "budget", "finished"} <= set(content)
 
 
 # ---- marks and kills
@@ -304,27 +293,37 @@ def test_whatever_is_killed_wherever_the_next_run_ends_as_a_clean_one(
         while not_done:
             path = tmp_path / f"{half_done}-{at}"
             killed(path, IDENTITY, "abc", half_done)
-            not_done = killed(path, other, "xyza", at)  # run B with other settings, at every third step
+            not_done = killed(path, other, "xyza", at)  # run B with other settings, at every fifth step
             work(path, IDENTITY, "abc")  # run A again
             assert outputs(path) == clean
             assert {entry.name for entry in path.iterdir()} == {*"abc", "results.json", "manifest.json", ".lock"}
             assert RunFolder(path, IDENTITY).is_up_to_date()
             shutil.rmtree(path)
             kills += not_done
-            at += 3
-    assert kills > 33
+            at += 5
+    assert kills > 15
+
+
+@pytest.fixture(scope="module")
+def half_done(small_process: ProcessPoolExecutor, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A stage that was killed as soon as two of its items were done."""
+    path, steps = tmp_path_factory.mktemp("half_done") / "stage", 1
+    while small_process.submit(run_killed, path, IDENTITY, "abc", steps).result():
+        if len(list(path.glob(".progress/item-*.json"))) == 2:
+            return path
+        shutil.rmtree(path, ignore_errors=True)
+        steps += 1
+    raise AssertionError("it was done before")
 
 
 @pytest.mark.parametrize("damage", ["file gone", "file changed", "mark cut", "folder gone", "a file in its place"])
 def test_an_item_whose_files_are_not_as_it_left_them_is_done_again(
-    damage: str, tmp_path: Path, caplog, killed: Callable[[Path, Identity, str, int], bool]
+    damage: str, half_done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog
 ) -> None:
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
     path = tmp_path / "stage"
     clean = outputs(work(tmp_path / "clean", IDENTITY, "abc").path)
-    steps = 1
-    while killed(path, IDENTITY, "abc", steps) and len(list(path.glob(".progress/item-*.json"))) < 2:
-        shutil.rmtree(path, ignore_errors=True)
-        steps += 1
+    shutil.copytree(half_done, path)
     write_json(path / "results.json", "of an earlier attempt")
     if damage == "file gone":
         (path / "a" / "direct.txt").unlink()
@@ -396,7 +395,7 @@ def test_an_unchanged_file_is_not_read_again(tmp_path: Path, monkeypatch: pytest
     assert not again.holds(tmp_path / "b", digests["b"], 1)
 
 
-@pytest.mark.parametrize("damage", [lambda t: t[:40], lambda t: t.replace("a", "b"), lambda t: "[]", lambda t: "\n"])
+@pytest.mark.parametrize("damage", [lambda t: t[:40], lambda t: t.replace("a", "b"), lambda t: "[]"])
 def test_a_damaged_memory_condemns_no_good_file_and_passes_no_bad_one(tmp_path: Path, damage) -> None:
     (tmp_path / "a").write_text("a")
     time.sleep(0.12)
@@ -479,10 +478,3 @@ def test_nothing_outside_a_run_folder_is_written_or_removed(folder, precious, fo
     finish(later)
     assert unharmed(precious)
     assert later.is_up_to_date()
-
-
-def test_a_temporary_file_that_is_a_link_is_not_written_through(tmp_path: Path, precious: Path) -> None:
-    (tmp_path / f".writing-{os.getpid()}-c.txt").symlink_to(precious / "letter.txt")
-    write_text(tmp_path / "c.txt", "new")
-    assert (tmp_path / "c.txt").read_text() == "new"
-    assert unharmed(precious)

@@ -11,7 +11,7 @@ from guide3d.dataset.frame import strip_mask
 from guide3d.geometry.polyline import Array
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
-from splineformer.build import VARIANTS, build, size_of
+from splineformer.build import VARIANTS
 from splineformer.comparison.evaluation import (
     BARS,
     DETECTOR_SD,
@@ -40,7 +40,7 @@ from splineformer.image_input import pixels_of_shares
 from splineformer.learning.fluoroscopy_pool import ONE, curve_of
 from splineformer.predictor import Predictor
 from tests.guide3d.learning.drawn_data import draw
-from tests.splineformer.curves import image_of, wavy_wire
+from tests.splineformer.curves import image_of, network, wavy_wire
 
 ITEMS = [0, 30, 5]  # 24 frames: two images of camera A, one of camera B
 
@@ -127,28 +127,27 @@ def test_what_each_does() -> None:
     on_wire = hidden[row.clip(0, 1023), column.clip(0, 1023)]
     assert on_wire.any()
     assert not on_wire[[0, -1]].any()  # tip and end stay in sight
+    with pytest.raises(ValueError, match="unknown disturbance 'blur'"):
+        result("blur")
 
 
 SIDE = 300
 
 
-def test_whole_wire_is_traced_tip_first() -> None:
-    true = wavy_wire(1, SIDE)
-    traced = trace_mask(strip_mask(true, SIDE, SIDE, 6.0), true[-1])
-    assert traced.pieces == 1
-    assert traced.discontinuities == 0
-    errors = curve_errors(traced.points_px, true)
-    assert errors["mean_px"] < 2.5
-    assert errors["tip_px"] < 6.0  # thinning eats half of the width at each end
-
-
-def test_gap_is_counted_and_joined() -> None:
-    true = wavy_wire(2, SIDE)
-    mask = strip_mask(true, SIDE, SIDE, 6.0)
-    mask[:, 60:85] = 0
-    traced = trace_mask(mask, true[-1])
-    assert traced.discontinuities == 1
-    assert curve_errors(traced.points_px, true)["mean_px"] < 5
+def test_masks_are_traced_tip_first_and_gaps_counted_and_joined() -> None:
+    for seed, gap in ((1, False), (2, True)):
+        true = wavy_wire(seed, SIDE)
+        mask = strip_mask(true, SIDE, SIDE, 6.0)
+        if gap:
+            mask[:, 60:85] = 0
+        traced = trace_mask(mask, true[-1])
+        assert traced.discontinuities == int(gap)
+        errors = curve_errors(traced.points_px, true)
+        assert errors["mean_px"] < (5 if gap else 2.5)
+        assert gap or (traced.pieces == 1 and errors["tip_px"] < 6.0)  # thinning eats half of the width at each end
+    assert trace_mask(np.zeros((50, 60)), [0, 0]).points_px is None
+    with pytest.raises(ValueError, match=r"expected \(h, w\)"):
+        trace_mask(np.zeros((2, 3, 4)), [0, 0])
 
 
 def test_errors_of_known_curves() -> None:
@@ -165,19 +164,18 @@ def test_errors_of_known_curves() -> None:
         curve_errors(line[:1], line)
 
 
-def predictor(variant: str = "ordered") -> Predictor:
-    torch.manual_seed(0)
-    return Predictor(build(size_of(variant, "smoke")), source_px=128)
+def predictor() -> Predictor:
+    return Predictor(network("ordered"), source_px=128)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_curves_survive_as_tokens(variant: str) -> None:
-    network = predictor(variant).network
+    model = network(variant)
     curves = [wavy_wire(seed, 1024) for seed in range(4)]
-    trips = round_trips(network.fit_tokens, curves)
+    trips = round_trips(model.fit_tokens, curves)
     assert 0 < trips["round_trip_px"] <= trips["round_trip_max_px"] < 20
-    assert trips["tokens_max"] <= network.limit
-    one_off = round_trips(lambda points: network.fit_tokens(points) + np.array([0.0, 40.0, 0.0]), curves)
+    assert trips["tokens_max"] <= model.limit
+    one_off = round_trips(lambda points: model.fit_tokens(points) + np.array([0.0, 40.0, 0.0]), curves)
     assert one_off["round_trip_px"] > 10 * trips["round_trip_px"]
 
 
@@ -188,10 +186,8 @@ def test_what_a_network_that_always_says_the_same_recognises(data: Dataset) -> N
         torch.nn.init.zeros_(layer.weight)
     head.wires.bias.data = torch.tensor([9.0, 0.0, 0.0])  # no wire
     torch.nn.init.constant_(head.inverted.bias, -9.0)
-    shares = kind_accuracy(reader, data, [0, 30])
-    assert shares == {"one": 0.0, "none": 100.0, "several": 0.0, "inverted": 0.0}
+    assert kind_accuracy(reader, data, [0, 30]) == {"one": 0.0, "none": 100.0, "several": 0.0, "inverted": 0.0}
     head.wires.bias.data = torch.tensor([0.0, 9.0, 0.0])
-    assert kind_accuracy(reader, data, [0, 30]) == {"one": 100.0, "none": 0.0, "several": 0.0, "inverted": 0.0}
     torch.nn.init.constant_(head.inverted.bias, 9.0)
     assert kind_accuracy(reader, data, [0, 30]) == {"one": 0.0, "none": 0.0, "several": 0.0, "inverted": 100.0}
 
@@ -238,14 +234,3 @@ def test_what_is_missed_and_found_for_nothing_is_counted() -> None:
     assert found["curve_median_px"] < 0.1
     assert found["in_order"] == pytest.approx(1 - found["missed"] / found["images"])
     assert summary([])["curve_median_px"] is None
-
-
-def test_empty_mask_and_no_mask() -> None:
-    assert trace_mask(np.zeros((50, 60)), [0, 0]).points_px is None
-    with pytest.raises(ValueError, match=r"expected \(h, w\)"):
-        trace_mask(np.zeros((2, 3, 4)), [0, 0])
-
-
-def test_other_disturbances_are_refused() -> None:
-    with pytest.raises(ValueError, match="unknown disturbance 'blur'; there are none, noise"):
-        result("blur")

@@ -1,16 +1,14 @@
 """A bent lumen, readings of straight wires, and untrained perception networks, for tests of the navigation."""
 
 import numpy as np
-import torch
 
-from splineformer.build import build, size_of
 from splineformer.navigation.perception import CURVE_POINTS, PerceptionNetwork, WireReading
 from splineformer.predictor import Predictor
+from tests.splineformer.curves import network
 
 
 def perception_network(variant: str = "ordered") -> PerceptionNetwork:
-    torch.manual_seed(0)
-    return PerceptionNetwork(Predictor(build(size_of(variant, "smoke")), source_px=256))
+    return PerceptionNetwork(Predictor(network(variant), source_px=256))
 
 
 def bend() -> np.ndarray:

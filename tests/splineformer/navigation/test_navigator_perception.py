@@ -1,5 +1,6 @@
 """What a navigator sees through the network: views, marks, features, fine-tuning."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import pytest
 import torch
 
 from guide3d.geometry.polyline import resample
-from splineformer.build import VARIANTS, build, size_of
+from splineformer.build import VARIANTS
 from splineformer.image_input import picture_of
 from splineformer.navigation.camera_view import AGO, RAYS, WAY_ARCS, CameraView, ViewSettings
 from splineformer.navigation.fine_tuning import CURVE_POINTS, WirePictures, errors, fine_tune
@@ -64,20 +65,19 @@ def test_each_camera_has_its_own_mark_and_map() -> None:
 
 
 def test_says_what_is_missing(network: PerceptionNetwork) -> None:
-    settings = settings_of(network)
-    with pytest.raises(ValueError, match="camera a: give"):
-        EpisodeView(settings, list, {"b": (0.5, 0.5)})
-    with pytest.raises(ValueError, match="take the one that it was trained with"):
-        NavigatorPerception(settings, perception_network("published"))
-    with pytest.raises(ValueError, match="each once"):
-        replace(settings, cameras=("a", "a"))
-    with pytest.raises(ValueError, match="by two cameras and their contrast"):
-        replace(settings, guided=True, space=True)
+    settings, marks = settings_of(network), {"a": (0.5, 0.5), "b": (0.5, 0.5)}
     both = replace(settings, cameras=("a", "b"), guided=True)
-    with pytest.raises(ValueError, match="guided by a contrast run"):
-        EpisodeView(both, list, {"a": (0.5, 0.5), "b": (0.5, 0.5)})
-    with pytest.raises(ValueError, match="give the map that both contrast runs make"):
-        EpisodeView(replace(both, space=True), list, {"a": (0.5, 0.5), "b": (0.5, 0.5)})
+    refusals: list[tuple[Callable[[], object], str]] = [
+        (lambda: EpisodeView(settings, list, {"b": (0.5, 0.5)}), "camera a: give"),
+        (lambda: NavigatorPerception(settings, perception_network("published")), "the one that it was trained with"),
+        (lambda: replace(settings, cameras=("a", "a")), "each once"),
+        (lambda: replace(settings, guided=True, space=True), "by two cameras and their contrast"),
+        (lambda: EpisodeView(both, list, marks), "guided by a contrast run"),
+        (lambda: EpisodeView(replace(both, space=True), list, marks), "the map that both contrast runs make"),
+    ]
+    for call, said in refusals:
+        with pytest.raises(ValueError, match=said):
+            call()
     assert replace(both, space=True).size == both.size + SIZE
 
 
@@ -167,5 +167,5 @@ def test_weights_go_on_from_where_they_are_and_the_same_seed_gives_the_same(tmp_
 
 
 def test_a_network_of_maps_is_refused() -> None:
-    with pytest.raises(ValueError, match="expected a network that reads grey levels, got one that reads maps"):
-        PerceptionNetwork(Predictor(build(size_of("ordered", "smoke")), source_px=256, input="maps"))
+    with pytest.raises(ValueError, match="grey levels, got one that reads maps"):
+        PerceptionNetwork(Predictor(perception_network().predictor.network, source_px=256, input="maps"))

@@ -1,5 +1,7 @@
 """The navigator's views of space and of the vessel."""
 
+import functools
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -64,13 +66,19 @@ def space_of(turn: Rotation | None = None, others: list[np.ndarray] | None = Non
     return SpaceMap(hull, marks(seen, way[-1]))
 
 
+@functools.cache
+def plain_space() -> SpaceMap:
+    """That of the vessel alone; nothing changes it."""
+    return space_of()
+
+
 def away(points: np.ndarray, line: np.ndarray) -> np.ndarray:
     """Distance of points from a dense line."""
     return np.linalg.norm(points[:, None] - resample(line, spacing=0.5)[None], axis=2).min(1)
 
 
 def test_hull_is_the_vessel_and_little_more() -> None:
-    space = space_of()
+    space = plain_space()
     line = vessel()
     assert (space.sample(line) > 0.5).all()
     assert space.sample(line + np.array([0, 0, 20])).mean() < 0.1
@@ -95,7 +103,7 @@ def test_way_through_the_hull_does_not_take_crossings_of_a_picture() -> None:
 
 
 def test_wire_is_measured_in_space() -> None:
-    view = SpaceView(space_of())
+    view = SpaceView(plain_space())
     wire = vessel()[:85][::-1]  # tip first
     generator = np.random.default_rng(0)
     seen = readings(list(view.space.hull.cameras), wire)
@@ -166,7 +174,7 @@ def test_way_stays_in_the_lumen_and_ends_at_the_mark() -> None:
 
 
 def test_curves_that_do_not_belong_together_count_as_not_measured() -> None:
-    view = SpaceView(space_of())
+    view = SpaceView(plain_space())
     one, other = readings(list(view.space.hull.cameras), vessel()[:85][::-1])
     other.points[:, 1] -= 0.25
     look = view.look([one, other])
@@ -179,7 +187,7 @@ def test_curves_that_do_not_belong_together_count_as_not_measured() -> None:
 
 
 def test_motion_is_that_since_earlier_decisions() -> None:
-    view = SpaceView(space_of())
+    view = SpaceView(plain_space())
     seen, line = list(view.space.hull.cameras), vessel()
     place = 3 * (len(WAY_MM) + len(WIRE_MM)) + 9 + 3
     first = view.look(readings(seen, line[:56][::-1]))

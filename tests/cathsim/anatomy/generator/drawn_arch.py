@@ -12,11 +12,9 @@ SIDES = {"lsa": (0.018, 5.0e-3), "lcca": (0.0, 4.0e-3), "bca": (-0.018, 6.0e-3)}
 
 
 def arch_tree(stub: float, narrowed: float | None = None) -> VesselTree:
-    """An arch with three straight branches.
+    """An arch with three straight branches, which stand out of its wall by `stub` m.
 
-    Args:
-        stub: how far the branches stand out of the aorta's wall, m.
-        narrowed: radius of a stenosis in the middle of the descending limb, m; None: there is none.
+    The middle of the descending limb is narrowed to a radius (m) where one is given.
     """
     angle = np.linspace(0, np.pi, 111)
     bow = np.stack([BOW * np.cos(angle), 0 * angle, BOW * np.sin(angle)], axis=1)

@@ -18,6 +18,21 @@ _FORK = 3e-3  # m by which daughters go before their trunk beyond its end
 Array = NDArray[np.float64]
 
 
+def oblique() -> Array:
+    """Columns of a volume's axes in the patient's: turned about the third, with the second tipped."""
+    a, b = 0.3, 0.2
+    first = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+    return first @ np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
+
+
+def tubes() -> NDArray[np.uint8]:
+    """Labels of an upright vessel (52) and of one that leaves it (58)."""
+    labels = np.zeros((40, 36, 30), dtype=np.uint8)
+    labels[10:20, 10:20] = 52
+    labels[20:30, 13:17, 14:18] = 58
+    return labels
+
+
 def rasterise(
     phantom: Phantom,
     spacing: tuple[float, float, float] = THICK,
@@ -25,16 +40,10 @@ def rasterise(
     ids: Mapping[str, int] = IDS,
     cut: float = 0.0,
 ) -> tuple[NDArray[np.uint8], Array]:
-    """Labels of a phantom's lumen.
+    """Labels (nx, ny, nz) of a phantom's lumen, and the affine (4, 4) to right, anterior, superior, mm.
 
-    Args:
-        spacing: m between voxels.
-        turn: (3, 3) columns are the volume's axes in the patient's (left, posterior, superior).
-        ids: label of every vessel.
-        cut: m that the volume leaves out at the lower end.
-
-    Returns:
-        Labels (nx, ny, nz), and the affine (4, 4) to right, anterior, superior, mm.
+    Columns of `turn` are the volume's axes in the patient's (left, posterior, superior); `cut` m of the lower end are
+    left out.
     """
     axes = np.eye(3) if turn is None else turn
     low, high = phantom.bounds

@@ -12,9 +12,9 @@ from cathsim.anatomy.library import phantom_described, phantom_description
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.surface import open_ends
 from cathsim.anatomy.vessel_tree import nearest_on_branch
-from cathsim.anatomy.volume.importer import _volume_notes
+from cathsim.anatomy.volume.importer import _load, _volume_notes
 from tests.cathsim.anatomy.lumen_report import check_lumen
-from tests.cathsim.anatomy.volume.rasterising import IDS, rasterise, save_nifti, save_slicer
+from tests.cathsim.anatomy.volume.rasterising import IDS, oblique, rasterise, save_nifti, save_slicer
 
 nibabel = pytest.importorskip("nibabel", reason="label volumes need nibabel")
 pytest.importorskip("nrrd", reason="label volumes need pynrrd")
@@ -31,15 +31,16 @@ LONG_NAMES = {
 REAL = Path(__file__).parents[5] / "shared" / "real" / "aortas"
 
 
-def oblique() -> np.ndarray:
-    a, b = 0.3, 0.2
-    first = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
-    return first @ np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
-
-
 def in_patient(phantom: Phantom, points: np.ndarray) -> np.ndarray:
     """Points (n, 3) m of an imported phantom in the axes of the volume's patient, whose origin the file keeps."""
     return points - np.array(phantom.imported.offset)
+
+
+def away_from_ends(phantom: Phantom, truth: Phantom) -> np.ndarray:
+    """Which vertices (n,) of an imported phantom's surface are far from the true open ends."""
+    vertices = in_patient(phantom, phantom.lumen_mesh.vertices)
+    ends = [np.linalg.norm(vertices - centre, axis=1) < radius + 5e-3 for centre, _, radius in open_ends(truth.tree)]
+    return ~np.any(ends, axis=0)
 
 
 def compare(phantom: Phantom, truth: Phantom, *, centreline: float = 1e-3, volume: float = 0.03) -> None:
@@ -57,9 +58,7 @@ def compare(phantom: Phantom, truth: Phantom, *, centreline: float = 1e-3, volum
         )
         assert np.percentile(away[middle], 95) < centreline, branch.name
         assert 0.75 * branch.length < found.length < 1.35 * branch.length, branch.name
-    vertices = in_patient(phantom, phantom.lumen_mesh.vertices)
-    ends = [np.linalg.norm(vertices - centre, axis=1) < radius + 5e-3 for centre, _, radius in open_ends(truth.tree)]
-    off = truth.grid.sample(vertices[~np.any(ends, axis=0)])
+    off = truth.grid.sample(in_patient(phantom, phantom.lumen_mesh.vertices)[away_from_ends(phantom, truth)])
     assert abs(off.mean()) < 2e-4
     assert np.percentile(np.abs(off), 95) < 7e-4
     assert phantom.lumen_mesh.volume == pytest.approx(truth.lumen_mesh.volume, rel=volume)
@@ -78,6 +77,13 @@ def imported(thick: Path, cache: Path) -> Phantom:
 
 def test_thick_slices_become_the_arch_they_were_made_of(imported: Phantom, phantom: Phantom) -> None:
     compare(imported, phantom)
+    # steps of slices are not felt
+    mesh, kept = imported.lumen_mesh, away_from_ends(imported, phantom)
+    true = -phantom.grid.gradient(in_patient(imported, mesh.vertices)[kept])
+    true /= np.linalg.norm(true, axis=1, keepdims=True)
+    angle = np.degrees(np.arccos(np.clip((true * mesh.vertex_normals[kept]).sum(axis=1), -1, 1)))
+    assert np.median(angle) < 3
+    assert np.percentile(angle, 95) < 12  # a staircase of voxels has 45 to 90
     report = imported.imported
     assert not any("repeat" in note or "heart" in note for note in report.notes)
     assert report.rotation == ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
@@ -87,26 +93,14 @@ def test_thick_slices_become_the_arch_they_were_made_of(imported: Phantom, phant
     assert check_lumen(imported, required_radius=1e-3) == []
 
 
-def test_steps_of_slices_are_not_felt(imported: Phantom, phantom: Phantom) -> None:
-    mesh = imported.lumen_mesh
-    vertices = in_patient(imported, mesh.vertices)
-    ends = [np.linalg.norm(vertices - centre, axis=1) < radius + 5e-3 for centre, _, radius in open_ends(phantom.tree)]
-    kept = ~np.any(ends, axis=0)
-    true = -phantom.grid.gradient(vertices[kept])
-    true /= np.linalg.norm(true, axis=1, keepdims=True)
-    angle = np.degrees(np.arccos(np.clip((true * mesh.vertex_normals[kept]).sum(axis=1), -1, 1)))
-    assert np.median(angle) < 3
-    assert np.percentile(angle, 95) < 12  # a staircase of voxels has 45 to 90
-
-
-def test_finer_copies_of_voxels_and_axes_upside_down_give_the_same_vessels(
+def test_finer_voxels_upside_down_give_the_same_vessels(
     tmp_path: Path, thick: Path, imported: Phantom, cache: Path
 ) -> None:
     fine, image = tmp_path / thick.name, nibabel.load(thick)
-    halves = image.affine @ np.diag([0.5, 0.5, 0.5, 1.0])
-    halves[:, 3] = image.affine @ [-0.25, -0.25, -0.25, 1.0]
+    halves = image.affine @ np.diag([0.5, 0.5, 1.0, 1.0])
+    halves[:, 3] = image.affine @ [-0.25, -0.25, 0.0, 1.0]
     turned = np.diag([1.0, -1.0, -1.0, 1.0]) @ halves  # half a turn about the axis from right to left
-    twice = np.asarray(image.dataobj).repeat(2, 0).repeat(2, 1).repeat(2, 2)
+    twice = np.asarray(image.dataobj).repeat(2, 0).repeat(2, 1)
     nibabel.save(nibabel.Nifti1Image(twice, turned, image.header), fine)
     found = import_anatomy(fine, resolution=COARSE, cache_dir=cache)
     notes = "; ".join(found.imported.notes)
@@ -175,24 +169,9 @@ def test_a_carotid_of_a_trunk_and_a_trunks_fork(tmp_path: Path, cache: Path) -> 
     assert (after[before < -5e-4] < 0).all()
 
 
-def test_an_aorta_that_widens_soon_after_its_lower_end_keeps_that_end(tmp_path: Path, cache: Path) -> None:
-    spacing = 1.5e-3
-    x, y, z = np.meshgrid(*[spacing * np.arange(n) for n in (64, 40, 88)], indexing="ij")
-    width = np.interp(z, [30e-3, 60e-3], [13e-3, 22e-3])
-    labels = np.zeros(x.shape, dtype=np.uint8)
-    labels[(np.hypot(y - 28e-3, z - 105e-3) < 5e-3) & (x > 26e-3) & (x < 90e-3)] = 54
-    labels[(np.hypot(x - 26e-3, y - 28e-3) < width) & (z > 5e-3) & (z < 125e-3)] = 52
-    path = save_nifti(tmp_path / "scan.nii.gz", labels, np.diag([1.5, 1.5, 1.5, 1.0]))
-    phantom = import_anatomy(path, resolution=COARSE, cache_dir=cache)
-    voxels, lumen = phantom.imported.volumes_ml["aorta"]
-    assert lumen == pytest.approx(voxels, rel=0.03)
-    assert phantom.tree.root.length > 110e-3
-
-
 @pytest.mark.slow
-def test_first_stretches_of_vessels_in_the_aortas_label_of_an_oblique_volume_of_slicer(
-    tmp_path: Path, phantom: Phantom, cache: Path
-) -> None:
+def test_first_stretches_of_vessels_in_the_aortas_label(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
+    """In an oblique volume of 3D Slicer."""
     labels, affine = rasterise(phantom, turn=oblique())
     index = np.stack(np.meshgrid(*[np.arange(n) for n in labels.shape], indexing="ij"), axis=-1).reshape(-1, 3)
     points = 1e-3 * (index @ affine[:3, :3].T + affine[:3, 3]) * [-1.0, -1.0, 1.0]
@@ -223,14 +202,19 @@ def test_one_label_with_many_wide_ends_is_no_aorta_unless_it_is_said(tmp_path: P
     for place in (7, 16, 25, 34, 43):
         bone |= ((x - place) ** 2 + (y - 8) ** 2 <= 9) & (z >= 6) & (z < 27)
     path = save_nifti(tmp_path / "mask.nii.gz", bone.astype(np.uint8), np.diag([-2.0, -2.0, 2.0, 1.0]))
-    with pytest.raises(MeshRefusedError, match=r"no aorta: 3 vessels beside .* by labels={number: 'aorta'}"):
+    with pytest.raises(MeshRefusedError, match="no aorta: 3 vessels beside"):
         import_anatomy(path, resolution=2e-3, cache_dir=cache)
     assert import_anatomy(path, labels={1: "aorta"}, resolution=2e-3, cache_dir=cache).targets
 
 
-def test_survives_cache_description_and_pickling(thick: Path, imported: Phantom, cache: Path) -> None:
-    from cathsim.anatomy.volume.importer import _load
-
+def test_a_volume_survives_load_phantom_cache_description_and_pickling(
+    thick: Path, imported: Phantom, cache: Path
+) -> None:
+    assert load_phantom(str(thick), resolution=COARSE, cache_dir=cache).hash == imported.hash
+    with pytest.raises(ValueError, match="takes no seed"):
+        load_phantom(str(thick), seed=3, cache_dir=cache)
+    with pytest.raises(MeshRefusedError, match="unit in its header"):
+        load_phantom(thick, unit="mm", cache_dir=cache)
     _load.cache_clear()
     again = import_anatomy(thick, resolution=COARSE, cache_dir=cache)
     assert again.imported == imported.imported
@@ -238,15 +222,6 @@ def test_survives_cache_description_and_pickling(thick: Path, imported: Phantom,
     description = json.loads(json.dumps(phantom_description(imported)))
     assert phantom_described(description).hash == imported.hash
     assert pickle.loads(pickle.dumps(imported)).imported == imported.imported
-
-
-def test_load_phantom_takes_a_volume(thick: Path, imported: Phantom, cache: Path) -> None:
-    assert load_phantom(str(thick), resolution=COARSE, cache_dir=cache).hash == imported.hash
-    with pytest.raises(ValueError, match="takes no seed"):
-        load_phantom(str(thick), seed=3, cache_dir=cache)
-    for load in (import_anatomy, load_phantom):
-        with pytest.raises(MeshRefusedError, match="unit in its header"):
-            load(thick, unit="mm", cache_dir=cache)
 
 
 @pytest.mark.slow

@@ -14,15 +14,10 @@ from cathsim.console.xray.views import Views
 from cathsim.viewing.opencv import cv2
 
 MakeEnv = Callable[..., NavigateEnv]
-Calls = queue.Queue[tuple[str, Callable[[], None]]]
 
 
-@pytest.fixture
-def calls() -> Calls:
-    return queue.Queue()
-
-
-def test_a_turned_view_is_shown_when_it_is_built(make_env: MakeEnv, calls: Calls) -> None:
+def test_a_turned_view_is_shown_when_it_is_built(make_env: MakeEnv) -> None:
+    calls: queue.Queue[tuple[str, Callable[[], None]]] = queue.Queue()
     env = make_env()
     env.reset(seed=0)
     turned: list[bool] = []
@@ -46,7 +41,7 @@ def test_a_turned_view_is_shown_when_it_is_built(make_env: MakeEnv, calls: Calls
 
 
 @pytest.mark.parametrize("catheter", [None, "vertebral_6f"])
-def test_a_picture_shows_what_the_environment_sees(make_env: Callable[..., NavigateEnv], catheter: str | None) -> None:
+def test_a_picture_shows_what_the_environment_sees(make_env: MakeEnv, catheter: str | None) -> None:
     env = make_env(catheter=catheter, image_size=IMAGE_SIZE)
     procedure = Procedure(env, None, seed=0)
     for _ in range(20):
@@ -68,7 +63,9 @@ def test_a_picture_shows_what_the_environment_sees(make_env: Callable[..., Navig
         assert (shown - bare)[covered].mean() < -5, "the catheter is seen beside the wire"
 
 
-def test_vessels_are_seen_only_with_contrast_medium_or_the_roadmap(make_env: Callable[..., NavigateEnv]) -> None:
+def test_contrast_and_roadmap_show_vessels_and_turned_arms_see_the_target_elsewhere(
+    make_env: MakeEnv,
+) -> None:
     env = make_env()
     procedure = Procedure(env, None, seed=0)
     monitor, wire = FluoroscopyMonitor(env.simulation, size=240), procedure.samples[0].points
@@ -81,11 +78,6 @@ def test_vessels_are_seen_only_with_contrast_medium_or_the_roadmap(make_env: Cal
     assert (map_[changed] >= plain[changed]).all()
     half = monitor.image(wire, contrast=0.5).astype(float)
     assert np.abs(half[changed] ** 2 - filled[changed] * plain[changed]).max() < 700, "transmissions multiply"
-
-
-def test_a_turned_and_zoomed_c_arm_sees_the_target_elsewhere(make_env: Callable[..., NavigateEnv]) -> None:
-    env = make_env()
-    env.reset(seed=0)
     frontal, lateral, near = (
         FluoroscopyMonitor(env.simulation, view, size=240).mark(env.task)
         for view in (CArm(), CArm(primary_deg=90), CArm(zoom=2))

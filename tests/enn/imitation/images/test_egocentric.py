@@ -5,14 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from enn.imitation.images.egocentric import (
-    CATHETER_SIZE,
-    LENGTH_SCALE,
-    VIEW_SIZE,
-    WAY_ARCS,
-    WIRE_ARCS,
-    EgocentricView,
-)
+from enn.imitation.images.egocentric import CATHETER_SIZE, LENGTH_SCALE, VIEW_SIZE, WAY_ARCS, WIRE_ARCS, EgocentricView
 from enn.imitation.images.wire_tracing import trace_wire
 
 SIZE = 128

@@ -4,14 +4,7 @@ import numpy as np
 import pytest
 
 from enn.imitation.images.stereo_geometry import StereoGeometry
-from enn.imitation.images.stereo_view import (
-    CATHETER_SIZE,
-    PARTS,
-    REMAINING_SCALE,
-    STEREO_SIZE,
-    WIRE_ARCS,
-    StereoView,
-)
+from enn.imitation.images.stereo_view import CATHETER_SIZE, PARTS, REMAINING_SCALE, STEREO_SIZE, WIRE_ARCS, StereoView
 from enn.imitation.images.visual_hull import VisualHull
 from enn.imitation.images.wire_tracing import smoothed
 from tests.enn.imitation.images.two_views import (

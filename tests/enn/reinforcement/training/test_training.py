@@ -1,16 +1,22 @@
-"""Trainings learn, repeat, say so in files, and follow the thesis's presets."""
+"""Trainings learn, repeat, resume, start from a policy, see what they may, and follow the thesis's presets."""
 
 import dataclasses
 import json
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
 
+from enn.encoder import Encoder, EncoderSettings
 from enn.policy import Policy
+from enn.reinforcement.checkpoint import CheckpointError
 from enn.reinforcement.evaluation import run_episodes
+from enn.reinforcement.replay import demonstration_replay
+from enn.reinforcement.sampling import SampledEnvs
+from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import (
     DESK_PPO,
     THESIS_PPO,
@@ -23,7 +29,9 @@ from enn.reinforcement.training import (
 )
 from enn.reinforcement.training.result import COLUMNS
 from enn.reinforcement.training.training import TrainingRun
-from tests.enn.reinforcement.small_training import SMALL
+from tests.enn.conftest import PointEnv
+from tests.enn.event_scalars import scalars
+from tests.enn.reinforcement.small_training import SMALL, demonstrated, interrupted, require_same_weights
 
 
 def test_sac_learns_and_its_curve_and_files_say_so(point_env: Any, tmp_path: Path) -> None:
@@ -70,16 +78,6 @@ def test_ppo_learns(point_env: Any) -> None:
     assert result.evaluation["steps"] < 12
 
 
-def test_the_same_seed_gives_the_same_training(point_env: Any) -> None:
-    settings = dataclasses.replace(SMALL, decisions=320, evaluate_every=160)
-    weights = []
-    for seed in (2, 2, 3):
-        policy = Training(settings, point_env, None, seed=seed).run().policy
-        weights.append(torch.cat([value.flatten() for value in policy.module.actor.parameters()]))
-    assert torch.equal(weights[0], weights[1])
-    assert not torch.equal(weights[0], weights[2])
-
-
 def test_updates_beside_the_simulation_learn_and_do_not_depend_on_threads_and_processes(
     point_env: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -88,7 +86,7 @@ def test_updates_beside_the_simulation_learn_and_do_not_depend_on_threads_and_pr
     assert learnt.evaluation["success"] == 1.0
     assert learnt.timings["updates"] == pytest.approx(696, abs=8)
     weights = []
-    short = dataclasses.replace(settings, decisions=320, evaluate_every=0)
+    short = dataclasses.replace(settings, decisions=240, evaluate_every=0)
     for threads, worth in ((1, 0), (3, 0), (3, 10_000)):
         monkeypatch.setattr("enn.reinforcement.training.inputs.WORTH_A_PROCESS", worth)
         result = Training(dataclasses.replace(short, threads=threads), point_env, None, seed=3).run()
@@ -100,42 +98,26 @@ def test_event_files_on_request(point_env: Any, tmp_path: Path) -> None:
     pytest.importorskip("tensorboard")
     settings = dataclasses.replace(SMALL, decisions=240, evaluate_every=0, logger="tensorboard")
     Training(settings, point_env, tmp_path).run()
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    events = EventAccumulator(str(tmp_path / "tensorboard"))
-    events.Reload()
-    assert [event.step for event in events.Scalars("curve/reward")] == [104, 200, 240]
-    assert events.Scalars("curve/episode_return")[-1].step == 240
-    assert "train/critic_loss" in events.Tags()["scalars"]
+    found = scalars(tmp_path)
+    assert list(found["curve/reward"]) == [104, 200, 240]
+    assert max(found["curve/episode_return"]) == 240
+    assert "train/critic_loss" in found
 
 
-def test_what_is_called_after_evaluations_sees_them_and_changes_nothing(point_env: Any) -> None:
+def test_the_seed_decides_and_what_is_called_after_evaluations_sees_them_and_changes_nothing(point_env: Any) -> None:
     settings, seen = dataclasses.replace(SMALL, decisions=240, evaluate_every=100), []
 
     def film(policy: Policy, decisions: int) -> None:
         seen.append((decisions, policy.keys))
 
-    curves = [Training(settings, point_env, after_evaluation=each).run().curve for each in (film, None)]
+    filmed = Training(settings, point_env, after_evaluation=film).run()
+    plain, other = (Training(settings, point_env, seed=seed).run() for seed in (0, 3))
     assert [decisions for decisions, _ in seen] == [104, 200, 240]
-    same = [
-        [{name: value for name, value in row.items() if name not in ("wall_s", "cpu_s")} for row in c] for c in curves
-    ]
-    assert same[0] == same[1]
-
-
-def test_refusals_say_why() -> None:
-    with pytest.raises(ValueError, match="decisions must be greater than or equal to 1, got 0"):
-        SacSettings(decisions=0)
-    with pytest.raises(ValueError, match=r"ent_coef must be a valid number.*, got 'auto_0\.05'"):
-        PpoSettings(ent_coef="auto_0.05")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="TrainingSettings name no algorithm: take SacSettings or PpoSettings"):
-        TrainingSettings()
-    with pytest.raises(ValueError, match="with cloning_weight give demonstrations_in_replay, too"):
-        SacSettings(cloning_weight=1.0)
-    with pytest.raises(ValueError, match="algorithm must be 'sac', got 'ppo'"):
-        SacSettings(algorithm="ppo")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="gamma must be less than or equal to 1, got"):
-        SacSettings(gamma=1.5)
+    clocks = {"wall_s": 0.0, "cpu_s": 0.0}
+    assert [row | clocks for row in filmed.curve] == [row | clocks for row in plain.curve]
+    require_same_weights(filmed.policy, plain.policy)
+    with pytest.raises(AssertionError):
+        require_same_weights(plain.policy, other.policy)
 
 
 def test_starts_enter_the_bank_and_validation_has_its_own_environments(point_env: Any) -> None:
@@ -177,9 +159,17 @@ def test_the_thesis_presets_are_its_tables() -> None:
 
 
 def test_settings_that_contradict_each_other_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"ent_coef must be a valid number.*, got 'auto_0\.05'"):
+        PpoSettings(ent_coef="auto_0.05")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="take SacSettings or PpoSettings"):
+        TrainingSettings()
+    with pytest.raises(ValueError, match="with cloning_weight give demonstrations_in_replay"):
+        SacSettings(cloning_weight=1.0)
+    with pytest.raises(ValueError, match="algorithm must be 'sac', got 'ppo'"):
+        SacSettings(algorithm="ppo")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"a fixed ent_coef of 1\.0 aims at no entropy"):
         dataclasses.replace(THESIS_SAC, ent_coef=1.0, target_entropy=-2.0)
-    for odd in ("auto_0", "auto_-1", "auto_x", "fixed", "auto_nan"):
+    for odd in ("auto_0", "auto_x", "fixed", "auto_nan"):
         with pytest.raises(ValueError, match="ent_coef must be a number, auto, or auto_ and the positive number"):
             dataclasses.replace(THESIS_SAC, ent_coef=odd)
     with pytest.raises(ValueError, match="SacSettings has no n_steps"):
@@ -196,3 +186,165 @@ def test_a_smaller_budget_makes_smaller_what_has_no_room_in_it() -> None:
     assert THESIS_PPO.sized(1024, 30).n_steps == 512
     assert THESIS_PPO.sized(1, 30).n_steps == 16
     assert THESIS_SAC.sized(THESIS_SAC.decisions, 30) == dataclasses.replace(THESIS_SAC, buffer_size=600_000)
+
+
+def test_demonstrations_enter_bank_and_replay(point_env: Any) -> None:
+    trajectories = demonstrated(point_env)
+    settings = dataclasses.replace(
+        SMALL, decisions=240, demonstrations_in_replay=0.25, evaluate_every=0, reset_bank_share=1.0
+    )
+    run = TrainingRun(Training(settings, point_env, None, 0, trajectories), None)
+    assert isinstance(run.learner, SacLearner)
+    assert run.learner.replay.demonstrations.added == sum(map(len, trajectories))
+    assert isinstance(run.sampled, SampledEnvs)
+    assert len(run.sampled.reset_bank) >= 3
+    drawn = run.learner.replay.demonstrations.gather(
+        np.arange(len(trajectories[0])), np.zeros(len(trajectories[0]), int)
+    )
+    np.testing.assert_allclose(drawn.actions, trajectories[0].actions, atol=1e-6)
+    np.testing.assert_allclose(drawn.next_observations["place"], trajectories[0].observations["place"][1:])
+    assert drawn.dones[-1] == 1.0
+    starts = run.envs.reset()["place"]
+    known = np.concatenate([t.observations["place"] for t in trajectories])
+    assert all(np.abs(known - start).max(axis=1).min() < 1e-6 for start in starts)
+    result = run.train()
+    assert result.evaluation is None
+
+    held = demonstration_replay(
+        trajectories[:1], run.envs.observation_space, point_env.action_space, action_repeat=len(trajectories[0])
+    )
+    assert held.added == 1
+    whole = held.gather(np.zeros(1, int), np.zeros(1, int))
+    np.testing.assert_allclose(whole.actions[0], trajectories[0].actions.mean(axis=0), atol=1e-6)
+    assert float(whole.rewards) == pytest.approx(trajectories[0].rewards.sum(), rel=1e-5)
+    np.testing.assert_allclose(whole.next_observations["place"][0], trajectories[0].observations["place"][-1])
+    with pytest.raises(ValueError, match="no demonstrations to put"):
+        demonstration_replay([], run.envs.observation_space, point_env.action_space)
+
+
+def test_the_real_simulator_trains_a_little(tmp_path: Path) -> None:
+    pytest.importorskip("cathsim")
+
+    def make() -> gymnasium.Env[Any, Any]:
+        return gymnasium.make(
+            "cathsim:cathsim/Navigate-v0",
+            observation=("shape", "feeder"),
+            reward="geodesic",
+            success_radius=0.008,
+            max_steps=20,
+            start_jitter=0.001,
+            start_rotation=np.pi,
+            disable_env_checker=True,
+        )
+
+    settings = dataclasses.replace(
+        SMALL,
+        decisions=120,
+        n_envs=2,
+        learning_starts=60,
+        evaluate_every=120,
+        evaluation_episodes=2,
+        gradient_steps=0.2,
+    )
+    result = Training(settings, make, None, seed=0).run()
+    assert result.evaluation["steps"] == 20
+    interrupted(Training(settings, make, tmp_path, seed=0), 80)
+    resumed = Training(settings, make, tmp_path, seed=0).run()
+    assert resumed.evaluation == result.evaluation
+    require_same_weights(result.policy, resumed.policy)
+    assert result.evaluation["path_mm"] > 0
+    assert Policy.load(tmp_path / "policy.pt").keys == ("feeder", "shape")
+
+
+def test_with_a_frozen_encoder_it_trains_resumes_and_loads(point_env: Any, tmp_path: Path) -> None:
+    def make() -> Any:
+        return point_env(("place", "mask"), max_steps=15)
+
+    torch.manual_seed(0)
+    encoder = Encoder(EncoderSettings(keys=("mask",), shapes=((1, 36, 36),), channels=(4,), hidden=16, features=8))
+    before = {name: value.clone() for name, value in encoder.state_dict().items()}
+    settings = dataclasses.replace(
+        SMALL, passthrough=("place",), decisions=240, learning_starts=80, evaluate_every=120, evaluation_episodes=3
+    )
+    straight = Training(settings, make, None, seed=0, encoder=encoder).run()
+    interrupted(Training(settings, make, tmp_path, seed=0, encoder=encoder), 120)
+    resumed = Training(settings, make, tmp_path, seed=0, encoder=encoder).run()
+    batch = {"mask": np.zeros((4, 1, 36, 36), np.uint8), "place": np.linspace(-1, 1, 8, dtype=np.float32).reshape(4, 2)}
+    batch["mask"][np.arange(4), 0, np.arange(4), 5] = 255
+    loaded = Policy.load(tmp_path / "policy.pt")
+    assert loaded.keys == ("mask", "place")
+    assert loaded.features(batch).shape == (4, 10)
+    np.testing.assert_array_equal(straight.policy.act_batch(batch), resumed.policy.act_batch(batch))
+    np.testing.assert_array_equal(loaded.act_batch(batch), resumed.policy.act_batch(batch))
+    assert all(torch.equal(value, before[name]) for name, value in encoder.state_dict().items())
+
+
+def test_an_asymmetric_critic_needs_nothing_to_act(point_env: Any, tmp_path: Path) -> None:
+    settings = dataclasses.replace(
+        SMALL, keys=("place",), critic_keys=("place", "range"), decisions=240, evaluate_every=240
+    )
+    Training(settings, lambda: point_env(("place", "range", "mask")), tmp_path, seed=0).run()
+    loaded = Policy.load(tmp_path / "policy.pt")
+    assert loaded.keys == ("place",)
+    assert loaded.act({"place": np.zeros(2, np.float32)}).shape == (2,)
+
+
+SHORT = dataclasses.replace(SMALL, stop_after=0, decisions=400, evaluate_every=200, keep_critics=True)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trained")
+    settings = dataclasses.replace(SMALL, gradient_steps=1.0, keep_critics=True)
+    Training(settings, PointEnv, folder, seed=3).run()
+    return folder / "policy.pt"
+
+
+def test_the_critics_are_kept_and_read(trained: Path, tmp_path: Path) -> None:
+    policy = Policy.load(trained)
+    assert policy.critics
+    policy.save(tmp_path / "acting.pt")
+    acting = Policy.load(tmp_path / "acting.pt")
+    assert not acting.critics
+    observation = {"place": np.array([0.3, -0.2], np.float32)}
+    np.testing.assert_array_equal(acting.act(observation), policy.act(observation))
+    assert (tmp_path / "acting.pt").stat().st_size < 0.5 * trained.stat().st_size
+    with pytest.raises(ValueError, match="this policy has no critics"):
+        acting.save(tmp_path / "again.pt", critics=True)
+    with pytest.raises(ValueError, match="has no critics"):
+        Training(SHORT, PointEnv, initial=acting).run()
+
+
+def test_it_begins_with_the_policys_weights_and_keeps_them_if_none_are_better(trained: Path, point_env: Any) -> None:
+    initial = Policy.load(trained)
+    settings = dataclasses.replace(SHORT, decisions=200, learning_starts=200, evaluate_every=200)
+    result = Training(settings, point_env, seed=5, initial=initial).run()
+    require_same_weights(initial, result.policy)
+    assert result.timings["updates"] == 0
+    # it acts itself from the first decision on: nearly every training episode succeeds
+    assert result.curve[-1]["success"] > 0.8
+
+
+def test_an_interrupted_one_goes_on_exactly(trained: Path, point_env: Any, tmp_path: Path) -> None:
+    initial = Policy.load(trained)
+    whole = Training(SHORT, point_env, tmp_path / "whole", seed=5, initial=initial).run()
+    settings = dataclasses.replace(SHORT, checkpoint_seconds=0.0)
+    interrupted(Training(settings, point_env, tmp_path / "parts", seed=5, initial=initial), 250)
+    other = Policy.load(trained)
+    next(other.module.parameters()).data.add_(1e-3)
+    with pytest.raises(CheckpointError, match="its initial is"):
+        Training(settings, point_env, tmp_path / "parts", seed=5, initial=other).run()
+    parts = Training(settings, point_env, tmp_path / "parts", seed=5, initial=initial).run()
+    require_same_weights(whole.policy, parts.policy)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"hidden": (16, 16)}, r"hidden=\(32, 32\), not \(16, 16\)"),
+        ({"action_repeat": 2}, "holds actions for 1 steps, the training for 2"),
+    ],
+)
+def test_another_network_is_refused(trained: Path, point_env: Any, changed: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Training(dataclasses.replace(SHORT, **changed), point_env, initial=Policy.load(trained)).run()

@@ -30,15 +30,10 @@ def test_bytes_are_those_of_the_protobuf_library(episode):
     assert encode_step(record) == as_message(record).SerializeToString(deterministic=True)
 
 
-@pytest.mark.parametrize("index", [0, 1, 2, 3, 22])
-def test_library_reads_what_the_codec_writes(episode, index):
+@pytest.mark.parametrize("index", [0, 3])  # without contacts, and with three
+def test_codec_and_library_read_each_other(episode, assert_same, index):
     record = episode.records[index]
     assert Step.FromString(encode_step(record)) == as_message(record)
-
-
-@pytest.mark.parametrize("index", [0, 1, 2, 3, 22])
-def test_codec_reads_what_the_library_writes(episode, assert_same, index):
-    record = episode.records[index]
     assert_same(decode_step(as_message(record).SerializeToString()), record)
 
 
@@ -53,12 +48,9 @@ def test_round_trip_keeps_special_numbers(episode, assert_same):
     assert_same(decode_step(encode_step(record)), record)
 
 
-def test_fields_of_later_versions_are_skipped(episode, assert_same):
+def test_fields_of_later_versions_are_skipped_and_unpacked_doubles_read(episode, assert_same):
     data = encode_step(episode.records[3]) + b"\xfa\x01\x03abc" + b"\x80\x02\x05"
     assert_same(decode_step(data), episode.records[3])
-
-
-def test_unpacked_doubles_are_read(episode):
     data = encode_step(replace(episode.records[3], action=np.zeros(0)))
     unpacked = b"\x11" + np.float64(1.5).tobytes() + b"\x11" + np.float64(-2.5).tobytes()
     np.testing.assert_array_equal(decode_step(data + unpacked).action, [1.5, -2.5])
@@ -78,8 +70,8 @@ def test_varint_is_that_of_the_library():
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("tip", np.zeros(2), r"tip must have shape \(3,\), got \(2,\)"),
-        ("wire_points", np.zeros(6), r"wire_points must have shape \(n, 3\), got \(6,\)"),
+        ("tip", np.zeros(2), r"tip must have shape \(3,\)"),
+        ("wire_points", np.zeros(6), r"wire_points must have shape \(n, 3\)"),
         ("contact_forces", np.zeros((9, 3)), "3 positions and 9 forces"),
         ("step", -1, "step must lie in 0 to 1000000"),
     ],
@@ -90,5 +82,4 @@ def test_record_refuses_wrong_shapes(episode, name, value, message):
 
 
 def test_force_norm_is_that_of_its_vector(episode):
-    record = replace(episode.records[0], resultant_force=np.array([2.0, -3.0, 6.0]))
-    assert record.resultant_force_norm == 7.0
+    assert replace(episode.records[0], resultant_force=np.array([2.0, -3.0, 6.0])).resultant_force_norm == 7.0

@@ -36,16 +36,11 @@ def test_an_interrupted_export_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_a_killed_export_left_is_removed(wire_logs: Path, tmp_path: Path) -> None:
-    left = tmp_path / ".writing-99999999-out"
-    (left / "data").mkdir(parents=True)
-    export_logs(wire_logs, "hdf5", tmp_path / "out", pictures=False)
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]
-
-
 def test_a_destination_is_replaced_only_when_asked(wire_logs: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
+    (tmp_path / ".writing-99999999-out" / "data").mkdir(parents=True)  # of a killed export
     assert main(["export", str(wire_logs), "--to", "hdf5", "--output", str(out), "--no-pictures"]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
     with pytest.raises(ExportError, match="is there already: give another folder, or --overwrite"):
         export_logs(wire_logs, "hdf5", out)
     (out / "mine.txt").write_text("mine")
@@ -108,12 +103,8 @@ def test_fields_of_a_wire(wire_logs: Path) -> None:
 def test_fields_of_two_devices(dual_logs: Path) -> None:
     layout = common_layout(sorted(dual_logs.glob("*.mcap")), pictures=False)
     assert layout.action.parts == ("wire_translation", "wire_rotation", "catheter_translation", "catheter_rotation")
-    assert layout.observations["feeder"].parts[3:] == (
-        "catheter_insertion_m",
-        "catheter_rotation_cos",
-        "catheter_rotation_sin",
-        "lead_m",
-    )
+    of_catheter = tuple(f"catheter_{part}" for part in ("insertion_m", "rotation_cos", "rotation_sin"))
+    assert layout.observations["feeder"].parts[3:] == (*of_catheter, "lead_m")
     assert layout.infos["device_feeder_forces"].shape == (2,)
     assert not layout.pictures
 
@@ -123,15 +114,11 @@ def test_logs_that_differ_are_refused_by_name(
 ) -> None:
     shutil.copy(wire_logs / "0.mcap", tmp_path / "a.mcap")
     shutil.copy(dual_logs / "0.mcap", tmp_path / "b.mcap")
-    with pytest.raises(
-        ExportError, match=r"a.mcap and .*b.mcap differ in action \(2 and 4\), feeder \(3 and 7\)"
-    ) as caught:
+    with pytest.raises(ExportError, match=r"a.mcap and .*b.mcap differ in action \(2 and 4\)") as caught:
         common_layout([tmp_path / "a.mcap", tmp_path / "b.mcap"])
     assert "\n" not in str(caught.value)
     assert "device_lead (none and one number)" in str(caught.value)
     other = record_logs(tmp_path / "other", image_size=32)
-    with pytest.raises(
-        ExportError, match=r"differ in pictures of frontal \(48x48 and 32x32\): export logs of one kind"
-    ):
+    with pytest.raises(ExportError, match=r"differ in pictures of frontal \(48x48 and 32x32\)"):
         common_layout([tmp_path / "a.mcap", other / "0.mcap"])
     common_layout([tmp_path / "a.mcap", other / "0.mcap"], pictures=False)

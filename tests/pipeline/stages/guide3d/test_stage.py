@@ -1,4 +1,4 @@
-"""The guide3d stage: a tiny generated data set with all it leaves, one's own data set, and bad input."""
+"""The guide3d stage: its generator, a tiny data set with all it leaves, one's own data set, and bad input."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from guide3d.dataset.acquisition_split import COMPOSITION, plan_acquisitions
+from guide3d.dataset.annotation_files import read_curves
+from guide3d.dataset.cvat import read_cvat
 from guide3d.dataset.dataset import Dataset
+from guide3d.geometry.polyline import distances_to
+from pipeline.jobs.worker import Report
 from pipeline.stages.guide3d import stage as guide3d
 from pipeline.stages.guide3d.figures import reconstruction_tables
 from pipeline.stages.guide3d.folder import open_dataset
+from pipeline.stages.guide3d.generator import TAKES, GenerationJob, assemble, cameras_of, generate
 from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.store.errors import ConfigurationError, StageError
 from tests.guide3d.dataset.drawn_dataset import write_dataset
-from tests.pipeline.stages.small_expert import context, in_this_process
-
-
-@pytest.fixture(autouse=True)
-def here(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guide3d, "run_jobs", in_this_process)
+from tests.pipeline.stages.small_expert import run_here
 
 
 @pytest.fixture(scope="module")
@@ -29,10 +30,8 @@ def generated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a stage that generated four pairs, distorted."""
     run = tmp_path_factory.mktemp("run")
     settings = Guide3dSettings(images=8, pairs=1, targets=["bca"], image_size_px=256, distorted=True)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(guide3d, "run_jobs", in_this_process)
-        guide3d.check_guide3d(settings)
-        guide3d.run_guide3d(settings, context(run, "guide3d", ())).write(run / "guide3d")
+    guide3d.check_guide3d(settings)
+    run_here(settings, run, guide3d, ())
     return run / "guide3d"
 
 
@@ -44,9 +43,8 @@ def own(tmp_path: Path) -> Path:
 
 
 def run_own(root: Path, tmp_path: Path, **changed) -> Path:
-    stage = context(tmp_path / "run", "guide3d", ())
-    guide3d.run_guide3d(Guide3dSettings(root=str(root), **changed), stage).write(stage.path)
-    return stage.path
+    run_here(Guide3dSettings(root=str(root), **changed), tmp_path / "run", guide3d, ())
+    return tmp_path / "run" / "guide3d"
 
 
 def test_a_generated_run_leaves_data_curves_tables_and_figures(generated: Path) -> None:
@@ -63,7 +61,6 @@ def test_a_generated_run_leaves_data_curves_tables_and_figures(generated: Path) 
     assert data.undistorted is False
     curves = [frame.reconstruction_mm for frame in data.frames]
     errors = [np.linalg.norm(curve[0] - frame.curve_mm[0]) for curve, frame in zip(curves, data.frames, strict=True)]
-    assert len(errors) == 4
     assert max(errors) < 1.0
     shown = {entry["file"] for entry in json.loads((generated / "figures.json").read_text())}
     assert shown == {"samples.png", "reprojection.png", "segments.png", "overlays.png", "space.png"}
@@ -120,16 +117,14 @@ def test_swapped_and_missing_cameras_are_said(own: Path, tmp_path: Path) -> None
 
 
 def test_settings_say_what_is_wrong(own: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"guide3d\.root=.*nowhere is missing"):
-        Guide3dSettings(root=str(tmp_path / "nowhere"))
-    with pytest.raises(ConfigurationError, match=r"give guide3d\.root=PATH too"):
-        Guide3dSettings(calibration=str(own))
-    with pytest.raises(ConfigurationError, match=r"stage\.images must be even"):
-        Guide3dSettings(images=9)
-    with pytest.raises(ConfigurationError, match=r"stage\.filling has no 'milk'"):
-        Guide3dSettings(filling="milk")
-    with pytest.raises(ConfigurationError, match="phantom type_1 has no branch 'aorta'"):
-        guide3d.check_guide3d(Guide3dSettings(targets=["aorta"]))
+    for wrong, sentence in (
+        ({"root": str(tmp_path / "nowhere")}, r"guide3d\.root=.*nowhere is missing"),
+        ({"calibration": str(own)}, r"give guide3d\.root=PATH too"),
+        ({"images": 9}, r"stage\.images must be even"),
+        ({"targets": ["aorta"]}, "type_1 has no branch 'aorta'"),
+    ):
+        with pytest.raises(ConfigurationError, match=sentence):
+            guide3d.check_guide3d(Guide3dSettings(**wrong))
     with pytest.raises(StageError, match="run stage=guide3d again"):
         open_dataset(tmp_path)
 
@@ -161,3 +156,68 @@ def test_failed_pairs_count_as_not_accepted() -> None:
     assert tables["guide3d_reprojection_px"]["camera_b"]["peak_mean"] == 6.0
     assert tables["guide3d_reprojection_px"]["camera_b"]["distal_mean"] == 0.0
     assert "guide3d_simulated_validation_mm" not in tables
+
+
+SIZE = 256
+SETTINGS = Guide3dSettings(image_size_px=SIZE, distorted=True)
+CENTRE = (0.0, 0.0, 0.004)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set with an acquisition of each kind."""
+    folder = tmp_path_factory.mktemp("stage")
+    plan = plan_acquisitions(24, 2, ["type_1"], ["bca"])
+    kinds = {(one.fluid, one.wire): one for one in plan}
+    chosen = tuple(kinds.values())
+    result = generate(GenerationJob(folder, chosen, SETTINGS, CENTRE, 0), Report())
+    assert result["pairs"] == sum(one.pairs for one in chosen)
+    record = folder / TAKES / f"{chosen[0].name}.json"
+    image = next((folder / "dataset" / "images").glob(f"{chosen[0].name}-2/000.png"))
+    first = record.read_bytes(), image.read_bytes()
+    record.unlink()  # as if killed before the end of this acquisition
+    image.write_bytes(b"half")
+    generate(GenerationJob(folder, chosen, SETTINGS, CENTRE, 0), Report())
+    assert (record.read_bytes(), image.read_bytes()) == first
+    assemble(folder, chosen, SETTINGS, CENTRE)
+    assert assemble(folder, chosen, SETTINGS, CENTRE) == folder / "dataset"  # done already
+    return folder / "dataset"
+
+
+def test_truth_annotation_cameras_and_other_files_agree(made: Path) -> None:
+    data = Dataset.open(made, strict=True)
+    assert data.undistorted is False
+    assert {(frame.fluid, frame.wire) for frame in data.frames} == set(COMPOSITION)
+    for frame in data.frames:
+        for view, camera in (("a", data.camera_a), ("b", data.camera_b)):
+            assert camera is not None
+            seen = camera.project(frame.visible_curve_mm(view))
+            points = frame.polyline(view)
+            assert distances_to(seen, data.undistort(view, points)).max() < 0.1
+            assert distances_to(points, data.distort(view, seen)).max() < 0.1
+            exact = {one.name: one for one in cameras_of(SETTINGS, CENTRE).values()}[view]
+            assert distances_to(points, exact.pixels(1e-3 * frame.visible_curve_mm(view))).max() < 0.1
+    exported = {one.label: one for one in read_cvat(made / "cvat.xml", [])}
+    curves = read_curves(made / "b_spline.json", [])
+    for frame in data.frames:
+        assert np.array_equal(exported[frame.label].points_b, frame.polyline("b"))
+        fitted = curves[frame.acquisition, frame.number].b.sample(300)
+        assert distances_to(frame.polyline("b"), fitted).max() < 2.0  # clicks closer than 2 px are one
+
+
+def test_the_annotation_lies_on_the_dark_wire(made: Path) -> None:
+    data = Dataset.open(made)
+    darker = []
+    for frame in data.frames:
+        image = frame.image("a").astype(float)
+        points = frame.polyline("a")
+        along = np.gradient(points, axis=0)
+        across = np.column_stack([-along[:, 1], along[:, 0]]) / np.linalg.norm(along, axis=1, keepdims=True)
+
+        def grey(at: np.ndarray, image: np.ndarray = image) -> np.ndarray:
+            column, row = np.clip(at.round().astype(int), 0, SIZE - 1).T
+            return image[row, column]
+
+        beside = (grey(points + 4 * across) + grey(points - 4 * across)) / 2
+        darker.append(np.median(beside - grey(points)))
+    assert min(darker) > 4

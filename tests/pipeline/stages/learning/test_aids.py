@@ -46,42 +46,34 @@ def test_tasks_of_a_row_that_differ_are_told_apart() -> None:
     without = replace(DESK, task=replace(DESK.task, phantom="type_2"), demonstrations=())
     for jobs in ([DESK, without], [without, DESK]):
         note = note_of_jobs(jobs, of_training)
-        assert "I+V+M in type_1/bca: " in note
-        assert "I+V+M in type_2/bca: " in note
-        assert "states of demonstrations and own successes" in note
-        assert "to states of own successes" in note
+        for words in ("I+V+M in type_1/bca: ", "I+V+M in type_2/bca: ", "states of demonstrations", "states of own"):
+            assert words in note
 
 
 def test_a_desk_training_names_every_aid() -> None:
     note = note_of_jobs([DESK], of_training)
     for aid in (
-        "shaped reward of training (geodesic, less 40 a metre of the tip's path)",
-        f"{100 * DESK_SAC.reset_bank_share:.0f} % of the resets along the path, to states of demonstrations and own "
-        "successes",
-        "25 % of each batch are steps of the planner's demonstrations (3)",
-        "an encoder fitted beforehand and frozen",
+        "geodesic, less 40 a metre",
+        f"{100 * DESK_SAC.reset_bank_share:.0f} % of the resets along the path, to states of demonstrations",
+        "25 % of each batch",
+        "an encoder fitted beforehand",
         f"actions held for {DESK_SAC.action_repeat} steps",
         "2 actions",
         "images of 80 px",
-        "starts turned by up to 180 degrees either way",
+        "turned by up to 180 degrees",
         f"{DESK_SAC.decisions:,} decisions",
     ):
         assert aid in note, aid
-
-
-def test_other_physics_in_training_are_named() -> None:
-    note = note_of_jobs([replace(DESK, task=replace(DESK.task, accuracy="fast"))], of_training)
-    assert "trained in fast physics, chosen and tested in accurate ones" in note
-    assert "physics" not in note_of_jobs([DESK], of_training)
+    assert "physics" not in note
+    other = note_of_jobs([replace(DESK, task=replace(DESK.task, accuracy="fast"))], of_training)
+    assert "fast physics, chosen and tested in accurate" in other
 
 
 def test_what_a_training_does_not_have_is_not_named() -> None:
-    note = note_of_jobs([THESIS], of_training)
-    assert note == f"How the measured rows were made: 2 actions; images of 80 px; {THESIS_SAC.decisions:,} decisions."
+    assert of_training(THESIS) == ["2 actions", "images of 80 px", f"{THESIS_SAC.decisions:,} decisions"]
     alone = note_of_jobs([replace(DESK, demonstrations=(), keys=("joints",))], of_training)
-    assert "planner" not in alone
-    assert "demonstrations" not in alone
-    assert "px" not in alone
+    for words in ("planner", "demonstrations", "px"):
+        assert words not in alone
 
 
 def test_rows_that_were_made_alike_are_named_together() -> None:
@@ -90,10 +82,7 @@ def test_rows_that_were_made_alike_are_named_together() -> None:
     note = note_of_jobs([DESK, other, other_observation], of_training)
     assert note.count("shaped reward") == 1
     assert note.endswith("I+V+M, V: images of 80 px.")
-    assert (
-        note_of({"a": ["one"], "b": ["two"]})
-        == "How the measured rows were made: with nothing in common. a: one. b: two."
-    )
+    assert note_of({"a": ["one"], "b": ["two"]}).endswith(" a: one. b: two.")
 
 
 def test_imitation_says_whose_weight_matches_features() -> None:
@@ -101,9 +90,8 @@ def test_imitation_says_whose_weight_matches_features() -> None:
     job = ImitationJob(Path("s"), Origin("imitation", "dagger", 0, "thesis"), cloning, LearningTask("type_1", "bca"),
                        Path("e"), 10, 30, 5, rounds=DaggerSettings(rounds=3))  # fmt: skip
     note = note_of_jobs([job], of_imitation)
-    assert "thesis network, from 10 episodes" in note
-    assert "features matched with weight 0.1, which is ours" in note
-    assert "3 rounds of 10 own episodes" in note
+    for words in ("from 10 episodes", "features matched with weight 0.1", "3 rounds of 10 own episodes"):
+        assert words in note
     assert "features" not in note_of_jobs([replace(job, settings=replace(cloning, feature_matching=0.0))], of_imitation)
 
 
@@ -117,9 +105,8 @@ def test_the_report_gathers_notes_of_a_sweep_once(tmp_path: Path) -> None:
 
 
 def test_the_report_says_where_seeds_had_other_settings(tmp_path: Path) -> None:
-    of_seed = partial(
-        Manifest, "unseen", "desk", "desk", identity=Identity("", {}, 1), outputs={}, wall_time_s=1.0, finished=""
-    )
+    written = {"identity": Identity("", {}, 1), "outputs": {}, "wall_time_s": 1.0, "finished": ""}
+    of_seed = partial(Manifest, "unseen", "desk", "desk", **written)
     own, other = asdict(UnseenSettings()), asdict(UnseenSettings(shipped=True, device="cuda"))
     finished = {
         "unseen": of_seed(0, own),
@@ -127,8 +114,6 @@ def test_the_report_says_where_seeds_had_other_settings(tmp_path: Path) -> None:
         "unseen@seed=1,stage.decisions=5": of_seed(1, own, variant=["seed=1", "stage.decisions=5"]),
     }
     (text,) = mixed_seeds(finished).values()
-    assert text.startswith(
-        "unseen@seed=1 had other settings than unseen (anatomies, decisions, field_mm, navigator_sha256, "
-    )
+    assert text.startswith("unseen@seed=1 had other settings than unseen (anatomies, decisions, field_mm, navigator_")
     assert "device" not in text
     assert mixed_seeds({**finished, "unseen@seed=1": of_seed(1, {**own, "device": "cuda"}, variant=["seed=1"])}) == {}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from enn.force.samples import force_samples, split_episodes
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
 from pipeline.recording.record import record_episode
@@ -51,7 +51,9 @@ def test_an_episode_reads_as_the_environment_showed_it(enn: Path) -> None:
             assert episode.forces[step] == pytest.approx(info["force"], abs=1e-12)
 
 
-def test_a_damaged_log_is_left_out_by_name(enn: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_damaged_log_is_left_out_by_name_and_a_damaged_expert_refused(
+    enn: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     shutil.copytree(enn, tmp_path / "enn")
     logs = expert_logs(expert_folder(tmp_path / "enn", "type_1/bca", "I+V+M"))
     data = logs[1].read_bytes()
@@ -61,51 +63,44 @@ def test_a_damaged_log_is_left_out_by_name(enn: Path, tmp_path: Path, caplog: py
     assert len(caplog.messages) == 1
     assert "001.mcap is left out" in caplog.messages[0]
     assert task_of_logs(logs[1:]) == TASK
-    with pytest.raises(StageError, match=r"no episode that can be read of 1 in .*: run stage=enn again"):
+    with pytest.raises(StageError, match="no episode that can be read"):
         task_of_logs(logs[1:2])
-
-
-@pytest.mark.parametrize(
-    ("changed", "sentence"),
-    [
-        ({"image_size_px": 48}, "another image size: its 'image' has shape"),
-        ({"wire": "thesis"}, "another wire or catheter than"),
-    ],
-)
-def test_episodes_of_another_kind_are_one_sentence(enn: Path, tmp_path: Path, changed: dict, sentence: str) -> None:
-    other = write_expert(
-        tmp_path / "other", episodes=1, task=replace(TASK, task=replace(TASK.task, max_steps=1, **changed))
-    )
-    logs = [*expert_logs(expert_folder(enn, "type_1/bca", "I+V+M"))[:1], *expert_logs(other)]
-    with pytest.raises(StageError, match=sentence):
-        read_episodes(logs)
-
-
-def test_a_damaged_expert_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "policy.pt").write_bytes(b"no policy")
     with pytest.raises(StageError, match="damaged or no policy"):
         load_expert(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [({"image_size_px": 48}, "another image size"), ({"wire": "thesis"}, "another wire or catheter")],
+)
+def test_episodes_of_another_kind_are_one_sentence(enn: Path, tmp_path: Path, changed: dict, sentence: str) -> None:
+    task = replace(TASK, task=replace(TASK.task, max_steps=1, **changed))
+    other = write_expert(tmp_path / "other", episodes=1, task=task)
+    logs = [*expert_logs(expert_folder(enn, "type_1/bca", "I+V+M"))[:1], *expert_logs(other)]
+    with pytest.raises(StageError, match=sentence):
+        read_episodes(logs)
+
+
 STEPS = 110
+
+
+def recorded(folder: Path, action: list[float], **task: str) -> ShapeForceJob:
+    """A job with two episodes of one action."""
+    asked = LearningTask("type_1", "bca", Task(max_steps=STEPS, image_size_px=36, **task))
+    environment = asked.environment(("feeder", "tip", "image"))
+    for number in range(2):
+        path = folder / "episodes" / f"{number:03d}.mcap"
+        record_episode(environment, lambda *_: np.array(action, np.float32), path, seed=number, operator="script")
+    return ShapeForceJob(folder / "shape", "type_1", (folder / "episodes",), 1000, 0, disturbed=False)
 
 
 @pytest.fixture(scope="module")
 def job(tmp_path_factory: pytest.TempPathFactory) -> ShapeForceJob:
-    folder = tmp_path_factory.mktemp("shape")
-    task = LearningTask("type_1", "bca", Task(max_steps=STEPS, image_size_px=36))
-    environment = task.environment(("feeder", "tip", "image"))
-    forward = np.array([1.0, 0.3], np.float32)
-    for number in range(2):
-        path = folder / "episodes" / f"{number:03d}.mcap"
-        record_episode(environment, lambda *_: forward, path, seed=number, operator="script")
-    return ShapeForceJob(folder / "shape", "type_1", (folder / "episodes",), 1000, 0, disturbed=False)
+    return recorded(tmp_path_factory.mktemp("shape"), [1.0, 0.3])
 
 
 def test_forces_of_the_held_out_episode_are_estimated(job: ShapeForceJob) -> None:
-    from enn.force.samples import force_samples, split_episodes
-    from pipeline.stages.learning.expert_episodes import read_episodes
-
     estimated, true, refused = test_frames(job, Report())
     held_out = split_episodes(read_episodes(sorted(job.logs[0].glob("*.mcap"))), TEST_EVERY)[1]
     expected = force_samples(held_out).drawn(len(true), job.seed)
@@ -116,25 +111,17 @@ def test_forces_of_the_held_out_episode_are_estimated(job: ShapeForceJob) -> Non
 
 
 def test_forces_of_a_wire_in_a_catheter_are_estimated(tmp_path: Path) -> None:
-    task = LearningTask("type_1", "bca", Task(max_steps=STEPS, image_size_px=36, catheter="vertebral_5f"))
-    environment = task.environment(("feeder", "tip", "image"))
-    forward = np.array([1.0, 0.1, 1.0, 0.1], np.float32)
-    for number in range(2):
-        path = tmp_path / "episodes" / f"{number:03d}.mcap"
-        record_episode(environment, lambda *_: forward, path, seed=number, operator="script")
-    job = ShapeForceJob(tmp_path / "shape", "type_1", (tmp_path / "episodes",), 1000, 0, disturbed=False)
+    job = recorded(tmp_path, [1.0, 0.1, 1.0, 0.1], catheter="vertebral_5f")
     estimated, true, refused = test_frames(job, Report())
     assert refused == 0
     assert true.max() > 0.01
     assert np.corrcoef(estimated, true)[0, 1] > 0.7
-    assert np.isfinite(test_frames(dataclasses.replace(job, disturbed=True), Report())[0]).all()
+    assert np.isfinite(test_frames(replace(job, disturbed=True), Report())[0]).all()
 
 
 def test_an_outcome_is_kept_and_errors_make_it_worse(job: ShapeForceJob, monkeypatch: pytest.MonkeyPatch) -> None:
     exact = forces_from_shape(job, Report())
-    disturbed = forces_from_shape(
-        dataclasses.replace(job, folder=job.folder.with_name("errors"), disturbed=True), Report()
-    )
+    disturbed = forces_from_shape(replace(job, folder=job.folder.with_name("errors"), disturbed=True), Report())
     assert exact["share_pct"] == pytest.approx(100 * exact["mse_n2"] / exact["variance_n2"])
     assert exact["share_pct"] < min(20.0, disturbed["share_pct"])
     monkeypatch.setattr("enn.force.samples.split_episodes", None)

@@ -79,9 +79,7 @@ def test_the_second_stage_takes_what_it_would_have_trained(trained: Path, tmp_pa
         assert (trained / V / name).exists()
 
 
-def test_another_definition_or_commit_finds_none(
-    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_definitions_or_commits_find_none(trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert taken(trained, tmp_path / "same")
     assert not taken(trained, tmp_path / "longer", decisions=56)
     assert not taken(trained, tmp_path / "reward", path_penalty=1.0)

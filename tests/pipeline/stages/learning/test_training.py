@@ -13,7 +13,6 @@ import torch
 
 from enn.encoder import Encoder, EncoderSettings
 from enn.reinforcement import DESK_PPO, DESK_SAC
-from enn.reinforcement.training.result import Progress
 from pipeline.jobs.worker import Report
 from pipeline.recording.record import record_episode
 from pipeline.stages.baselines import training_settings as of_baselines
@@ -25,7 +24,6 @@ from pipeline.stages.learning.encoders import EncodersJob, encoder_file, fit_enc
 from pipeline.stages.learning.expert_episodes import repeat
 from pipeline.stages.learning.settings import BaselinesSettings, EnnSettings, with_hyperparameters
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import words
 from pipeline.stages.unseen.roadmap import training_settings as of_unseen
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.store.errors import ConfigurationError
@@ -62,7 +60,7 @@ def test_another_wire_and_damage_are_left_out_by_name(tmp_path: Path, caplog: py
     assert found.metadata["file"] == str(logs[0])
     assert found.simulation_states is not None
     wire, damage = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
-    assert wire == f"{logs[1]} is left out: it was recorded with another wire or catheter than default"
+    assert wire.startswith(f"{logs[1]} is left out: ")
     assert damage.startswith(f"{logs[2]} is left out: ")
 
 
@@ -83,7 +81,7 @@ def test_an_empty_folder_of_the_expert_is_told(
     assert "type_1/bca/I+V+M/seed0" in ran
     assert ran.count("encoders/type_1") == 1
     (warning,) = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
-    assert warning.startswith("there are no expert episodes of type_1/bca, so it is learnt without demonstrations")
+    assert "no expert episodes of type_1/bca" in warning
 
 
 def test_demonstrations_with_a_catheter_are_for_that_catheter(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -99,8 +97,7 @@ def test_demonstrations_with_a_catheter_are_for_that_catheter(tmp_path: Path, ca
     (bare,) = repeat(logs, TASK)
     assert bare.metadata["file"] == str(logs[1])
     assert not repeat(logs, replace(TASK, task=replace(pair.task, torsion="rigid")))
-    told = [record.getMessage() for record in caplog.records]
-    assert told[0] == f"{logs[1]} is left out: it was recorded with another wire or catheter than default in vertebral"
+    assert caplog.messages[0].startswith(f"{logs[1]} is left out: ")
 
 
 def test_a_policy_of_two_devices_sees_the_feeders(tmp_path: Path) -> None:
@@ -112,11 +109,6 @@ def test_a_policy_of_two_devices_sees_the_feeders(tmp_path: Path) -> None:
     assert job.task.task.catheter == "vertebral"
 
 
-def test_the_return_stands_beside_the_bar() -> None:
-    assert words(Progress(10, 100, 0.5, -12.34, 0.75, 1.0, 9.0)) == "return -12.3, success 50 %, best 75 %"
-    assert words(Progress(10, 100, None, None, None, 1.0, 9.0)) == ""
-
-
 SETS = (("joints", "image"), ("image", "feeder"))
 
 
@@ -125,23 +117,12 @@ def job(folder: Path, *sets: tuple[str, ...]) -> EncodersJob:
     return EncodersJob(folder, task, sets, EncoderSettings(epochs=1, seed=3), 120, ())
 
 
-def test_encoders_share_roll_outs_and_are_as_if_alone(tmp_path: Path) -> None:
+def test_encoders_are_as_if_alone_and_one_that_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     told = fit_encoders(job(tmp_path / "both", *SETS), Report())
     assert list(told) == ["joints+image", "image+feeder"]
-    for keys in SETS:
-        (alone,) = fit_encoders(job(tmp_path / "alone", keys), Report()).values()
-        name = "+".join(keys)
-        assert {key: value for key, value in told[name].items() if not key.endswith("_s")} == {
-            key: value for key, value in alone.items() if not key.endswith("_s")
-        }
-        one, other = (Encoder.load(encoder_file(tmp_path / place, keys)).state_dict() for place in ("both", "alone"))
-        assert one.keys() == other.keys()
-        assert all(torch.equal(one[part], other[part]) for part in one)
-
-
-def test_an_encoder_that_is_there_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    fit_encoders(job(tmp_path, SETS[0]), Report())
-    before = encoder_file(tmp_path, SETS[0]).read_bytes()
+    alone = tmp_path / "alone"
+    first = fit_encoders(job(alone, SETS[0]), Report())
+    before = encoder_file(alone, SETS[0]).read_bytes()
     asked = []
     samples = encoders._samples
 
@@ -150,19 +131,24 @@ def test_an_encoder_that_is_there_is_kept(tmp_path: Path, monkeypatch: pytest.Mo
         return samples(given, sets, report)
 
     monkeypatch.setattr(encoders, "_samples", only_what_lacks)
-    told = fit_encoders(replace(job(tmp_path, *SETS), samples=60), Report())
+    both = fit_encoders(job(alone, *SETS), Report())
     assert asked == [SETS[1]]
-    assert encoder_file(tmp_path, SETS[0]).read_bytes() == before
-    assert [row["samples"] for row in told.values()] == [120, 60]
-    assert fit_encoders(job(tmp_path, *SETS), Report()) == told
+    assert encoder_file(alone, SETS[0]).read_bytes() == before
+    assert both["joints+image"] == first["joints+image"]
+    assert fit_encoders(job(alone, *SETS), Report()) == both
     assert asked == [SETS[1]]
+    for keys, name in zip(SETS, told, strict=True):
+        assert [key for key, value in told[name].items() if value != both[name][key] and not key.endswith("_s")] == []
+        one, other = (Encoder.load(encoder_file(tmp_path / place, keys)).state_dict() for place in ("both", "alone"))
+        assert one.keys() == other.keys()
+        assert all(torch.equal(one[part], other[part]) for part in one)
 
 
 PLACE = {"phantoms": ["type_1"], "targets": ["bca"]}
 CHANGES = {"learning_rate": 3e-4, "n_envs": 4, "hidden": [32, 32]}
 
 
-def test_every_learning_stage_takes_them() -> None:
+def test_every_learning_stage_takes_them_and_without_any_nothing_changes() -> None:
     made = [
         of_baselines(BaselinesSettings(**PLACE, training=CHANGES), "ppo", "internal"),
         of_enn(EnnSettings(**PLACE, training=CHANGES), 500),
@@ -172,9 +158,6 @@ def test_every_learning_stage_takes_them() -> None:
     assert [one.algorithm for one in made] == ["ppo", "sac", "ppo", "sac"]
     for training in made:
         assert (training.learning_rate, training.n_envs, training.hidden) == (3e-4, 4, (32, 32))
-
-
-def test_without_any_nothing_changes() -> None:
     assert with_hyperparameters(DESK_SAC, None) is with_hyperparameters(DESK_SAC, {}) is DESK_SAC
     with pytest.raises(ConfigurationError, match=r"stage\.training must be a mapping"):
         EnnSettings(**PLACE, training=[1])
@@ -182,16 +165,14 @@ def test_without_any_nothing_changes() -> None:
 
 @pytest.mark.parametrize("stage", ["baselines", "enn", "unseen", "rehearsal"])
 def test_the_command_line_takes_them(stage: str) -> None:
-    words = [f"stage={stage}", "stage.training={learning_rate: 3e-4, hidden: [32, 32]}"]
-    config = composed(*words)
-    assert config.stage.training == {"learning_rate": 3e-4, "hidden": [32, 32]}
+    stage = composed(f"stage={stage}", "stage.training={learning_rate: 3e-4, hidden: [32, 32]}").stage
+    assert stage.training == {"learning_rate": 3e-4, "hidden": [32, 32]}
 
 
 @pytest.mark.parametrize(
     ("preset", "changes", "message"),
     [
-        (DESK_SAC, {"lerning_rate": 1e-3}, "stage.training has no 'lerning_rate': choose from .*learning_rate"),
-        (DESK_SAC, {"decisions": 5}, "stage.training has no 'decisions'"),
+        (DESK_SAC, {"decisions": 5}, "stage.training has no 'decisions': choose from .*learning_rate"),
         (DESK_SAC, {"gamma": 2.0}, "stage.training: .*gamma"),
         (DESK_PPO, {"tau": 0.1}, "stage.training has no 'tau': choose from .*gae_lambda"),
     ],

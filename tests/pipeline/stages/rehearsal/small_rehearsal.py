@@ -15,20 +15,9 @@ from pipeline.stages.rehearsal.training import PARTS, nothing_to_record, record_
 from pipeline.task import Task
 
 GENERALIST = next(file for file in weight_files() if file.stem == "generalist")
-TINY: dict[str, Any] = {
-    "copies": 1,
-    "validation_copies": 1,
-    "test_copies": 2,
-    "scan_episodes": 1,
-    "decisions": 48,
-    "further_trainings": 0,
-    "environments": 4,
-    "hidden": 16,
-    "accuracy": "fast",
-    "fit_steps": False,
-    "expert": "never",
-    "task": Task(start_rotation_deg=180.0, max_steps=12),
-}
+SIZES = {"copies": 1, "validation_copies": 1, "test_copies": 2, "scan_episodes": 1, "environments": 4, "hidden": 16}
+TRAINING = {"decisions": 48, "further_trainings": 0, "accuracy": "fast", "fit_steps": False, "expert": "never"}
+TINY: dict[str, Any] = SIZES | TRAINING | {"task": Task(start_rotation_deg=180.0, max_steps=12)}
 
 
 def job_of(folder: Path, **changed: Any) -> RehearsalJob:

@@ -1,22 +1,28 @@
-"""The stage rehearsal: from a scan to a tested policy, from nothing and from a policy, and what it refuses."""
+"""The stage rehearsal: devices and policy that it starts from, from a scan to a tested policy, what it refuses."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
+import logging
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from cathsim import load_phantom
+from enn.device_trials import Trial, Tried, try_in_copies
 from enn.policy import Policy
+from enn.shipped import weight_files
 from pipeline.anatomies.devices import fitted_steps, fitted_task
-from pipeline.anatomies.settings import check_anatomies
 from pipeline.episodes import EpisodeReader
 from pipeline.jobs.worker import Report
-from pipeline.seeds import ANATOMY_COPIES
+from pipeline.seeds import ANATOMY_COPIES, training_copies
+from pipeline.stages.rehearsal import stage, start
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.episodes import film_scan, play
 from pipeline.stages.rehearsal.settings import RehearsalSettings
@@ -25,48 +31,54 @@ from pipeline.stages.rehearsal.training import train
 from pipeline.store.errors import ConfigurationError, StageError
 from pipeline.task import Task
 from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, TINY, job_of
-from tests.pipeline.stages.small_expert import context, in_this_process
+from tests.pipeline.stages.small_expert import context, run_here
 
 FIRST = ANATOMY_COPIES["test"].first
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The policy of a rehearsal."""
+def trained(tmp_path_factory: pytest.TempPathFactory) -> RehearsalJob:
+    """A rehearsal whose policy is trained."""
     job = job_of(tmp_path_factory.mktemp("trained"))
     train(job, Report())
-    return job.own_folder / "policy.pt"
+    return job
 
 
 @pytest.mark.parametrize(
     "changed", [{}, {"algorithm": "ppo"}, {"catheter": "vertebral"}], ids=["sac", "ppo", "catheter"]
 )
-def test_it_trains_in_copies_and_logs_its_tests(tmp_path: Path, changed: dict[str, Any]) -> None:
-    job = job_of(tmp_path, **changed)
-    cost = train(job, Report())
-    assert cost["decisions"] >= 48
+def test_it_trains_in_copies_and_logs_its_tests(trained: RehearsalJob, tmp_path: Path, changed: dict[str, Any]) -> None:
+    job = job_of(tmp_path, **changed) if changed else trained
+    assert not changed or train(job, Report())["decisions"] >= 48
     policy = Policy.load(job.own_folder / "policy.pt")
     assert policy.critics
     assert policy.action_space.shape == ((4,) if "catheter" in changed else (2,))
-    with np.load(tmp_path / "starts.npz") as starts:
+    with np.load(job.folder / "starts.npz") as starts:
         assert {int(states[0, -1]) for states in starts.values() if len(states)} == {0, 1}
-    tested = dataclasses.replace(job, policy=job.own_folder / "policy.pt", tested="after", copies=(FIRST, FIRST + 1))
+    tested = trial_of(job, replace(job, folder=tmp_path), FIRST, FIRST + 1)
     outcome = play(tested, Report())
     assert len(outcome["success"]) == 2
-    with EpisodeReader(tmp_path / "after/copies" / str(FIRST) / "000.mcap") as log:
+    file = tmp_path / "after/copies" / str(FIRST) / "000.mcap"
+    with EpisodeReader(file) as log:
         assert log.info.phantom == f"type_1_copy{FIRST}"
         assert log.info.configuration["copy"] == FIRST
         assert len(outcome["forces"][0]) == log.last_step
-    before = (tmp_path / "after/copies" / str(FIRST) / "000.mcap").stat().st_mtime_ns
+    before = file.stat().st_mtime_ns
     assert play(tested, Report()) == outcome  # nothing is played again
-    assert (tmp_path / "after/copies" / str(FIRST) / "000.mcap").stat().st_mtime_ns == before
+    assert file.stat().st_mtime_ns == before
+
+
+def trial_of(trained: RehearsalJob, job: RehearsalJob, *copies: int) -> RehearsalJob:
+    """Tests of a rehearsal's policy, as another job has them."""
+    return replace(job, policy=trained.own_folder / "policy.pt", tested="after", copies=copies)
 
 
 def test_it_starts_from_a_policy_and_goes_on_after_an_interruption(
-    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    trained: RehearsalJob, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("enn.reinforcement.training.training.TICK", 0.0)  # progress after every decision
-    longer = dataclasses.replace(job_of(tmp_path / "second", decisions=80), start=trained)
+    start = trained.own_folder / "policy.pt"
+    longer = replace(job_of(tmp_path / "second", decisions=80), start=start)
 
     class Stopping(Report):
         def __call__(self, fraction: float, text: str = "") -> None:
@@ -80,17 +92,14 @@ def test_it_starts_from_a_policy_and_goes_on_after_an_interruption(
     record = json.loads((longer.own_folder / "training.json").read_text())
     assert record["settings"]["hidden"] == [16, 16]
     acting = tmp_path / "acting.pt"
-    Policy.load(trained).save(acting)
+    Policy.load(start).save(acting)
     with pytest.raises(StageError, match="has no critics"):
-        train(dataclasses.replace(job_of(tmp_path / "third"), start=acting), Report())
+        train(replace(job_of(tmp_path / "third"), start=acting), Report())
 
 
-def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("stage", "start"):
-        monkeypatch.setattr(f"pipeline.stages.rehearsal.{module}.run_jobs", in_this_process)
+def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path) -> None:
     settings = RehearsalSettings(**TINY | {"target": "bca", "workers": 1, "test_copies": 1, "choose_catheter": False})
-    run_rehearsal(settings, context(tmp_path, "rehearsal")).write(tmp_path / "rehearsal")
-    results = json.loads((tmp_path / "rehearsal/results.json").read_text())
+    results = run_here(settings, tmp_path, stage)
     cells = {f"type_1/{tested} {kind}" for tested in ("before", "after") for kind in ("scan", "copies")}
     assert set(results["rehearsal"]) == cells  # from a shipped policy
     cost = results["rehearsal_cost"]["type_1"]
@@ -99,8 +108,7 @@ def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("changed", "choose"),
-    [({}, True), ({"choose_catheter": False}, False), ({"policy": str(GENERALIST)}, False)],
+    ("changed", "choose"), [({}, True), ({"choose_catheter": False}, False), ({"policy": str(GENERALIST)}, False)]
 )
 def test_a_catheter_is_chosen_unless_a_policy_is_given(
     changed: dict[str, Any], choose: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -114,11 +122,6 @@ def test_a_catheter_is_chosen_unless_a_policy_is_given(
         run_rehearsal(RehearsalSettings(**TINY | changed), context(tmp_path, "rehearsal"))
 
 
-def test_an_unknown_hyperparameter_is_refused_before_anything_is_played() -> None:
-    with pytest.raises(ConfigurationError, match=r"stage.training has no 'foo': choose from .*learning_rate"):
-        check_rehearsal(RehearsalSettings(**TINY | {"training": {"foo": 3}}))
-
-
 def test_copies_of_training_validation_and_tests_never_meet(tmp_path: Path) -> None:
     settings = RehearsalSettings(**TINY | {"copies": 16, "validation_copies": 23, "test_copies": 30})
     jobs = {job.key: job for job in plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", Path("p.pt"))}
@@ -130,7 +133,9 @@ def test_copies_of_training_validation_and_tests_never_meet(tmp_path: Path) -> N
 
 
 def test_a_training_is_priced_and_the_tests_are_not(tmp_path: Path) -> None:
-    job = job_of(tmp_path, force_penalty=0.7, force_threshold_n=0.1, walls_mm=0.5, breathing_mm=0.0)
+    settings = RehearsalSettings(**TINY | {"force_threshold_n": 0.1, "walls_mm": 0.5, "breathing_mm": 0.0})
+    jobs = plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", None, force_price=0.7)
+    (job,) = [job.given for job in jobs if job.key == "training"]
     training, tests = copies_environment(job, (0, 1), training=True), copies_environment(job, (0, 1))
     assert (training.current.task.force_penalty, tests.current.task.force_penalty) == (0.7, 0.0)
     assert training.current.task.force_threshold == 0.1
@@ -139,61 +144,39 @@ def test_a_training_is_priced_and_the_tests_are_not(tmp_path: Path) -> None:
     assert training.perturbation.friction == 0.3
 
 
-def test_the_price_of_a_plan_is_that_of_its_training(tmp_path: Path) -> None:
-    settings = RehearsalSettings(**TINY)
-    jobs = plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", None, force_price=0.7)
-    (training,) = [job.given for job in jobs if job.key == "training"]
-    environment = copies_environment(training, (0,), training=True)
-    assert environment.current.task.force_penalty == 0.7
-    environment.close()
-
-
-def test_the_wire_becomes_as_long_as_the_way_asks_for() -> None:
+def test_a_long_way_gets_a_longer_wire_and_longer_episodes(caplog: pytest.LogCaptureFixture) -> None:
     phantom = load_phantom("type_1")
     assert fitted_task(Task(), phantom, ["lsa_end"]) == Task()  # the preset's reaches it
     far = max(phantom.targets, key=phantom.way_length)
     assert fitted_task(Task(), phantom, [far]).guidewire().length > phantom.way_length(far) + 0.05
     assert fitted_task(Task(wire_length_mm=280.0), phantom, ["lsa_end"]).wire_length_mm == 280.0
-
-
-def test_a_long_way_gets_longer_episodes_and_the_log_says_so(caplog: pytest.LogCaptureFixture) -> None:
-    phantom = load_phantom("type_1")
     assert fitted_steps(Task(), phantom, "lcca") == Task()  # 202 mm
     assert not caplog.messages
     assert fitted_steps(Task(max_steps=150), phantom, "lcca").max_steps == 400
-    assert "the way to lcca of type_1 is 202 mm long, for which 150 steps are few: episodes last 400" in caplog.text
+    assert "for which 150 steps are few: episodes last 400" in caplog.text
     faster = Task(max_steps=150, pace="arch_variety")
     assert fitted_steps(faster, phantom, "lcca") == faster
 
 
-def test_the_anatomy_is_a_file_a_name_or_a_seed() -> None:
+def test_there_is_one_anatomy_and_one_target_and_an_unknown_hyperparameter_is_refused() -> None:
     assert RehearsalSettings().phantoms == ["type_1"]
-    assert RehearsalSettings(phantom="bovine").phantoms == ["bovine"]
-    assert RehearsalSettings(phantom="random", phantom_seed=3).phantoms == ["random_3"]
-    with pytest.raises(ConfigurationError, match="needs a seed"):
-        check_anatomies(RehearsalSettings(phantom="random"))
     with pytest.raises(ConfigurationError, match="names several"):
         RehearsalSettings(targets=["bca", "lcca"])
+    with pytest.raises(ConfigurationError, match=r"stage\.training has no 'foo'"):
+        check_rehearsal(RehearsalSettings(**TINY | {"training": {"foo": 3}}))
 
 
-def test_an_episode_of_the_tests_has_so_many_attempts(trained: Path, tmp_path: Path) -> None:
-    alone, again = (job_of(tmp_path / str(attempts), attempts=attempts) for attempts in (1, 2))
-    steps = alone.task.max_steps
-
-    def outcome(job: RehearsalJob) -> dict[str, Any]:
-        return play(dataclasses.replace(job, policy=trained, tested="after", copies=(FIRST, FIRST + 1)), Report())
-
-    once, twice = outcome(alone), outcome(again)
+def test_an_episode_of_the_tests_has_so_many_attempts(trained: RehearsalJob, tmp_path: Path) -> None:
+    jobs = [job_of(tmp_path / str(attempts), attempts=attempts) for attempts in (1, 2)]
+    once, twice = (play(trial_of(trained, job, FIRST, FIRST + 1), Report()) for job in jobs)
     assert twice["success"] == once["success"]
     for first, forces, more in zip(once["success"], once["forces"], twice["forces"], strict=True):
         assert more[: len(forces)] == forces  # the first attempt is the episode without a second
-        assert first or len(more) > steps + 1
+        assert first or len(more) > jobs[0].task.max_steps + 1
 
 
-def test_the_film_repeats_the_first_episode_in_the_scan_that_arrived(trained: Path, tmp_path: Path) -> None:
-    from PIL import Image
-
-    tested = dataclasses.replace(job_of(tmp_path, scan_episodes=3), policy=trained, tested="after", copies=(0,))
+def test_the_film_repeats_the_first_episode_in_the_scan_that_arrived(trained: RehearsalJob, tmp_path: Path) -> None:
+    tested = trial_of(trained, job_of(tmp_path, scan_episodes=3), 0)
     arrived = play(tested, Report())["success"]
     outcome = film_scan(tested, Report())
     assert outcome["episode"] == (arrived.index(True) if any(arrived) else 0)
@@ -223,30 +206,202 @@ def test_a_row_pools_the_forces_of_all_steps() -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"file": "missing.stl"}, "phantom.file=missing.stl is no file"),
         ({"policy": "missing.pt"}, "stage.policy=missing.pt is no file"),
-        ({"unit": "mm"}, "phantom.unit belongs to a file"),
-        ({"target": "bca", "point_mm": [0.0, 0.0, 0.0]}, "stage.point_mm is the target"),
         ({"policy": __file__, "fresh": True}, "stage.fresh=true starts from nothing"),
-        ({"file": __file__, "phantom": "type_1"}, "phantom.file brings the anatomy"),
-        ({"walls_mm": 50.0}, "stage.walls_mm must be 20"),
-        ({"share_of_decisions": 0.01}, "stage.share_of_decisions must be 0.1"),
-    ],
-)
-def test_bad_settings_are_one_sentence(values: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        RehearsalSettings(**values)
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
         ({"target": "aorta"}, "unknown target 'aorta'"),
         ({"point_mm": [500.0, 0.0, 0.0]}, "outside|inside"),
         ({"phantom": "type_9"}, "unknown phantom 'type_9'"),
         ({"file": __file__}, "convert it"),
     ],
 )
-def test_an_anatomy_or_target_that_is_not_there(tmp_path: Path, values: dict[str, Any], message: str) -> None:
+def test_what_is_not_there_is_refused_by_name(tmp_path: Path, values: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         run_rehearsal(RehearsalSettings(**TINY | values), context(tmp_path, "rehearsal"))
+
+
+BY_SHAPE = Task(catheter="pigtail")  # what nothing else gives
+Outcomes = dict[str, Tried]
+
+
+@pytest.fixture
+def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Chooses with trials that end as said; also which were asked for, call by call."""
+    asked: list[list[str]] = []
+    phantom = load_phantom("type_1")
+
+    def choose(
+        outcomes: Outcomes, task: Task | None = None, target: str = "lcca", **changed: Any
+    ) -> tuple[Task, Tried | None]:
+        asked.clear()
+
+        def run(folder: Any, jobs: Any, **_: Any) -> dict[str, Any]:
+            assert [job.given.part % 2 for job in jobs] == [0, 1] * (len(jobs) // 2)
+            asked.append([job.key for job in jobs[::2]])
+            return {job.key: [job.key.split("/")[1]] for job in jobs}
+
+        class Told:  # what the trials come to
+            @staticmethod
+            def of(trials: list[str]) -> Tried:
+                assert set(trials) == {trials[0]}
+                return outcomes[trials[0] + " again" * (len(trials) > 2)]
+
+        monkeypatch.setattr(start, "run_jobs", run)
+        monkeypatch.setattr("enn.device_trials.Tried", Told)
+        monkeypatch.setattr(start, "with_catheter_where_steep", lambda *_, choose: BY_SHAPE)
+        settings = RehearsalSettings(**changed)
+        return start.with_chosen_devices(settings, context(tmp_path, "rehearsal"), phantom, target, task or Task())
+
+    return choose, asked
+
+
+SOFTER = "radifocus_angled_025 in jb2_4f"
+WITH_CATHETERS = ("wire alone", "jb2", "simmons2", SOFTER)
+
+
+def asked_for(*names: str) -> list[str]:
+    return [f"devices/{name}/0" for name in names]
+
+
+def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: pytest.LogCaptureFixture) -> None:
+    choose, asked = chosen
+    never, jb2, simmons = Tried(0, 4, 300.0, 0.2), Tried(3, 4, 150.0, 0.4), Tried(2, 4, 150.0, 0.3)
+    outcomes = {"wire alone": never, "jb2": jb2, "simmons2": simmons, SOFTER: Tried(1, 4, 250.0, 0.1)}
+    with caplog.at_level(logging.INFO):
+        assert choose(outcomes) == (Task(catheter="simmons2"), simmons)
+    assert "how it pressed: wire alone 0 of 4 (0.20 N), jb2 3 of 4 (0.40 N), simmons2 2 of 4 (0.30 N)" in caplog.text
+    assert asked == [asked_for("wire alone"), asked_for(*WITH_CATHETERS)]
+
+    outcomes[SOFTER] = Tried(3, 4, 200.0, 0.15)
+    soft = Task(wire="radifocus_angled_025", catheter="jb2_4f")
+    assert choose(outcomes) == (soft, outcomes[SOFTER])
+    outcomes["stiff in jb2_4f"] = outcomes[SOFTER]  # a wire that was chosen stays
+    assert choose(outcomes, Task(wire="stiff"))[0] == Task(wire="stiff", catheter="jb2_4f")
+
+
+def test_where_what_arrives_presses_too_hard_the_gentler_ones_get_further_copies(chosen: Any) -> None:
+    choose, asked = chosen
+    never, jb2 = Tried(0, 4, 300.0, 0.2), Tried(2, 4, 150.0, 0.32)
+    outcomes = {"wire alone": never, "jb2": jb2, "simmons2": Tried(1, 4, 300.0, 0.5), SOFTER: Tried(0, 4, 300.0, 0.1)}
+    outcomes |= {"wire alone again": Tried(0, 8, 300.0, 0.2), f"{SOFTER} again": Tried(2, 8, 250.0, 0.1)}
+    soft = Task(wire="radifocus_angled_025", catheter="jb2_4f")
+    assert choose(outcomes) == (soft, outcomes[f"{SOFTER} again"])
+    assert asked[1:] == [asked_for(*WITH_CATHETERS), ["devices/wire alone/2", f"devices/{SOFTER}/2"]]
+
+    outcomes[f"{SOFTER} again"] = Tried(0, 8, 300.0, 0.1)
+    assert choose(outcomes) == (Task(catheter="jb2"), jb2)  # nothing gentler arrives
+
+
+def test_the_wire_alone_is_enough_where_it_always_arrives_and_the_shape_decides_where_none_does(chosen: Any) -> None:
+    choose, asked = chosen
+    always, never = Tried(4, 4, 100.0, 0.2), Tried(0, 4, 300.0, 0.2)
+    assert choose({"wire alone": always}) == (Task(), always)
+    assert asked == [asked_for("wire alone")]
+    assert choose(dict.fromkeys(WITH_CATHETERS, never)) == (BY_SHAPE, None)
+
+
+def test_where_the_wire_alone_arrives_and_presses_softer_ones_are_tried(chosen: Any) -> None:
+    choose, asked = chosen
+    wires = ("radifocus_angled", "radifocus_angled_025")
+    outcomes = {"wire alone": Tried(4, 4, 100.0, 0.8)}
+    outcomes |= {wires[0]: Tried(4, 4, 100.0, 0.5), wires[1]: Tried(3, 4, 120.0, 0.1)}
+    assert choose(outcomes) == (Task(wire=wires[1]), outcomes[wires[1]])
+    assert asked == [asked_for("wire alone"), asked_for("wire alone", *wires)]
+    assert choose(outcomes, Task(wire="stiff")) == (Task(wire="stiff"), outcomes["wire alone"])
+    assert asked == [asked_for("wire alone")]
+
+    outcomes |= dict.fromkeys(WITH_CATHETERS[1:], Tried(0, 4, 300.0, 0.1)) | {"wire alone": Tried(3, 4, 150.0, 0.8)}
+    assert choose(outcomes)[0] == Task(wire=wires[1])
+    assert asked[-1] == asked_for(*WITH_CATHETERS, *wires)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"task": Task(catheter="vertebral")},
+        {"task": Task(entry="ascending")},
+        {"task": Task(pace="arch_variety")},  # one policy alone has it, and critics
+        {"fresh": True},
+        {"algorithm": "ppo"},
+    ],
+)
+def test_without_a_choice_of_policies_nothing_is_tried(chosen: Any, changed: dict[str, Any]) -> None:
+    choose, asked = chosen
+    assert choose({}, **changed) == (BY_SHAPE, None)
+    assert asked == []
+
+
+def test_a_trial_plays_the_policy_in_copies_of_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = Task(max_steps=6)
+    named = {start.WIRE_ALONE: task}
+    (given,) = start._trials(RehearsalSettings(task=task), context(tmp_path, "rehearsal"), "bca", named).values()
+    assert given.copies == tuple(training_copies(0, 2 * start.TRIALS))
+    assert given.start is not None
+    assert given.start.stem == "generalist"
+    played: list[Sequence[int]] = []
+
+    def noted(*arguments: Any, cases: Sequence[int], **further: Any) -> list[Trial]:
+        played.append(cases)
+        return try_in_copies(*arguments, cases=cases[:1], **further)
+
+    monkeypatch.setattr(start, "try_in_copies", noted)
+    trials = [one for part in range(4) for one in start.try_devices(replace(given, part=part), Report())]
+    assert [(reached, len(forces)) for reached, forces in trials] == 4 * [(False, 6)]
+    assert [list(cases) for cases in played] == [list(range(k, k + 8, 2)) for k in (0, 1, 8, 9)]
+
+
+OF_SIMMONS = next(file for file in weight_files() if file.stem == "generalist_simmons2")
+
+
+def test_the_policy_of_the_run_comes_before_a_shipped_one(tmp_path: Path) -> None:
+    alone, shipped = Task(), GENERALIST
+    assert start.starting_policy(RehearsalSettings(), tmp_path, 0, alone) == shipped
+    file = tmp_path / "unseen/roadmap/seed0/policy.pt"
+    file.parent.mkdir(parents=True)
+    shutil.copy(shipped, file)
+    assert start.starting_policy(RehearsalSettings(), tmp_path, 0, alone) == file
+    hashes = start.policy_hashes(tmp_path)
+    assert hashes["unseen/roadmap/seed0/policy.pt"] == hashes[f"shipped/{shipped.name}"]
+    assert start.policy_hashes(tmp_path / "elsewhere") == {k: v for k, v in hashes.items() if k.startswith("shipped/")}
+    assert start.starting_policy(RehearsalSettings(fresh=True), tmp_path, 0, alone) is None
+    assert start.starting_policy(RehearsalSettings(policy=str(shipped)), tmp_path, 0, alone) == shipped
+    file.write_bytes(b"x")
+    with pytest.raises(ValueError, match=r"policy\.pt"):
+        start.starting_policy(RehearsalSettings(), tmp_path, 0, alone)
+
+
+def test_a_policy_of_other_actions_is_not_started_from_but_one_of_another_catheter(tmp_path: Path) -> None:
+    assert start.starting_policy(RehearsalSettings(), tmp_path, 0, Task(pace="arch_variety")) is None  # without critics
+    for task in (Task(catheter="jb2", wire="none"), Task(actions="tip_motors")):
+        assert start.starting_policy(RehearsalSettings(), tmp_path, 0, task) is None
+        assert start.advising_policies(tmp_path, 0, task, None) == []
+    assert start.starting_policy(RehearsalSettings(algorithm="ppo"), tmp_path, 0, Task()) is None
+    asked = {}
+    for catheter in ("simmons2", "simmons2_4f", "vertebral"):
+        task = Task(catheter=catheter)
+        begun = start.starting_policy(RehearsalSettings(), tmp_path, 0, task)
+        asked[catheter] = [path.stem for path in start.advising_policies(tmp_path, 0, task, begun)]
+    assert asked["simmons2"] == ["generalist_simmons2", "navigator_simmons2"]  # a catheter's own policies are enough
+    assert asked["simmons2_4f"] == asked["simmons2"]  # of the same shape in another size
+    assert asked["vertebral"] == ["generalist_jb2", "generalist_simmons2"]
+
+
+def test_a_given_policy_brings_its_catheter_or_steers_a_wire_alone(tmp_path: Path) -> None:
+    assert start.with_devices_of(GENERALIST, Task()) == Task()
+    assert start.with_devices_of(OF_SIMMONS, Task(max_steps=7)) == Task(catheter="simmons2", max_steps=7)
+    assert start.with_devices_of(OF_SIMMONS, Task(catheter="jb2")) == Task(catheter="jb2")
+    settings = RehearsalSettings(**TINY | {"policy": str(GENERALIST), "catheter": "jb2"})
+    with pytest.raises(ConfigurationError, match="steers a wire alone"):
+        run_rehearsal(settings, context(tmp_path, "rehearsal"))
+
+
+@pytest.mark.parametrize(
+    ("tried", "price"),
+    [(Tried(4, 4, 60.0, 0.5), 1.0), (Tried(4, 4, 60.0, 0.2), 0.1), (Tried(3, 4, 60.0, 0.5), 0.1), (None, 0.1)],
+    ids=["presses", "presses little", "does not always arrive", "not tried"],
+)
+def test_a_newton_costs_more_with_two_devices_and_where_the_wire_presses(tried: Tried | None, price: float) -> None:
+    alone, both = Task(), Task(catheter="jb2")
+    assert [RehearsalSettings().price_of_force(task, tried) for task in (alone, both)] == [price, 0.3]
+    for given in (0.0, 0.2):
+        assert RehearsalSettings(force_penalty=given).price_of_force(alone, tried) == given
+        assert RehearsalSettings(force_penalty=given).price_of_force(both) == given

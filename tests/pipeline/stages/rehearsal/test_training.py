@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import json
 import shutil
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from enn.reinforcement.training import TrainingResult, TrainingSettings
 from enn.trajectory import Trajectory
 from pipeline.jobs.worker import Report
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment, training_settings
+from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.stage import plan, shown_by
 from pipeline.stages.rehearsal.start import advising_policies
 from pipeline.stages.rehearsal.training import (
@@ -41,19 +42,15 @@ from tests.pipeline.stages.small_expert import context
     ("shares", "further"),
     [((None, 0.2, 0.88), True), ((0.2, 0.9), False), ((0.95, 0.5, None), True), ((0.5, 0.0), False), ((None,), False)],
 )
-def test_a_training_whose_latest_episodes_sometimes_arrive_is_worth_another(
-    shares: tuple[float | None, ...], further: bool
-) -> None:
+def test_a_training_that_sometimes_arrives_is_worth_another(shares: tuple[float | None, ...], further: bool) -> None:
     curve = [{"success": share} for share in shares]
     result = TrainingResult(policy=None, curve=curve, timings={}, evaluation=None)  # type: ignore[arg-type]
     assert RehearsalRules().sometimes_arrives(result) == further
 
 
-def test_a_further_training_starts_from_the_one_before_and_its_policy_is_taken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_further_training_goes_on_from_the_one_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(RehearsalRules, "sometimes_arrives", lambda self, result: True)
-    job = dataclasses.replace(job_of(tmp_path, share_of_decisions=0.5, further_trainings=2), start=GENERALIST)
+    job = replace(job_of(tmp_path, share_of_decisions=0.5, further_trainings=2), start=GENERALIST)
     told: list[float] = []
     cost = train(job, Report(lambda message: told.append(message.fraction)))
     assert cost["further_trainings"] == 2
@@ -71,9 +68,7 @@ def test_a_further_training_starts_from_the_one_before_and_its_policy_is_taken(
     assert (seed / "further2/policy.pt").read_bytes() == (seed / "policy.pt").read_bytes()
 
 
-def test_what_was_played_to_choose_the_length_is_the_first_evaluation(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_played_to_choose_the_length_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked, counts = list[bool](), {"play": 0, "evaluate": 0}
 
     def mostly_arrives(self: RehearsalRules, *given: Any) -> bool:
@@ -90,13 +85,19 @@ def test_what_was_played_to_choose_the_length_is_the_first_evaluation(
 
         monkeypatch.setattr(LatestPolicy, name, counted)
 
-    count("play")
-    count("evaluate")
+    for name in counts:
+        count(name)
     monkeypatch.setattr(RehearsalRules, "mostly_arrives", mostly_arrives)
-    job = dataclasses.replace(job_of(tmp_path, share_of_decisions=0.5), start=GENERALIST)
+    job = replace(job_of(tmp_path, share_of_decisions=0.5), start=GENERALIST)
     assert train(job, Report())["decisions"] == 24
     assert len(asked) == 2  # the scan and a copy
     assert counts["play"] == counts["evaluate"] > 1  # one of them before the training, which does not play it again
+
+
+def leave(job: RehearsalJob, name: str, turn: int, arrivals: Sequence[bool]) -> None:
+    """Leaves the episodes of a policy's turn, in the first copies, of which only is known where they arrived."""
+    for copy, arrives in zip(job.training_cases, arrivals, strict=False):
+        write_arrays(demonstration_file(job, name, copy, turn), {"terminated": np.array(arrives)})
 
 
 @pytest.mark.parametrize(("cores", "asked", "threads"), [(1, 0, 1), (2, 0, 2), (16, 0, 4), (2, 3, 3)])
@@ -112,63 +113,52 @@ def test_a_training_has_a_thread_for_each_core_within_reason(
     [
         ((True, True, True, False), (True, True), 0, 24),
         ((True, True, True, False), (True, True), 1, 24),
-        ((True, True, True, False), (True, True), 2, 48),
-        ((True, True, True, False), (True, False), 0, 48),
+        ((True, True, True, False), (True, True), 2, 48),  # but in one of two trials
+        ((True, True, True, False), (True, False), 0, 48),  # but not elsewhere
         ((True, True, True, True), None, 0, 48),
         ((True, True, False, False), None, 0, 48),
-        ((True, True, True), None, 0, 48),
+        ((True, True, True), None, 0, 48),  # one copy was not played
         ((), None, 0, 48),
-    ],
-    ids=[
-        *("three of four", "and in the only trial", "but in one trial of two", "but not elsewhere", "all"),
-        *("two of four", "one copy was not played", "none was played"),
     ],
 )
 def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
     tmp_path: Path, arrivals: tuple[bool, ...], others: tuple[bool, ...] | None, trials: int, decisions: int
 ) -> None:
     tried = Tried(1, trials, 100.0, 0.1) if trials else None
-    job = dataclasses.replace(job_of(tmp_path, copies=3, share_of_decisions=0.5), tried=tried)
-    for copy, arrives in zip(job.training_cases, arrivals, strict=False):
-        write_arrays(tmp_path / f"demonstrations/generalist_{copy}_0.npz", {"terminated": np.array(arrives)})
-        write_arrays(tmp_path / f"demonstrations/navigator_{copy}_0.npz", {"terminated": np.array(True)})
+    job = replace(job_of(tmp_path, copies=3, share_of_decisions=0.5), tried=tried)
+    leave(job, "generalist", 0, arrivals)
+    leave(job, "navigator", 0, [True] * len(arrivals))
 
     def elsewhere() -> Sequence[bool]:
         assert others is not None  # it is not played where the first round says enough
         return others
 
     assert not job.rules.mostly_arrives(first_turn(job), tried, elsewhere)  # of nothing
-    fewer = job.rules.mostly_arrives(first_turn(dataclasses.replace(job, start=GENERALIST)), tried, elsewhere)
+    fewer = job.rules.mostly_arrives(first_turn(replace(job, start=GENERALIST)), tried, elsewhere)
     training = training_settings(job, "cpu", fewer=fewer)
     assert (training.decisions, training.evaluate_every) == (decisions, decisions // 3)
     assert training.learning_rate * decisions == pytest.approx(48 * training_settings(job, "cpu").learning_rate)
     assert training_settings(job_of(tmp_path, algorithm="ppo"), "cpu", fewer=True).decisions == 48
 
 
-def always_arrives(job: RehearsalJob) -> bool:
-    return in_share(first_turn(job), job.tried, 1.0)
-
-
 def test_a_policy_that_always_arrives_is_trained_until_the_last_evaluation_but_one(tmp_path: Path) -> None:
-    job = dataclasses.replace(job_of(tmp_path, copies=3), start=GENERALIST)
+    def always_arrives(job: RehearsalJob) -> bool:
+        return in_share(first_turn(job), job.tried, 1.0)
+
+    job = replace(job_of(tmp_path, copies=3), start=GENERALIST)
     assert not always_arrives(job)  # nothing was played
-    for copy in job.training_cases:
-        write_arrays(tmp_path / f"demonstrations/generalist_{copy}_0.npz", {"terminated": np.array(True)})
+    leave(job, "generalist", 0, [True] * 4)
     assert always_arrives(job)
-    assert always_arrives(dataclasses.replace(job, tried=Tried(8, 8, 100.0, 0.1)))
-    assert not always_arrives(dataclasses.replace(job, tried=Tried(7, 8, 100.0, 0.1)))
-    assert not always_arrives(dataclasses.replace(job, start=None))
-    usual, shorter = (
-        training_settings(job, "cpu"),
-        training_settings(job, "cpu", evaluations=job.rules.fewer_evaluations),
-    )
+    assert always_arrives(replace(job, tried=Tried(8, 8, 100.0, 0.1)))
+    assert not always_arrives(replace(job, tried=Tried(7, 8, 100.0, 0.1)))
+    assert not always_arrives(replace(job, start=None))
+    leave(job, "generalist", 0, [True, True, True, False])
+    assert not always_arrives(job)
+    usual = training_settings(job, "cpu")
+    shorter = training_settings(job, "cpu", evaluations=job.rules.fewer_evaluations)
     assert (usual.decisions, shorter.decisions) == (48, 32)
     assert usual.evaluate_every == shorter.evaluate_every == 16
     assert usual.learning_rate == shorter.learning_rate
-    write_arrays(
-        tmp_path / f"demonstrations/generalist_{job.training_cases[-1]}_0.npz", {"terminated": np.array(False)}
-    )
-    assert not always_arrives(job)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +169,7 @@ def test_a_policy_that_always_arrives_is_trained_until_the_last_evaluation_but_o
 def test_a_policy_that_always_arrives_and_presses_gently_is_not_trained(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: float, share: float, elsewhere: bool, decisions: int
 ) -> None:
-    job = dataclasses.replace(job_of(tmp_path, share_of_decisions=share), start=GENERALIST)
+    job = replace(job_of(tmp_path, share_of_decisions=share), start=GENERALIST)
     shown = Trajectory({}, np.zeros((2, 2)), np.zeros(2), True, np.full(2, force), np.zeros((3, 3)), None, {})
     played = EvaluationResult((EpisodeOutcome(True, 9, 0.0, 9.0, 0.1, 0.1), EpisodeOutcome(elsewhere, 9, 0, 9, 0.1, 0)))
 
@@ -206,18 +196,8 @@ def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, m
     task = Task(start_rotation_deg=180.0, max_steps=200)
     asked = advising_policies(tmp_path, 0, task, GENERALIST)
     assert [file.stem for file in asked] == ["generalist", "navigator", "navigator_seed1"]
-    assert [file.stem for file in advising_policies(tmp_path, 0, Task(catheter="simmons2"), None)] == [
-        "generalist_simmons2",
-        "navigator_simmons2",
-    ]
-    assert [file.stem for file in advising_policies(tmp_path, 0, Task(catheter="jb2"), None)] == [
-        "generalist_jb2",
-        "navigator_jb2",
-    ]
-
-    job = dataclasses.replace(
-        job_of(tmp_path, copies=2, demonstrations=4, task=task), start=GENERALIST, shown_by=tuple(asked)
-    )
+    job = job_of(tmp_path, copies=2, demonstrations=4, task=task)
+    job = replace(job, start=GENERALIST, shown_by=tuple(asked))
     # it arrives nearly always, so nobody else is asked
     assert all_demonstrations(job) == {"generalist": [3, 3]}
     shown = read_demonstrations(tmp_path)
@@ -227,29 +207,20 @@ def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, m
     assert max(np.abs(episode.actions).max() for episode in shown) <= 1.0
     monkeypatch.setattr("enn.reinforcement.rehearsal.demonstrated", None)  # nothing is played again
     assert all_demonstrations(job) == {"generalist": [3, 3]}
-    # the training takes them up
-    train(dataclasses.replace(job, start=None), Report())
-    record = json.loads((job.own_folder / "training.json").read_text())
-    assert record["settings"]["demonstrations_in_replay"] == 0.25
 
 
 @pytest.mark.parametrize(("reached", "others"), [(None, False), (4, False), (1, False), (0, True)])
-def test_the_trials_of_the_devices_count_when_others_are_asked(
-    tmp_path: Path, reached: int | None, others: bool
-) -> None:
+def test_trials_of_the_devices_count_when_others_are_asked(tmp_path: Path, reached: int | None, others: bool) -> None:
     """It arrives in both of two copies that one process plays, in three of four altogether: all of them count."""
     asked = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))[:2]
     job = job_of(tmp_path, copies=3, demonstrations=12)
-    job = dataclasses.replace(job, start=GENERALIST, shown_by=asked, turn=1)
-    job = dataclasses.replace(job, tried=None if reached is None else Tried(reached, 4, 100.0, 0.1))
-    for place, copy in enumerate(job.training_cases):
-        write_arrays(demonstration_file(job, "generalist", copy, 0), {"terminated": np.array(place < 3)})
+    job = replace(job, start=GENERALIST, shown_by=asked, turn=1)
+    job = replace(job, tried=None if reached is None else Tried(reached, 4, 100.0, 0.1))
+    leave(job, "generalist", 0, [True, True, True, False])
     assert turn_of(job) == (Turn(asked[1]) if others else None)
 
 
-def test_images_show_the_way_where_the_roadmap_fails_and_the_best_is_asked_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_images_show_the_way_and_the_best_is_asked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     played: list[tuple[str, int, int]] = []
     last = 9  # turn in which anybody arrives
 
@@ -260,51 +231,45 @@ def test_images_show_the_way_where_the_roadmap_fails_and_the_best_is_asked_again
         def episode(self, case: int, number: int) -> Trajectory:
             played.append((self.path.stem, case, number))
             arrives = self.path.stem == "navigator" and case == 2 and number <= last
-            return Trajectory(
-                {"roadmap": np.zeros((2, 64)), "history": np.zeros((2, 3))},
-                np.zeros((1, 2)),
-                np.zeros(1),
-                arrives,
-                np.zeros(1),
-                np.zeros((2, 3)),
-                np.full((2, 5), float(case)),
-            )
+            seen = {"roadmap": np.zeros((2, 64)), "history": np.zeros((2, 3))}
+            states = np.full((2, 5), float(case))
+            return Trajectory(seen, np.zeros((1, 2)), np.zeros(1), arrives, np.zeros(1), np.zeros((2, 3)), states)
 
     monkeypatch.setattr("pipeline.stages.rehearsal.training._Steered", Steered)
     asked = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))
-    job = dataclasses.replace(job_of(tmp_path, copies=2, demonstrations=3), start=GENERALIST, shown_by=asked)
+    job = replace(job_of(tmp_path, copies=2, demonstrations=3), start=GENERALIST, shown_by=asked)
     assert all_demonstrations(job) == {"generalist": [3, 0], "navigator": [9, 3], "navigator_seed1": [3, 0]}
     turns = [("generalist", 0), ("navigator", 0), ("navigator_seed1", 0), ("navigator", 1), ("navigator", 2)]
     assert played == [(name, case, number) for name, number in turns for case in (0, 2, 1)]  # one part, then the other
     assert len(read_demonstrations(tmp_path)) == 3
-    fewer = dataclasses.replace(job, settings=dataclasses.replace(job.settings, demonstrations=1))
+    fewer = replace(job, settings=replace(job.settings, demonstrations=1))
     played.clear()
     assert all_demonstrations(fewer) == {"generalist": [3, 0], "navigator": [3, 1]}  # enough, so no third
     assert not played  # all of them were there
     last = 0
-    alone = dataclasses.replace(job, folder=tmp_path / "alone")
+    alone = replace(job, folder=tmp_path / "alone")
     # a turn in which nobody arrives is the last one
     assert all_demonstrations(alone) == {"generalist": [3, 0], "navigator": [6, 1], "navigator_seed1": [3, 0]}
+
+
+def waiting(settings: RehearsalSettings, folder: Path, start: Path | None, *asked: Path) -> dict[str, tuple[str, ...]]:
+    """By job of a plan, those that it waits for."""
+    jobs = plan(settings, context(folder, "rehearsal"), settings.task, "bca", start, asked)
+    return {one.key: one.after for one in jobs}
 
 
 def test_turns_are_jobs_one_after_the_other_and_the_training_follows_them(tmp_path: Path) -> None:
     asked = advising_policies(tmp_path, 0, Task(), GENERALIST)
     settings = job_of(tmp_path, demonstrations=6).settings
-    jobs = plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", GENERALIST, asked)
-    after = {one.key: one.after for one in jobs}
+    after = waiting(settings, tmp_path, GENERALIST, *asked)
     turns = [f"demonstrations/{turn}" for turn in range(6)]  # of three policies, and three more of the best
     assert after["training"] == tuple(f"{turn}/{part}" for turn in turns for part in range(2))
     for earlier, later in itertools.pairwise(turns):
         assert after[f"{later}/0"] == after[f"{later}/1"] == (f"{earlier}/0", f"{earlier}/1")
-    assert shown_by(
-        {"demonstrations/0/0": {"navigator": [6, 3]}, "demonstrations/0/1": {"navigator": [4, 1], "generalist": [2, 0]}}
-    ) == {
-        "navigator": 4,
-        "generalist": 0,
-    }
-    none = dataclasses.replace(settings, demonstrations=0)
-    jobs = plan(none, context(tmp_path, "rehearsal"), none.task, "bca", GENERALIST, asked)
-    assert {one.key: one.after for one in jobs}["training"] == ()
+    played = {"demonstrations/0/0": {"a": [6, 3]}, "demonstrations/0/1": {"a": [4, 1], "b": [2, 0]}}
+    assert shown_by(played) == {"a": 4, "b": 0}
+    none = replace(settings, demonstrations=0)
+    assert waiting(none, tmp_path, GENERALIST, *asked)["training"] == ()
 
 
 def test_policies_whose_files_have_one_name_are_told_apart(tmp_path: Path) -> None:
@@ -312,22 +277,20 @@ def test_policies_whose_files_have_one_name_are_told_apart(tmp_path: Path) -> No
     for file in same:
         file.parent.mkdir()
         shutil.copy(GENERALIST.with_name("generalist_simmons2.pt"), file)
-    job = dataclasses.replace(job_of(tmp_path, copies=1, catheter="simmons2"), shown_by=tuple(same))
+    job = replace(job_of(tmp_path, copies=1, catheter="simmons2"), shown_by=tuple(same))
     assert all_demonstrations(job) == {"policy": [2, 0], "policy2": [2, 0]}  # after twelve steps
     assert len(list((tmp_path / "demonstrations").iterdir())) == 4
 
 
 def test_a_navigator_by_images_plays_in_the_copies(tmp_path: Path) -> None:
     navigator = GENERALIST.with_name("navigator.pt")
-    job = dataclasses.replace(job_of(tmp_path, copies=1, demonstrations=1), shown_by=(navigator,), part=0)
+    job = replace(job_of(tmp_path, copies=1, demonstrations=1), shown_by=(navigator,), part=0)
     assert record_demonstrations(job, Report()) == {"navigator": [1, 0]}  # twelve steps do not lead there
     assert [file.name for file in (tmp_path / "demonstrations").iterdir()] == ["navigator_0_0.npz"]
     assert read_demonstrations(tmp_path) == []
 
 
-def test_the_sampling_expert_shows_the_way_where_no_policy_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_sampling_expert_shows_the_way_where_none_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = Task(start_rotation_deg=180.0, max_steps=300)
     job = job_of(tmp_path, copies=1, demonstrations=2, expert="needed", task=task)
     assert record_demonstrations(job, Report()) == {"expert": [1, 1]}  # the scan is this part's
@@ -337,34 +300,28 @@ def test_the_sampling_expert_shows_the_way_where_no_policy_does(
     assert shown.simulation_states[0, -1] == 0  # the case
     monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", None)  # nothing is played again
     assert record_demonstrations(job, Report()) == {"expert": [1, 1]}
-    always = dataclasses.replace(job.settings, expert="always")  # enough is shown, so that no policy is asked
-    always = dataclasses.replace(always, demonstrations=1)
-    asked = dataclasses.replace(job, settings=always, start=GENERALIST, shown_by=(GENERALIST,))
+    # enough is shown, so that no policy is asked
+    always = replace(job.settings, expert="always", demonstrations=1)
+    asked = replace(job, settings=always, start=GENERALIST, shown_by=(GENERALIST,))
     assert turn_of(asked) == Turn(None)
-    assert turn_of(dataclasses.replace(asked, turn=1)) is None
-    trained = train(job, Report())
-    assert trained["decisions"] == 48
+    assert turn_of(replace(asked, turn=1)) is None
+    assert train(job, Report())["decisions"] == 48  # which takes them up
     record = json.loads((tmp_path / "seed0" / "training.json").read_text())
     assert record["settings"]["demonstrations_in_replay"] == 0.25
-    jobs = plan(job.settings, context(tmp_path, "rehearsal"), task, "bca", None)
-    assert {one.key: one.after for one in jobs}["training"] == ("demonstrations/0/0", "demonstrations/0/1")
-    alone = dataclasses.replace(job.settings, expert="never")
-    jobs = plan(alone, context(tmp_path, "rehearsal"), task, "bca", None)
-    assert {one.key: one.after for one in jobs}["training"] == ()
+    assert waiting(job.settings, tmp_path, None)["training"] == ("demonstrations/0/0", "demonstrations/0/1")
+    assert waiting(replace(job.settings, expert="never"), tmp_path, None)["training"] == ()
 
 
 @pytest.mark.parametrize(("arriving", "expert"), [(0, True), (1, True), (2, False)])
 def test_the_expert_is_asked_where_policies_show_next_to_nothing(tmp_path: Path, arriving: int, expert: bool) -> None:
     """Of six episodes that are wanted a third is enough."""
     job = job_of(tmp_path, copies=5, demonstrations=6, expert="needed")
-    job = dataclasses.replace(job, start=GENERALIST, shown_by=(GENERALIST,))
-    for number in range(2):
-        for place, copy in enumerate(job.training_cases):
-            file = demonstration_file(job, "generalist", copy, number)
-            write_arrays(file, {"terminated": np.array(number == 0 and place < arriving)})
+    job = replace(job, start=GENERALIST, shown_by=(GENERALIST,))
+    leave(job, "generalist", 0, [place < arriving for place in range(6)])
+    leave(job, "generalist", 1, [False] * 6)
     number = 2 if arriving else 1  # a turn in which nobody arrives is the last one of policies
-    assert turn_of(dataclasses.replace(job, turn=number)) == (Turn(None) if expert else None)
-    assert turn_of(dataclasses.replace(job, turn=number + 1)) is None
+    assert turn_of(replace(job, turn=number)) == (Turn(None) if expert else None)
+    assert turn_of(replace(job, turn=number + 1)) is None
 
 
 def test_the_expert_gives_up_where_it_does_not_arrive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -375,7 +332,7 @@ def test_the_expert_gives_up_where_it_does_not_arrive(tmp_path: Path, monkeypatc
         return failed
 
     monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", fail)
-    job = dataclasses.replace(job_of(tmp_path, copies=13, demonstrations=4, expert="needed"), part=1)
+    job = replace(job_of(tmp_path, copies=13, demonstrations=4, expert="needed"), part=1)
     assert record_demonstrations(job, Report()) == {"expert": [8, 0]}
     assert gentle == [True] * 5 + [False] * 3
     assert read_demonstrations(tmp_path) == []
@@ -392,6 +349,6 @@ def test_it_plays_as_usual_where_few_gentle_episodes_arrive(
         return {"terminated": np.array(number < arriving if gentle else number > 0)}
 
     monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", play)
-    job = dataclasses.replace(job_of(tmp_path, copies=14, demonstrations=20, expert="needed"), part=1)
+    job = replace(job_of(tmp_path, copies=14, demonstrations=20, expert="needed"), part=1)
     assert record_demonstrations(job, Report()) == {"expert": told}
     assert bool(list((tmp_path / "demonstrations").glob("expert_*_1.npz"))) == usual

@@ -1,24 +1,30 @@
-"""The plan of the stage `unseen`: what is trained, tested and waits for what."""
+"""The plan of the stage `unseen`: what is trained, tested and waits for what, also in arches that are not usual."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from cathsim import load_phantom
+from cathsim.planning import demonstration
+from cathsim.planning.demonstration import demonstrate
 from enn.imitation.images.policy import ImagePolicy
 from enn.policy import Policy
 from enn.shipped import weight_files
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
+from pipeline.anatomies.devices import set_back_mm
 from pipeline.jobs.worker import Report
 from pipeline.seeds import unseen_arches, validation_arches
+from pipeline.stages.unseen import roadmap
+from pipeline.stages.unseen import task as arches
 from pipeline.stages.unseen.image_policy import train_image_policy
-from pipeline.stages.unseen.roadmap import AnatomiesJob, RoadmapJob, StartsJob, train_roadmap
 from pipeline.stages.unseen.settings import UnseenSettings
 from pipeline.stages.unseen.stage import check_unseen, plan, registration
-from pipeline.stages.unseen.task import training_arch
+from pipeline.stages.unseen.task import ROADMAP_KEYS, UnseenTask, training_arch
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_file
 from pipeline.task import Task, differences
@@ -44,7 +50,7 @@ def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
     assert [job.given.xray for job in by_image] == [False, True]
     assert [test.name for test in jobs["roadmap 4"].given.tests] == ["unseen"]
     assert by_image[0].after == by_image[1].after == ("roadmap",)
-    built = [arch for job in jobs.values() if isinstance(job.given, AnatomiesJob) for arch in job.given.arches]
+    built = [arch for job in jobs.values() if isinstance(job.given, roadmap.AnatomiesJob) for arch in job.given.arches]
     tested = [("random", seed) for seed in unseen_arches(20)]
     validated = [training_arch(seed) for seed in validation_arches(16)]
     kinds = ("random", "random_wide", "random", "random_scan", "random_scan")
@@ -53,6 +59,8 @@ def test_plan_never_trains_on_what_it_tests(tmp_path: Path) -> None:
     assert jobs["roadmap"].given.validated == tuple(seed for _, seed in validated)
     without = {job.key for job in plan(small_settings(image=False, xray=False), tmp_path, 3, "smoke")}
     assert not without & {"image_true_mask", "xray"}
+    with pytest.raises(ConfigurationError, match="a seed has 1000 training arches of its own"):
+        plan(small_settings(anatomies=1001), tmp_path, 0, "desk")
 
 
 def test_clutter_is_a_test_of_the_x_ray_policy_alone(tmp_path: Path) -> None:
@@ -61,29 +69,32 @@ def test_clutter_is_a_test_of_the_x_ray_policy_alone(tmp_path: Path) -> None:
     (among,) = [test for test in jobs["xray"].tests if test.name == "unseen clutter"]
     (usual,) = [test for test in jobs["xray"].tests if test.name == "unseen"]
     assert (among.clutter, usual.clutter, among.phantoms) == (0.5, 0.0, usual.phantoms[:1])
-    for row in ("image_true_mask", "roadmap tests"):
-        assert "unseen clutter" not in {test.name for test in jobs[row].tests}
     clean = {job.key: job.given for job in plan(small_settings(clutter=0.0), tmp_path, 0, "desk")}
-    assert "unseen clutter" not in {test.name for test in clean["xray"].tests}
+    for given in (jobs["image_true_mask"], jobs["roadmap tests"], clean["xray"]):
+        assert "unseen clutter" not in {test.name for test in given.tests}
+    with pytest.raises(ConfigurationError, match="clutter is drawn in images of at most 1024 px"):
+        small_settings(clutter=1.0, task=Task(image_size_px=1025))
+    assert small_settings(clutter=0.0, task=Task(image_size_px=1025)).task.image_size_px == 1025
+    assert FluoroscopySettings().image_px == 1024
 
 
 def test_points_of_the_curve_have_equally_many_decisions(tmp_path: Path) -> None:
     jobs = {job.key: job for job in plan(small_settings(), tmp_path, 0, "desk")}
-    sizes = {key: job.given.settings.decisions for key, job in jobs.items() if isinstance(job.given, RoadmapJob)}
+    trained = {key: job.given for key, job in jobs.items() if isinstance(job.given, roadmap.RoadmapJob)}
+    sizes = {key: given.settings.decisions for key, given in trained.items()}
     assert sizes == {"roadmap": 16_000, "roadmap tests": 16_000, **{f"roadmap {k}": 8_000 for k in (1, 4, 8)}}
-    every = {key: jobs[key].given.settings.evaluate_every for key in sizes}
+    every = {key: given.settings.evaluate_every for key, given in trained.items()}
     assert every == {key: decisions // (2 if key[-1].isdigit() else 5) for key, decisions in sizes.items()}
-    assert {"roadmap", "xray", "image_true_mask"} <= set(
-        jobs["roadmap 8"].after
-    )  # two of them with as many arches would not fit the memory
+    # two of them with as many arches would not fit the memory
+    assert {"roadmap", "xray", "image_true_mask"} <= set(jobs["roadmap 8"].after)
     without = [job.key for job in plan(small_settings(curve=[]), tmp_path, 0, "desk")]
     assert [key for key in without if "roadmap " in key] == ["roadmap tests"]
 
 
 def test_registrations_are_tried_on_the_same_arches_and_starts(tmp_path: Path) -> None:
     wanted = small_settings(registration_noise_mm=[0.0, 1.5, 4.0], test_anatomies=3)
-    tests = {test.name: test for test in next(job for job in plan(wanted, tmp_path, 0, "desk")
-                                              if job.key == "roadmap tests").given.tests}  # fmt: skip
+    jobs = {job.key: job.given for job in plan(wanted, tmp_path, 0, "desk")}
+    tests = {test.name: test for test in jobs["roadmap tests"].tests}
     noisy = [tests["misregistered 1.5 mm"], tests["misregistered 4 mm"]]
     assert [test.registration_noise for test in noisy] == [1.5e-3, 4e-3]
     assert {test.phantoms for test in noisy} == {tests["unseen"].phantoms}
@@ -104,25 +115,20 @@ def test_registrations_are_tried_on_the_same_arches_and_starts(tmp_path: Path) -
     assert np.abs(starts[0]["roadmap"] - starts[1]["roadmap"]).max() > 0.01
 
 
-def test_plan_demonstrates_in_training_anatomies(tmp_path: Path) -> None:
-    jobs = {job.key: job for job in plan(small_settings(demonstrations=5), tmp_path, 1, "desk")}
+def test_plan_demonstrates_and_lays_starts_in_training_anatomies(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(small_settings(anatomies=20, demonstrations=5), tmp_path, 1, "desk")}
     shown = [jobs["demonstrations/0"].given, jobs["demonstrations/1"].given]
     assert sorted(seed for given in shown for seed in given.shown) == list(range(1000, 1005))
-    assert {"demonstrations/0", "demonstrations/1"} <= set(jobs["roadmap 4"].after)
-    assert jobs["roadmap 4"].given.settings.reset_bank_cases == 12
-    none = plan(small_settings(demonstrations=0), tmp_path, 1, "desk")
-    assert not [job.key for job in none if job.key.startswith("demonstrations")]
-    assert jobs["roadmap"].given.demonstrated
-    assert not next(job for job in none if job.key == "roadmap").given.demonstrated
-
-
-def test_plan_lays_starts_in_every_training_anatomy(tmp_path: Path) -> None:
-    jobs = {job.key: job for job in plan(small_settings(anatomies=20), tmp_path, 1, "desk")}
-    laid = [job for job in jobs.values() if isinstance(job.given, StartsJob)]
+    laid = [job for job in jobs.values() if isinstance(job.given, roadmap.StartsJob)]
     assert [seed for job in laid for seed in job.given.anatomies] == list(range(1000, 1020))
-    assert {job.key for job in laid} <= set(jobs["roadmap 1"].after)
     assert [job.after for job in laid] == [("training/1000",), ("training/1016",)]
+    waited = set(jobs["roadmap 4"].after)
+    assert {"demonstrations/0", "demonstrations/1", *(job.key for job in laid)} <= waited
+    assert jobs["roadmap 4"].given.settings.reset_bank_cases == 12
     assert jobs["roadmap"].given.laid
+    none = {job.key: job.given for job in plan(small_settings(demonstrations=0), tmp_path, 1, "desk")}
+    assert not [key for key in none if key.startswith("demonstrations")]
+    assert (jobs["roadmap"].given.demonstrated, none["roadmap"].demonstrated) == (True, False)
 
 
 def test_a_missing_mesh_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -134,35 +140,20 @@ def test_a_missing_mesh_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFix
     assert "real_mesh" in [test.name for test in jobs[-1].given.tests]
 
 
-def test_clutter_in_larger_images_than_it_is_drawn_for_is_refused() -> None:
-    large = Task(image_size_px=1025)
-    with pytest.raises(ConfigurationError, match="clutter is drawn in images of at most 1024 px, got"):
-        small_settings(clutter=1.0, task=large)
-    assert small_settings(clutter=0.0, task=large).task.image_size_px == 1025
-    assert FluoroscopySettings().image_px == 1024
-
-
 def test_a_field_that_targets_lie_outside_of_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"field_mm=100 would leave targets out .*: give 160 or more, or 0"):
-        small_settings(field_mm=100.0)
-    with pytest.raises(ConfigurationError, match=r"field_mm=180 would leave targets out .*: give 200 or more, or 0"):
-        small_settings(targets=["bca", "rsa"], field_mm=180.0)
+    wide = ["bca", "rsa"]
+    for targets, field, least in ((["bca"], 100.0, 160), (wide, 180.0, 200)):
+        with pytest.raises(ConfigurationError, match=rf"field_mm={field:g} .*: give {least} or more"):
+            small_settings(targets=targets, field_mm=field)
     assert small_settings(field_mm=180.0).field() == pytest.approx(0.18)
-    assert small_settings(targets=["bca", "rsa"], field_mm=200.0).field() == pytest.approx(0.2)
+    assert small_settings(targets=wide, field_mm=200.0).field() == pytest.approx(0.2)
     assert small_settings().field() is None
 
 
-@pytest.mark.parametrize(
-    ("changed", "sentence"),
-    [
-        ({"targets": ["aorta"]}, "unknown target 'aorta': choose from bca, lcca, lsa"),
-        ({"phantoms": ["type_9"]}, "unknown phantom 'type_9': choose from type_1"),
-        ({"wires": ["rope"]}, "unknown wire 'rope': choose from default"),
-        ({"views": ["above"]}, "unknown view 'above': choose from frontal, lateral, lao_45"),
-    ],
-)
-def test_unknown_names_are_one_sentence(changed: dict, sentence: str) -> None:
-    with pytest.raises(ConfigurationError, match=sentence):
+@pytest.mark.parametrize("changed", [{"targets": ["aorta"]}, {"phantoms": ["x"]}, {"wires": ["x"]}, {"views": ["x"]}])
+def test_unknown_names_are_refused(changed: dict[str, list[str]]) -> None:
+    ((setting, (name,)),) = changed.items()
+    with pytest.raises(ConfigurationError, match=f"unknown {setting[:-1]} '{name}': choose from"):
         check_unseen(small_settings(**changed))
 
 
@@ -174,17 +165,15 @@ def test_only_a_roadmap_policy_with_critics_starts_a_training(tmp_path: Path) ->
         check_unseen(small_settings(policy=str(damaged)))
     acting = tmp_path / "acting.pt"
     Policy.load(next(file for file in weight_files() if file.stem == "generalist")).save(acting)
-    with pytest.raises(ConfigurationError, match="is no policy by a roadmap that was saved with critics"):
+    with pytest.raises(ConfigurationError, match="critics"):
         check_unseen(small_settings(policy=str(acting)))
 
 
 def test_a_roadmap_policy_is_taken_as_it_is(tmp_path: Path) -> None:
     file = next(file for file in weight_files() if file.stem == "arch_variety")  # without critics
-    with pytest.raises(ConfigurationError, match=r"stage\.decisions=0 takes a policy by a roadmap as it is: name its"):
+    with pytest.raises(ConfigurationError, match=r"stage\.decisions=0 takes a policy"):
         small_settings(decisions=0)
-    with pytest.raises(
-        ConfigurationError, match=r"was trained with stage\.task\.wire=arch_variety, .*: give the stage"
-    ):
+    with pytest.raises(ConfigurationError, match=r"was trained with stage\.task\.wire=arch_variety"):
         check_unseen(small_settings(decisions=0, policy=str(file)))
     task = Task(**Policy.load(file).metadata["task"])
     wanted = small_settings(decisions=0, policy=str(file), curve=[], task=task)
@@ -192,10 +181,11 @@ def test_a_roadmap_policy_is_taken_as_it_is(tmp_path: Path) -> None:
     jobs = {job.key: job.given for job in plan(wanted, tmp_path, 0, "desk")}
     assert not [key for key in jobs if key.startswith(("starts", "demonstrations"))]
     assert (jobs["roadmap"].settings, jobs["roadmap"].start, jobs["roadmap"].tests) == (None, file, ())
-    assert train_roadmap(replace(jobs["roadmap"], folder=tmp_path), Report()) == {"training_s": 0.0, "tests": []}
+    outcome = roadmap.train_roadmap(replace(jobs["roadmap"], folder=tmp_path), Report())
+    assert outcome == {"training_s": 0.0, "tests": []}
     taken = tmp_path / "roadmap" / "seed0" / "policy.pt"
     assert taken.read_bytes() == file.read_bytes()
-    with pytest.raises(ConfigurationError, match="is no policy by a roadmap: give such a one"):
+    with pytest.raises(ConfigurationError, match="is no policy by a roadmap"):
         check_unseen(small_settings(decisions=0, policy=str(file.with_name("type_1_bca.pt"))))
 
 
@@ -208,7 +198,8 @@ def test_shipped_policies_are_tested_in_place_of_trainings(tmp_path: Path) -> No
     assert navigator.imaging == {"views": jobs["xray"].views, "field": jobs["xray"].field}
     assert {len(jobs[key].anatomies) for key in ("roadmap", "xray")} == {150}
     assert differences(wanted.task, Task(**navigator.metadata["task"])) == []
-    for key, train, name in (("roadmap", train_roadmap, "policy.pt"), ("xray", train_image_policy, "image_policy.pt")):
+    taken = {"roadmap": (roadmap.train_roadmap, "policy.pt"), "xray": (train_image_policy, "image_policy.pt")}
+    for key, (train, name) in taken.items():
         job = replace(jobs[key], folder=tmp_path, tests=())
         assert train(job, Report()) == {"training_s": 0.0, "tests": []}
         assert (job.own_folder / name).read_bytes() == job.start.read_bytes()
@@ -217,30 +208,103 @@ def test_shipped_policies_are_tested_in_place_of_trainings(tmp_path: Path) -> No
 
 
 def test_shipped_policies_take_the_place_of_nothing_that_was_asked_for() -> None:
-    asked = {
-        "policy": "mine.pt",
-        "views": ["lateral"],
-        "least_set_back_mm": 20.0,
-        "curve": [2],
-        "training": {"gamma": 0.9},
-    }
-    for name, value in asked.items():
-        with pytest.raises(ConfigurationError, match=rf"shipped=true takes .* and no stage\.{name}: .* PRETRAINED=0"):
+    asked = {"policy": "mine.pt", "views": ["lateral"], "least_set_back_mm": 20.0, "curve": [2]}
+    for name, value in (asked | {"training": {"gamma": 0.9}}).items():
+        with pytest.raises(ConfigurationError, match=rf"shipped=true takes .* and no stage\.{name}"):
             UnseenSettings(shipped=True, **{name: value})
-    with pytest.raises(ConfigurationError, match=r"and no stage\.task\.image_size_px: train your own"):
+    with pytest.raises(ConfigurationError, match=r"and no stage\.task\.image_size_px"):
         composed("stage=unseen", "pretrained=1", "stage.task.image_size_px=128")
-
-
-def test_impossible_sizes_are_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"stage\.advised_episodes must be 1 or more, got 0"):
-        small_settings(advised_episodes=0)
-    with pytest.raises(ConfigurationError, match="seed 20 has no training arches of its own, only seeds 0 to 19"):
-        plan(small_settings(), tmp_path, 20, "desk")
-    with pytest.raises(ConfigurationError, match="a seed has 1000 training arches of its own, got 1001: choose fewer"):
-        plan(small_settings(anatomies=1001), tmp_path, 0, "desk")
 
 
 @pytest.mark.parametrize("changed", [{"phantoms": ["type_1"]}, {"mesh": "aorta.stl"}])
 def test_arch_variety_takes_no_other_anatomies(changed: dict[str, object]) -> None:
     with pytest.raises(ConfigurationError, match=r"give stage\.phantoms=\[\] stage\.mesh=null"):
         variety(**changed)
+
+
+def test_arches_with_a_steep_take_off_are_chosen_in_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    backs = {seed: float(seed % 7) for seed in range(100)}
+    monkeypatch.setattr("cathsim.load_phantom", lambda kind, seed, resolution: seed)
+    monkeypatch.setattr(arches, "set_back_mm", lambda phantom, target: backs[phantom] if target == "lcca" else 0.0)
+    assert arches.with_steep_take_off(range(100), ("bca", "lcca"), 5.0, 4) == [5, 6, 12, 13]
+    with pytest.raises(ConfigurationError, match=r"only 2 of the arches .* 3 are wanted"):
+        arches.with_steep_take_off(range(20), ("lcca",), 6.0, 3)
+
+
+def test_steep_arches_are_trained_in_and_chosen_by(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def every_tenth(seeds: Iterable[int], targets: Sequence[str], least_mm: float, count: int, kind: str) -> list[int]:
+        assert (list(targets), least_mm, kind) == (["bca", "lcca", "lsa"], 13.0, "random")
+        return list(seeds)[::10][:count]
+
+    monkeypatch.setattr("pipeline.stages.unseen.stage.with_steep_take_off", every_tenth)
+    wanted = small_settings(least_set_back_mm=13.0, image=False, xray=False, curve=[], test_anatomies=5)
+    jobs = {job.key: job.given for job in plan(wanted, tmp_path, 1, "desk")}
+    assert jobs["roadmap"].anatomies == tuple(range(1000, 1080, 10))
+    assert jobs["roadmap"].validated == tuple(range(32_000, 32_320, 20))
+    assert jobs["roadmap tests"].tests[0].phantoms == tuple(unseen_arches(5))
+    built = {seed for job in jobs.values() if isinstance(job, roadmap.AnatomiesJob) for _, seed in job.arches}
+    assert built >= {*jobs["roadmap"].anatomies, *jobs["roadmap"].validated}
+
+
+def test_plan_in_arch_variety_has_all_types_and_points_of_each_arch(tmp_path: Path) -> None:
+    jobs = {job.key: job for job in plan(variety(), tmp_path, 1, "smoke")}
+    built = [arch for job in jobs.values() if isinstance(job.given, roadmap.AnatomiesJob) for arch in job.given.arches]
+    assert {kind for kind, seed in built if 32_000 <= seed < 32_006} == {
+        f"arch_variety_{kind}" for kind in ("I", "II", "IV", "V", "VI", "VII")
+    }
+    assert {seed for _, seed in built} == {*range(1000, 1008), *range(32_000, 32_006), *unseen_arches(20)}
+    assert not any(job.given.targets for job in jobs.values() if isinstance(job.given, roadmap.AnatomiesJob))
+    given = jobs["roadmap"].given
+    assert given.task.targets == ("point_1", "point_2")
+    assert (given.settings.action_repeat, given.settings.reset_bank_cases) == (2, 16)  # 0.3 s; arches times points
+
+
+def test_arches_of_arch_variety_with_a_steep_point_are_found() -> None:
+    chosen = arches.with_steep_take_off(range(40), ("point_1", "point_2"), 8.0, 2, "arch_variety")
+    for seed in range(chosen[-1] + 1):
+        kind, own = training_arch(seed, "arch_variety")
+        phantom = load_phantom(kind, seed=own, resolution=1e-3)
+        steep = max(set_back_mm(phantom, target) for target in ("point_1", "point_2")) >= 8.0
+        assert steep == (seed in chosen)
+
+
+def test_environments_of_arch_variety_have_its_pace_and_points() -> None:
+    task = UnseenTask(("point_1", "point_2"), variety().task, arches="arch_variety")
+    for environment in (
+        task.test_environment(40_003, "point_2", "arch_variety", ("tip",)),
+        task.training_environment((40_003,), ("tip",)),
+    ):
+        environment.reset(seed=0, options={"case": 1} if hasattr(environment, "case") else None)
+        assert environment.phantom.name == "arch_variety_II_40003"
+        assert environment.task.target_name == "point_2"
+        assert environment.simulation.pace.interval == pytest.approx(1 / 7.5)
+        assert environment.task.success_radius == pytest.approx(0.005)
+        environment.close()
+
+
+TWO_TARGETS = UnseenTask(("bca", "lcca"), Task(wire_length_mm=312.0, max_steps=24))
+
+
+def test_what_is_demonstrated_is_what_the_training_reads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    environment = TWO_TARGETS.training_environment((0,), ROADMAP_KEYS)
+    made = demonstrate(environment, 1, ROADMAP_KEYS, hold=4, seed=3)
+
+    tries = []
+    made_well = {**made, "terminated": np.array(True)}
+    monkeypatch.setattr(demonstration, "demonstrate", lambda *_, **__: tries.append(1) or made_well)
+    job = roadmap.DemonstrationsJob(tmp_path, TWO_TARGETS, (0,), (0,), "lcca", hold=4, seed=3)
+    assert roadmap.record_demonstrations(job, Report()) == {"shown": 1, "reached": 1}
+    assert roadmap.record_demonstrations(job, Report()) == {"shown": 1, "reached": 1}
+    assert len(tries) == 1  # what is there is not made again
+    (read,) = roadmap.read_demonstrations(tmp_path, (0, 7))
+    np.testing.assert_array_equal(read.observations["roadmap"], made["roadmap"])
+    np.testing.assert_array_equal(read.simulation_states, made["states"])
+    assert roadmap.read_demonstrations(tmp_path, (7,)) == []
+
+
+def test_failures_are_kept_but_not_learnt_from(tmp_path: Path) -> None:
+    short = replace(TWO_TARGETS, task=replace(TWO_TARGETS.task, max_steps=8))
+    job = roadmap.DemonstrationsJob(tmp_path, short, (0,), (0,), "bca", hold=4, seed=0)
+    assert roadmap.record_demonstrations(job, Report()) == {"shown": 1, "reached": 0}
+    assert [path.name for path in tmp_path.iterdir()] == ["bca_0.npz"]
+    assert roadmap.read_demonstrations(tmp_path, (0,)) == []

@@ -9,26 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from enn.imitation.images.egocentric import VIEW_SIZE
 from enn.imitation.images.policy import ImagePolicy
 from enn.imitation.images.stereo_view import STEREO_SIZE
+from enn.imitation.recurrent_policy import RecurrentPolicy
 from enn.policy import Policy
 from enn.shipped import weight_files
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
+from pipeline.stages.unseen import roadmap
 from pipeline.stages.unseen.image_policy import train_image_policy
-from pipeline.stages.unseen.roadmap import (
-    AnatomiesJob,
-    RoadmapJob,
-    StartsJob,
-    build_anatomies,
-    lay_starts,
-    read_starts,
-    train_roadmap,
-    training_settings,
-)
 from pipeline.stages.unseen.stage import check_unseen, curve, plan
 from pipeline.stages.unseen.task import UnseenTask, training_arch
 from pipeline.task import Task
@@ -44,15 +37,15 @@ def test_a_policy_of_x_ray_images_observes_no_mask(tmp_path: Path) -> None:
 
 
 def test_laid_starts_lie_before_the_target_and_are_laid_once(tmp_path: Path) -> None:
-    job = StartsJob(tmp_path / "starts", TASK, (5,), seed=0)
-    laid = lay_starts(job, Report())
+    job = roadmap.StartsJob(tmp_path / "starts", TASK, (5,), seed=0)
+    laid = roadmap.lay_starts(job, Report())
     assert laid["anatomies"] == 1
     assert laid["states"] >= 8
     written = (job.folder / "5.npz").stat().st_mtime_ns
-    assert lay_starts(job, Report()) == laid
+    assert roadmap.lay_starts(job, Report()) == laid
     assert (job.folder / "5.npz").stat().st_mtime_ns == written
 
-    (starts,) = read_starts(job.folder, (5,), TASK.targets)
+    (starts,) = roadmap.read_starts(job.folder, (5,), TASK.targets)
     assert len(starts) == laid["states"]
     assert (starts[:, -1] == 0).all()
     environment = TASK.training_environment((5,), ("tip",))
@@ -68,24 +61,29 @@ def test_laid_starts_lie_before_the_target_and_are_laid_once(tmp_path: Path) -> 
     assert max(remaining) < 0.7 * whole
 
 
-def test_wires_of_the_tests() -> None:
+def test_wires_of_the_tests_and_with_a_catheter_both_devices_are_steered() -> None:
     task = UnseenTask(("bca",), Task(wire_length_mm=312.0))
     default, softer, stiffer, thesis = (task.wire(kind) for kind in ("default", "softer", "stiffer", "thesis"))
     assert default.links == softer.links
     assert stiffer.tip_stiffness_nmm2 == pytest.approx(4 * softer.tip_stiffness_nmm2)
     assert stiffer.shaft_stiffness_nmm2 == pytest.approx(2 * default.shaft_stiffness_nmm2)
     assert {round(1e3 * wire.length) for wire in (default, softer, stiffer, thesis)} == {312}
+    both = replace(TASK, task=replace(TASK.task, catheter="simmons2", wire_length_mm=360.0))
+    for environment in (
+        both.training_environment((1,), ("roadmap", "history")),
+        both.test_environment("type_1", "lcca", "default", ("roadmap", "history")),
+    ):
+        assert environment.action_space.shape == (4,)
+        environment.close()
 
 
 def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
-    assert build_anatomies(AnatomiesJob((training_arch(0),), ("lcca",)), Report()) == {"anatomies": 1}
-    assert lay_starts(StartsJob(tmp_path / "unseen" / "starts", TASK, (0,), seed=0), Report())["states"] > 0
-    tiny = replace(
-        training_settings(small_settings(targets=["lcca"], anatomies=1, validation_episodes=1, hidden=16), 1, 160),
-        learning_starts=32,
-        n_envs=4,
-    )
-    teacher = RoadmapJob(
+    assert roadmap.build_anatomies(roadmap.AnatomiesJob((training_arch(0),), ("lcca",)), Report()) == {"anatomies": 1}
+    starts = roadmap.StartsJob(tmp_path / "unseen" / "starts", TASK, (0,), seed=0)
+    assert roadmap.lay_starts(starts, Report())["states"] > 0
+    small = small_settings(targets=["lcca"], anatomies=1, validation_episodes=1, hidden=16)
+    tiny = replace(roadmap.training_settings(small, 1, 160), learning_starts=32, n_envs=4)
+    teacher = roadmap.RoadmapJob(
         folder=tmp_path / "unseen",
         origin=Origin("unseen", "roadmap", 0, "desk"),
         task=TASK,
@@ -94,25 +92,24 @@ def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
         settings=replace(tiny, evaluate_every=160),
         validated=(2,),
     )
-    by_roadmap = train_roadmap(teacher, Report())
+    by_roadmap = roadmap.train_roadmap(teacher, Report())
     assert by_roadmap["tests"][0]["n"] == 1
     log = teacher.own_folder / "evaluation" / "unseen" / "lcca" / "deterministic" / "random_1" / "000.mcap"
     written = log.stat().st_mtime_ns
-    again = train_roadmap(teacher, Report())
+    again = roadmap.train_roadmap(teacher, Report())
     assert again["tests"] == by_roadmap["tests"]
     assert log.stat().st_mtime_ns == written
 
     started = teacher.own_folder / "policy.pt"
-    given = small_settings(
-        targets=["lcca"], anatomies=1, curve=[1], policy=str(started), training={"learning_starts": 32}
-    )
+    first = {"policy": str(started), "training": {"learning_starts": 32}}
+    given = small_settings(targets=["lcca"], anatomies=1, curve=[1], **first)
     check_unseen(given)
     main, of_curve = (job.given for job in plan(given, tmp_path, 0, "desk") if job.key in ("roadmap", "roadmap 1"))
     assert (main.start, of_curve.start) == (started, None)
     assert (main.settings.hidden, of_curve.settings.hidden) == ((16, 16), (256, 256))
     assert main.settings.learning_rate == 0.2 * of_curve.settings.learning_rate
     further = replace(teacher, start=started, origin=replace(teacher.origin, training_seed=1), tests=())
-    train_roadmap(replace(further, settings=replace(tiny, hidden=(16, 16), learning_rate=1e-12)), Report())
+    roadmap.train_roadmap(replace(further, settings=replace(tiny, hidden=(16, 16), learning_rate=1e-12)), Report())
     assert np.allclose(*(Policy.load(job.own_folder / "policy.pt").module.state_dict()["actor.mu.weight"]
                          for job in (teacher, further)), atol=1e-6)  # fmt: skip
 
@@ -130,8 +127,10 @@ def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
     whole = replace(job, folder=tmp_path / "other", tests=())
     shutil.copytree(teacher.own_folder, whole.folder / "roadmap" / "seed0")
     train_image_policy(whole, Report())
-    weights = [np.frombuffer(_weights(folder), np.uint8) for folder in (job.own_folder, whole.own_folder)]
-    np.testing.assert_array_equal(*weights)
+    files = [one.own_folder / "image_policy.pt" for one in (job, whole)]
+    weights = [RecurrentPolicy.load(file).network.state_dict() for file in files]
+    assert weights[0].keys() == weights[1].keys()
+    assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[1])
     record = json.loads((job.own_folder / "training.json").read_text())
     assert [row["round"] for row in record["rounds"]] == [0, 1]
     assert not (job.own_folder / "advised_episodes").exists()
@@ -155,32 +154,13 @@ def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
     assert list(rows) == ["roadmap/8", "image_true_mask/20", "xray/20"]
 
 
-def _weights(folder: Path) -> bytes:
-    from enn.imitation.recurrent_policy import RecurrentPolicy
-
-    state = RecurrentPolicy.load(folder / "image_policy.pt").network.state_dict()
-    return b"".join(value.numpy().tobytes() for value in state.values())
-
-
 @pytest.mark.parametrize(("accuracy", "substeps"), [("fast", 5), ("accurate", 10)])
 def test_the_physics_of_training_can_be_chosen(tmp_path: Path, accuracy: str, substeps: int) -> None:
     jobs = {job.key: job.given for job in plan(small_settings(accuracy=accuracy), tmp_path, 0, "desk")}
-    for row in ("roadmap", "xray"):
-        environment = jobs[row].task.training_environment((1,), ("tip",))
-        assert environment.simulation.substeps == substeps
-        environment.close()
-    tested = jobs["roadmap"].task.test_environment("type_1", "lcca", "default", ("tip",))
-    assert tested.simulation.substeps == 10
-
-
-def test_with_a_catheter_both_devices_are_steered_in_training_and_tests() -> None:
-    both = replace(TASK, task=replace(TASK.task, catheter="simmons2", wire_length_mm=360.0))
-    for environment in (
-        both.training_environment((1,), ("roadmap", "history")),
-        both.test_environment("type_1", "lcca", "default", ("roadmap", "history")),
-    ):
-        assert environment.action_space.shape == (4,)
-        environment.close()
+    task = jobs["roadmap"].task
+    assert jobs["xray"].task == task
+    assert task.training_environment((1,), ("tip",)).simulation.substeps == substeps
+    assert task.test_environment("type_1", "lcca", "default", ("tip",)).simulation.substeps == 10
 
 
 def test_by_x_ray_images_a_catheter_is_steered_too(tmp_path: Path) -> None:

@@ -12,13 +12,6 @@ ORIGIN = (40.0, -30.0, 12.0)
 VESSELS = {1: "aorta", 2: "Left subclavian artery"}
 
 
-def axes() -> np.ndarray:
-    """Columns of the volume's axes in the patient's: turned about the third, with the second tipped."""
-    a, b = 0.3, 0.2
-    first = np.array([[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
-    return first @ np.array([[1, 0, 0], [0, np.cos(b), -np.sin(b)], [0, np.sin(b), np.cos(b)]])
-
-
 def masks() -> dict[int, np.ndarray]:
     """Voxels (nx, ny, nz) of both vessels, which overlap."""
     aorta, branch = np.zeros(SHAPE, dtype=bool), np.zeros(SHAPE, dtype=bool)
@@ -44,16 +37,9 @@ def write_series(
     origin: Sequence[float] = ORIGIN,
     **more: Any,
 ) -> list[Path]:
-    """Writes slices by pydicom, in files whose names are in no order.
+    """Writes slices of Hounsfield units (nx, ny, nz) by pydicom, in files whose names are in no order.
 
-    Args:
-        folder: that takes them.
-        values: (nx, ny, nz) Hounsfield units.
-        turn: (3, 3) columns of the axes; the patient's where it is left out.
-        series: SeriesInstanceUID.
-        spacing: mm, as SPACING.
-        origin: (3,) mm of the first voxel.
-        more: further attributes of each slice.
+    Columns of `turn` are the axes, the patient's where it is left out; `more` are further attributes of each slice.
     """
     from pydicom.dataset import FileDataset, FileMetaDataset
     from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
@@ -71,13 +57,8 @@ def write_series(
         one.Modality, one.PatientName, one.PatientID = "CT", "Nobody", "0"
         one.PatientBirthDate, one.PatientSex, one.AccessionNumber, one.ReferringPhysicianName = "", "", "", ""
         one.StudyInstanceUID, one.SeriesInstanceUID, one.FrameOfReferenceUID = "1.2.3.5", series, "1.2.3.6"
-        one.StudyID, one.StudyDate, one.StudyTime, one.SeriesNumber, one.InstanceNumber = (
-            "1",
-            "20200101",
-            "000000",
-            3,
-            k + 1,
-        )
+        one.StudyID, one.StudyDate, one.StudyTime = "1", "20200101", "000000"
+        one.SeriesNumber, one.InstanceNumber = 3, k + 1
         one.SeriesDescription, one.Manufacturer, one.ManufacturerModelName = "THORAX", "None", "None"
         one.DeviceSerialNumber, one.SoftwareVersions, one.PositionReferenceIndicator = "0", "0", ""
         one.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
@@ -97,14 +78,7 @@ def write_series(
 
 
 def write_segmentation(path: Path, labels: np.ndarray, affine: np.ndarray, names: Mapping[int, str]) -> None:
-    """Writes a binary segmentation by pydicom, as small as a reader allows.
-
-    Args:
-        path: of the file.
-        labels: (nx, ny, nz).
-        affine: (4, 4) from indices to the patient's mm.
-        names: of the labels.
-    """
+    """Writes a binary segmentation by pydicom, as small as a reader allows; the affine leads to the patient's mm."""
     from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
     from pydicom.pixels.utils import pack_bits
     from pydicom.uid import ExplicitVRLittleEndian, SegmentationStorage

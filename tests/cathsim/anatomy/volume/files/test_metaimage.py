@@ -1,5 +1,6 @@
 """Label volumes in MetaImage files: places, data beside the header, and those that cannot be read."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -8,19 +9,12 @@ import pytest
 from cathsim.anatomy.importing import import_anatomy, import_digest
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.files.reading import open_volume, read_labels
+from tests.cathsim.anatomy.volume.rasterising import tubes
 
 SimpleITK = pytest.importorskip("SimpleITK", reason="MetaImage files need SimpleITK")
 
 SPACING, ORIGIN = (0.8, 0.9, 2.0), (40.0, -30.0, 12.0)
 TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-
-def tubes() -> np.ndarray:
-    """Labels of an upright vessel (52) and of one that leaves it (58), in the order x, y, z."""
-    labels = np.zeros((40, 36, 30), dtype=np.uint8)
-    labels[10:20, 10:20] = 52
-    labels[20:30, 13:17, 14:18] = 58
-    return labels
 
 
 def written(path: Path, labels: np.ndarray, *, packed: bool = False, vector: bool = False) -> Path:
@@ -34,9 +28,9 @@ def written(path: Path, labels: np.ndarray, *, packed: bool = False, vector: boo
     return path
 
 
-@pytest.mark.parametrize("name", ["a.mha", "a.mhd"])
-@pytest.mark.parametrize("packed", [False, True])
-@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.float32])
+@pytest.mark.parametrize(
+    ("name", "packed", "kind"), [("a.mha", False, np.int16), ("a.mhd", False, np.uint8), ("a.mhd", True, np.float32)]
+)
 def test_voxels_lie_where_itk_says(tmp_path: Path, name: str, packed: bool, kind: type) -> None:
     volume = read_labels(written(tmp_path / name, tubes().astype(kind), packed=packed))
     assert volume.names == ("aorta", "lcca")
@@ -55,43 +49,37 @@ def test_a_header_without_axes_is_noted(tmp_path: Path) -> None:
     assert "says nothing of the patient's axes" in open_volume(file).notes[0]
     assert not open_volume(written(tmp_path / "b.mha", tubes())).notes
     file.write_bytes(b"\n".join(line for line in lines if not line.startswith(b"ElementSpacing")))
-    assert open_volume(file).notes == ("the file does not say how large its voxels are along each axis: 1 mm is taken",)
+    assert "does not say how large its voxels are" in open_volume(file).notes[0]
 
 
 @pytest.mark.parametrize(
     ("damage", "match"),
     [
-        ("text", "is no MetaImage file; give a .mha file"),
-        ("header", "is damaged: its header cannot be read"),
-        ("kind", "is damaged: its header cannot be read"),
-        ("cut", "is damaged, or its data are not beside it"),
-        ("alone", "is damaged, or its data are not beside it"),
-        ("series", r"has 4 axes \(8 x 9 x 8 x 3\), expected a volume of three"),
-        ("colours", "has 3 values a voxel, expected one label"),
+        (lambda content: b"hello", "is no MetaImage file"),
+        (lambda content: content.replace(b"DimSize = 40", b"DimSize = no"), "is damaged: its header cannot be read"),
+        (lambda content: content.replace(b"MET_UCHAR", b"MET_COLOR"), "is damaged: its header cannot be read"),
+        (lambda content: content[:-5000], "is damaged, or its data are not beside it"),
     ],
 )
-def test_what_cannot_be_read_is_refused(tmp_path: Path, damage: str, match: str) -> None:
-    file = tmp_path / ("a.mhd" if damage == "alone" else "a.mha")
-    if damage == "series":
-        written(file, np.zeros((8, 9, 8, 3), np.uint8))
-    elif damage == "colours":
-        written(file, np.zeros((3, 8, 9, 8), np.uint8), vector=True)
-    else:
-        written(file, tubes())
-    if damage == "text":
-        file.write_text("hello")
-    elif damage == "header":
-        file.write_bytes(file.read_bytes().replace(b"DimSize = 40", b"DimSize = no"))
-    elif damage == "kind":
-        file.write_bytes(file.read_bytes().replace(b"MET_UCHAR", b"MET_COLOR"))
-    elif damage == "cut":
-        file.write_bytes(file.read_bytes()[:-5000])
-    elif damage == "alone":
-        file.with_suffix(".raw").unlink()
-    with pytest.raises(MeshRefusedError, match=match) as caught:
+def test_what_is_damaged_is_refused(tmp_path: Path, damage: Callable[[bytes], bytes], match: str) -> None:
+    file = written(tmp_path / "a.mha", tubes())
+    file.write_bytes(damage(file.read_bytes()))
+    with pytest.raises(MeshRefusedError, match=match):
         import_anatomy(file, cache_dir=tmp_path)
-    assert "\n" not in str(caught.value)
-    assert str(caught.value).endswith(".")
+
+
+def test_what_is_no_volume_of_labels_is_refused(tmp_path: Path) -> None:
+    alone = written(tmp_path / "a.mhd", tubes())
+    alone.with_suffix(".raw").unlink()
+    series = written(tmp_path / "series.mha", np.zeros((8, 9, 8, 3), np.uint8))
+    colours = written(tmp_path / "colours.mha", np.zeros((3, 8, 9, 8), np.uint8), vector=True)
+    for file, match in (
+        (alone, "is damaged, or its data are not beside it"),
+        (series, r"has 4 axes \(8 x 9 x 8 x 3\)"),
+        (colours, "has 3 values a voxel"),
+    ):
+        with pytest.raises(MeshRefusedError, match=match):
+            import_anatomy(file, cache_dir=tmp_path)
 
 
 @pytest.mark.parametrize("name", ["a.mhd", "a.nhdr"])

@@ -16,11 +16,12 @@ from tests.cathsim.anatomy.volume.rasterising import IDS, rasterise, save_nifti
 
 pytest.importorskip("nibabel", reason="label volumes need nibabel")
 
+Scan = tuple[np.ndarray, np.ndarray]  # labels and affine
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
 @pytest.fixture(scope="module")
-def scan(phantom: Phantom) -> tuple[np.ndarray, np.ndarray]:
+def scan(phantom: Phantom) -> Scan:
     return rasterise(phantom, spacing=(1.2e-3,) * 3)
 
 
@@ -32,18 +33,16 @@ def scaled(affine: np.ndarray, factor: float) -> np.ndarray:
     return np.diag([factor, factor, factor, 1.0]) @ affine
 
 
-@pytest.mark.parametrize("spacing", [(1.2e-3, 1.2e-3, 1.2e-3), (0.7e-3, 0.7e-3, 5e-3), (3e-3, 3e-3, 3e-3)])
-def test_whole_labels_have_no_notes(tmp_path: Path, phantom: Phantom, spacing: tuple[float, float, float]) -> None:
+@pytest.mark.parametrize("spacing", [(0.7e-3, 0.7e-3, 5e-3), (3e-3, 3e-3, 3e-3)])
+def test_whole_labels_of_coarse_voxels_have_no_notes(
+    tmp_path: Path, phantom: Phantom, spacing: tuple[float, float, float]
+) -> None:
     assert notes_of(tmp_path, *rasterise(phantom, spacing=spacing)) == ()
 
 
-@pytest.mark.parametrize("factor", [0.05, 0.1])
-def test_a_wrong_unit_is_refused_by_the_aortas_radius(
-    tmp_path: Path, scan: tuple[np.ndarray, np.ndarray], cache: Path, factor: float
-) -> None:
-    path = save_nifti(tmp_path / "scan.nii.gz", scan[0], scaled(scan[1], factor))
-    voxel = f"voxels of {1.2 * factor:.2g} x"
-    with pytest.raises(MeshRefusedError, match=rf"mm of radius at its widest, by {voxel}.*check the unit"):
+def test_a_wrong_unit_is_refused_by_the_aortas_radius(tmp_path: Path, scan: Scan, cache: Path) -> None:
+    path = save_nifti(tmp_path / "scan.nii.gz", scan[0], scaled(scan[1], 0.1))
+    with pytest.raises(MeshRefusedError, match=r"mm of radius at its widest, by voxels of 0\.12 x"):
         import_anatomy(path, cache_dir=cache)
 
 
@@ -61,7 +60,7 @@ def test_an_aorta_of_eighty_millimetres_is_refused_at_once(tmp_path: Path, cache
     assert check_labels(read_labels(save_nifti(path, labels, np.diag([-2.6, -2.6, 2.6, 1.0])))) == ()
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.8])
+@pytest.mark.parametrize("share", [0.1, 0.8])
 def test_noise_in_one_label(tmp_path: Path, cache: Path, share: float) -> None:
     noise = (np.random.default_rng(0).random((140, 130, 120)) < share).astype(np.uint8)
     path = save_nifti(tmp_path / "scan.nii.gz", noise, np.diag([-1.0, -1.0, 1.0, 1.0]))
@@ -71,25 +70,26 @@ def test_noise_in_one_label(tmp_path: Path, cache: Path, share: float) -> None:
     assert time.process_time() - begin < 20
 
 
-def test_exchanged_sides_are_noted(tmp_path: Path, scan: tuple[np.ndarray, np.ndarray]) -> None:
+def test_exchanged_sides_and_an_infants_size_are_noted_and_no_others(tmp_path: Path, scan: Scan) -> None:
+    assert notes_of(tmp_path, *scan) == ()
     assert any("lies to the patient's right" in note for note in notes_of(tmp_path, scan[0], MIRROR @ scan[1]))
+    assert any("unit of the affine" in note for note in notes_of(tmp_path, scan[0], scaled(scan[1], 0.3)))
 
 
-def test_a_vessel_that_the_volumes_side_cuts_lengthwise_is_noted(
-    tmp_path: Path, scan: tuple[np.ndarray, np.ndarray]
-) -> None:
+def test_a_vessel_that_the_volumes_side_cuts_lengthwise_is_noted(tmp_path: Path, scan: Scan) -> None:
     labels, affine = scan
     across = labels[:, :, np.flatnonzero((labels == 52).any(axis=(0, 1)))[15] :]
     assert notes_of(tmp_path, across, affine) == ()
     descending = np.argwhere(labels[:, :, 30] == 52)
     for axis in (0, 1):
-        for end in (slice(None, int(descending[:, axis].mean())), slice(int(descending[:, axis].mean()), None)):
+        middle = int(descending[:, axis].mean())
+        for end in (slice(None, middle), slice(middle, None)):
             cut = labels[end] if axis == 0 else labels[:, end]
             notes = notes_of(tmp_path, cut, affine)
             assert any(note.startswith("aorta is cut off lengthwise") for note in notes), (axis, end)
 
 
-def read(path: Path, scan: tuple[np.ndarray, np.ndarray], numbers: dict[str, int]) -> LabelVolume:
+def read(path: Path, scan: Scan, numbers: dict[str, int]) -> LabelVolume:
     """The volume with other numbers for its vessels."""
     table = np.zeros(256, dtype=np.uint8)
     for name, number in numbers.items():
@@ -102,15 +102,11 @@ def read(path: Path, scan: tuple[np.ndarray, np.ndarray], numbers: dict[str, int
     [
         ("aorta", "bca", "lcca", "lsa", "rsa", "rcca"),
         ("aorta", "bca", "lcca", "lsa", "rsa"),
-        ("aorta", "bca", "rcca", "lcca", "rsa", "lsa"),
         ("aorta", "lsa", "bca", "rcca", "rsa", "lcca"),
-        ("lsa", "lcca", "bca", "rcca", "rsa", "aorta"),
         ("rsa", "rcca", "bca", "aorta", "lcca", "lsa"),
     ],
 )
-def test_numbers_of_ones_own_are_no_zones_of_aortaseg24(
-    tmp_path: Path, scan: tuple[np.ndarray, np.ndarray], order: tuple[str, ...]
-) -> None:
+def test_numbers_of_ones_own_are_no_zones_of_aortaseg24(tmp_path: Path, scan: Scan, order: tuple[str, ...]) -> None:
     volume = read(tmp_path, scan, {name: number for number, name in enumerate(order, 1)})
     assert not volume.named
     assert volume.scheme == "shape"
@@ -118,9 +114,7 @@ def test_numbers_of_ones_own_are_no_zones_of_aortaseg24(
     assert "labels=" in volume.notes[0]
 
 
-def test_zones_of_an_arch_are_taken_for_aortaseg24s_and_noted(
-    tmp_path: Path, scan: tuple[np.ndarray, np.ndarray], phantom: Phantom
-) -> None:
+def test_zones_of_an_arch_are_taken_for_aortaseg24s_and_noted(tmp_path: Path, scan: Scan, phantom: Phantom) -> None:
     labels, affine = scan
     table = np.zeros(256, dtype=np.uint8)
     # the labels of the BCA's daughters are the trunk's
@@ -137,14 +131,12 @@ def test_zones_of_an_arch_are_taken_for_aortaseg24s_and_noted(
     assert volume.scheme == "AortaSeg24"
     assert set(volume.names) == {"aorta", "bca", "lcca", "lsa"}
     assert any("guessed by AortaSeg24's numbers" in note for note in volume.notes)
-    mirrored = read_labels(save_nifti(tmp_path / "mirrored.nii.gz", zones, np.diag([-1.0, 1.0, 1.0, 1.0]) @ affine))
+    mirrored = read_labels(save_nifti(tmp_path / "mirrored.nii.gz", zones, MIRROR @ affine))
     assert mirrored.scheme == "shape"
     assert "patient's right" in mirrored.notes[0]
 
 
-def test_a_whole_trunk_of_the_first_totalsegmentator_is_not_the_seconds(
-    tmp_path: Path, scan: tuple[np.ndarray, np.ndarray]
-) -> None:
+def test_a_whole_trunk_of_the_first_totalsegmentator_is_not_the_seconds(tmp_path: Path, scan: Scan) -> None:
     labels, affine = scan
     trunk = np.where(labels == IDS["aorta"], 7, 0).astype(np.uint8)
     x, y, z = np.argwhere(trunk == 7)[0]  # at the lower end
@@ -167,7 +159,3 @@ def test_the_heart_beside_the_aorta_is_not_lumen() -> None:
 def test_branches_of_totalsegmentator_without_an_aorta() -> None:
     with pytest.raises(MeshRefusedError, match=r"no label of the aorta: 54 \(bca\), 56 \(lsa\), 58 \(lcca\)"):
         choose_labels({(0, value): 100 for value in (54, 56, 58)}, {}, None, "a.nii.gz")
-
-
-def test_an_infants_size_is_noted(tmp_path: Path, scan: tuple[np.ndarray, np.ndarray]) -> None:
-    assert any("unit of the affine" in note for note in notes_of(tmp_path, scan[0], scaled(scan[1], 0.3)))
