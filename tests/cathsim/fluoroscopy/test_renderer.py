@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from cathsim.fluoroscopy import DeviceRenderer, FluoroscopyRenderer, Projector, catheter_material, quantum_noise
+from cathsim.fluoroscopy import DeviceRenderer, FluoroscopyRenderer, Projector, catheter_material
 from cathsim.fluoroscopy.attenuation import GAMMA
 from cathsim.fluoroscopy.curve import smooth_curve, split
 from cathsim.fluoroscopy.device_renderer import EMPHASIS
@@ -44,16 +44,6 @@ def test_long_links_are_drawn_as_a_smooth_curve(links):
     away = ndimage.distance_transform_edt(truth == 0)
     assert away[drawn == 1].max() < 1.5  # a polyline would miss the arc by 2.6 px
     assert ndimage.distance_transform_edt(drawn == 0)[truth == 1].max() < 1.5
-
-
-def test_quantum_noise_follows_the_counts():
-    image = np.full((200, 200), 120, np.uint8)
-    generator = np.random.default_rng(1)
-    weak, strong = (quantum_noise(image, photons, generator).astype(float) for photons in (200, 5000))
-    assert strong.mean() == pytest.approx(120, abs=0.5)
-    assert weak.std() / strong.std() == pytest.approx(5.0, rel=0.1)
-    with pytest.raises(ValueError, match="positive number of photons"):
-        quantum_noise(image, 0, generator)
 
 
 def test_bad_input_is_refused():
@@ -129,13 +119,3 @@ def test_a_cut_has_the_node_at_its_distance_in_both_parts():
     before, behind = split(nodes, 3.0)
     assert (len(before), len(behind)) == (3, 2), "a cut at a node repeats none"
     assert len(split(nodes, 7.0)[1]) == len(split(nodes[:1], 1.0)[1]) == 0
-
-
-def test_noise_is_off_unless_asked_for_and_seeded():
-    clean, noisy = make(80), make(80, photons=500)
-    np.testing.assert_array_equal(clean.render(WIRE), clean.render(WIRE))
-    first = noisy.render(WIRE, generator=np.random.default_rng(7))
-    np.testing.assert_array_equal(first, noisy.render(WIRE, generator=np.random.default_rng(7)))
-    assert (first != clean.render(WIRE)).mean() > 0.5
-    with pytest.raises(ValueError, match="pass render"):
-        noisy.render(WIRE)

@@ -109,11 +109,6 @@ class ArchVarietyEnv(NavigateManyEnv):
 
 
 class ThreadedArchVarietyVectorEnv(ThreadedVectorEnv):
-    """`num_envs` environments of ArchVariety in threads; each draws its own arch at each of its resets.
-
-    Args:
-        num_envs: as for `ThreadedVectorEnv`, as what follows.
-        arguments: of `ArchVarietyEnv`.
-    """
+    """A `ThreadedVectorEnv` of `ArchVarietyEnv`; arguments are those of both."""
 
     _make = ArchVarietyEnv

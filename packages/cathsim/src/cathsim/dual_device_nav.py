@@ -95,11 +95,6 @@ class DualDeviceNavEnv(NavigateEnv):
 
 
 class ThreadedDualDeviceNavVectorEnv(ThreadedVectorEnv):
-    """`num_envs` environments of DualDeviceNav in threads.
-
-    Args:
-        num_envs: as for `ThreadedVectorEnv`, as what follows.
-        arguments: of `DualDeviceNavEnv`.
-    """
+    """A `ThreadedVectorEnv` of `DualDeviceNavEnv`; arguments are those of both."""
 
     _make = DualDeviceNavEnv

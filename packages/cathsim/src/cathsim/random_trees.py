@@ -74,11 +74,6 @@ class RandomTreesEnv(NavigateManyEnv):
 
 
 class ThreadedRandomTreesVectorEnv(ThreadedVectorEnv):
-    """`num_envs` environments of random trees in threads; each draws its own tree at each of its resets.
-
-    Args:
-        num_envs: as for `ThreadedVectorEnv`, as what follows.
-        arguments: of `RandomTreesEnv`.
-    """
+    """A `ThreadedVectorEnv` of `RandomTreesEnv`; arguments are those of both."""
 
     _make = RandomTreesEnv

@@ -221,11 +221,6 @@ class ThreadedVectorEnv(Specified, VectorEnv[Any, Any, np.ndarray]):
 
 
 class ThreadedManyVectorEnv(ThreadedVectorEnv):
-    """`num_envs` environments over many anatomies in threads; each draws its own case at each of its resets.
-
-    Args:
-        num_envs: as for `ThreadedVectorEnv`, like what follows.
-        arguments: of `NavigateManyEnv`.
-    """
+    """A `ThreadedVectorEnv` of `NavigateManyEnv`; arguments are those of both."""
 
     _make = NavigateManyEnv

@@ -11,20 +11,20 @@ from cathsim.anatomy import MeshRefusedError
 from cathsim.anatomy.mesh.cavity import Cavity, find_cavity
 from cathsim.anatomy.mesh.ends import end_before
 from cathsim.anatomy.mesh.openings import close_openings
-from cathsim.anatomy.mesh.reading import Triangles, clean_triangles, read_triangles
+from cathsim.anatomy.mesh.reading import Triangles, clean_triangles, read_surfaces
 from cathsim.anatomy.mesh.samples import nearest_on_triangles, sample_surface
 
 
 def test_faces_of_vertices_that_are_not_there_are_refused(tmp_path: Path):
     path = tmp_path / "box.ply"
     trimesh.creation.box((1, 1, 1)).export(path, encoding="ascii")
-    assert len(read_triangles(path).faces) == 12
+    assert len(read_surfaces(path)[0].mesh.faces) == 12
     head, _, body = path.read_text().partition("end_header\n")
     lines = body.splitlines()
     for wrong in ("3 0 1 99", "3 0 1 -2"):
         path.write_text(f"{head}end_header\n" + "\n".join([*lines[:-1], wrong]) + "\n")
         with pytest.raises(MeshRefusedError, match=r"box\.ply (has faces of vertices|cannot be read)"):
-            read_triangles(path)
+            read_surfaces(path)
 
 
 def test_welding_and_closing():

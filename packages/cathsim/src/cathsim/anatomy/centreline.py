@@ -47,8 +47,7 @@ class LumenPaths:
         """Distance (nx, ny, nz) m of every voxel to the wall, zero outside."""
         from scipy.ndimage import distance_transform_edt
 
-        depth: Array = distance_transform_edt(np.pad(self.inside, 1))[1:-1, 1:-1, 1:-1] * self.spacing
-        return depth
+        return distance_transform_edt(np.pad(self.inside, 1))[1:-1, 1:-1, 1:-1] * self.spacing
 
     def points(self, voxels: Voxels) -> Array:
         """Middles (..., 3) m of voxels (..., 3)."""
@@ -75,10 +74,8 @@ class LumenPaths:
 
         def beyond(candidate: Voxels, known: Mask) -> tuple[Voxels, float]:
             """The part of the way to a place beyond what is known, and how far the place stands out of it, m."""
-            way = np.array(ways.traceback(tuple(candidate)))
-            inside = np.flatnonzero(known[tuple(way.T)])
-            leaves = int(inside[-1]) if len(inside) else 0
-            return way[leaves:], float(away[tuple(candidate)] - away[tuple(way[leaves])])
+            way = _beyond(np.array(ways.traceback(tuple(candidate))), known)
+            return way, float(away[tuple(candidate)] - away[tuple(way[0])])
 
         for candidate in self._farthest_first(open_, away, covered):
             way, stands_out = beyond(candidate, covered)
@@ -113,11 +110,8 @@ class LumenPaths:
         for candidate in self._farthest_first(left, away, covered):
             if len(found) == _MOST_ENDS:
                 break
-            way = np.array(ways.traceback(tuple(candidate)))
-            inside = np.flatnonzero(covered[tuple(way.T)])
-            leaves = int(inside[-1]) if len(inside) else 0
-            beyond = way[leaves:]
-            stands_out = float(away[tuple(candidate)] - away[tuple(way[leaves])])
+            beyond = _beyond(np.array(ways.traceback(tuple(candidate))), covered)
+            stands_out = float(away[tuple(candidate)] - away[tuple(beyond[0])])
             self._cover(covered, beyond, _COVER_CLOSELY)
             covered[tuple(candidate)] = True
             if stands_out >= _LEAST_LENGTH and self.depth[tuple(beyond.T)].max() < _STUMP * widest:
@@ -164,8 +158,7 @@ class LumenPaths:
         tips: list[Voxels] = []
         for candidate in self._farthest_first(self.inside & np.isfinite(costs), costs, covered):
             way = np.array(ways.traceback(tuple(candidate)))
-            known = np.flatnonzero(covered[tuple(way.T)])
-            beyond = way[int(known[-1]) if len(known) else 0 :]
+            beyond = _beyond(way, covered)
             self._cover(covered, beyond)
             covered[tuple(candidate)] = True
             if self._length(beyond) >= _LEAST_LENGTH and self._is_round(way, ways):
@@ -229,6 +222,12 @@ class LumenPaths:
             i, j, k = np.ogrid[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
             ball = (i - voxel[0]) ** 2 + (j - voxel[1]) ** 2 + (k - voxel[2]) ** 2 <= reach**2
             covered[low[0] : high[0], low[1] : high[1], low[2] : high[2]] |= ball
+
+
+def _beyond(way: Voxels, known: Mask) -> Voxels:
+    """The part of a way (n, 3) from its last voxel on that is known; all of it where none is."""
+    inside = np.flatnonzero(known[tuple(way.T)])
+    return way[int(inside[-1]) if len(inside) else 0 :]
 
 
 def resampled(points: Array, step: float) -> Array:

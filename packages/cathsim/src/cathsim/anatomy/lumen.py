@@ -48,8 +48,7 @@ def build_lumen(tree: VesselTree, *, resolution: float, fillet_radius: float) ->
             f"resolution must lie in [0.0003, {0.8 * narrowest:.4f}] m for this anatomy "
             f"(its narrowest radius is {narrowest:.4f} m), got {resolution!r}."
         )
-    low = np.min([np.min(b.points - b.radius[:, None], axis=0) for b in tree], axis=0)
-    high = np.max([np.max(b.points + b.radius[:, None], axis=0) for b in tree], axis=0)
+    low, high = tree.bounds
     origin = np.floor(low / resolution - PADDING) * resolution
     shape = np.ceil((high - origin) / resolution).astype(int) + PADDING + 1
     thickness = max(_LAYERS, int(_DENSE / (shape[1] * shape[2])) // _LAYERS * _LAYERS)

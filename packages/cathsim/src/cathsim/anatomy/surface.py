@@ -133,8 +133,7 @@ def _border(mesh: trimesh.Trimesh) -> Array:
     import trimesh
 
     alone = trimesh.grouping.group_rows(mesh.edges_sorted, require_count=1)
-    vertices: Array = mesh.vertices[np.unique(mesh.edges_sorted[alone])]
-    return vertices
+    return mesh.vertices[np.unique(mesh.edges_sorted[alone])]
 
 
 def _rim(inner: Array, outer: Array, centre: Array, normal: Array, radius: float) -> trimesh.Trimesh:

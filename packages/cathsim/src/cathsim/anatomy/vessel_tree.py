@@ -147,6 +147,18 @@ class VesselTree:
             chain.append(parent)
         return tuple(reversed(chain))
 
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest corner (3,) m of the box around the balls on all centrelines."""
+        low = np.min([np.min(b.points - b.radius[:, None], axis=0) for b in self], axis=0)
+        high = np.max([np.max(b.points + b.radius[:, None], axis=0) for b in self], axis=0)
+        return low, high
+
+    def centred(self) -> VesselTree:
+        """The same tree, with the middle of its box at the origin."""
+        low, high = self.bounds
+        return self.translated(-(low + high) / 2)
+
     def translated(self, offset: ArrayLike) -> VesselTree:
         """The same tree, moved by (3,) m."""
         offset = np.asarray(offset, dtype=np.float64)

@@ -146,8 +146,7 @@ def _recorder(factory: Any, folder: Path) -> Recorder:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise LaunchError(f"episodes cannot go to {folder}: {error.strerror}; name another folder") from error
-    recorder: Recorder = factory(folder)
-    return recorder
+    return factory(folder)
 
 
 def _serve(options: argparse.Namespace, taken: socket.socket, recorder: Recorder | None, folder: Path) -> None:

@@ -202,8 +202,7 @@ class Procedure:
         if self.path is None:
             return None
         episode = self.path
-        path: Path | None = self._record(lambda keeper: keeper.answer(episode, answers))
-        return path
+        return self._record(lambda keeper: keeper.answer(episode, answers))
 
 
 def _operation(xray: XRayStep, *, warned: bool) -> dict[str, Any]:

@@ -46,7 +46,6 @@ class Recorder(Protocol):
 
     def start(self, environment: NavigateEnv, info: Mapping[str, Any], *, seed: int) -> None:
         """An episode begins: the environment has been reset with this seed and gave this info."""
-        ...
 
     def step(
         self,
@@ -59,15 +58,12 @@ class Recorder(Protocol):
         truncated: bool,
     ) -> None:
         """The environment has made a step."""
-        ...
 
     def finish(self, metrics: EpisodeMetrics | None) -> Path | None:
         """The episode is over; without metrics it was broken off. Returns its file, None if there was no step."""
-        ...
 
     def answer(self, episode: Path, answers: Mapping[str, Any]) -> Path:
         """Keeps a questionnaire with a finished episode and returns the file it is in."""
-        ...
 
 
 class OperationTotals:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Protocol
 
@@ -22,7 +22,7 @@ from cathsim.console.recorder import Recorder
 from cathsim.console.setup.choices import Choices, Chosen
 from cathsim.console.setup.operator_setup import Setup
 from cathsim.console.web.messages import Inbox, frame_message, surface_of
-from cathsim.console.web.requests import check_request
+from cathsim.console.web.requests import read_request
 from cathsim.console.xray.monitor import CArm
 from cathsim.console.xray.room import XRayRoom
 from cathsim.console.xray.views import Views
@@ -44,11 +44,9 @@ class Page(Protocol):
 
     def show(self, frame: bytes) -> None:
         """A new picture; it replaces one that has not been sent yet."""
-        ...
 
     def say(self, message: dict[str, Any] | bytes) -> None:
         """A message that must arrive."""
-        ...
 
 
 class RealTimeLoop(threading.Thread):
@@ -70,12 +68,11 @@ class RealTimeLoop(threading.Thread):
         recorder: Recorder | None = None,
         *,
         note: str = "",
-        phantoms: Sequence[str] = PHANTOMS,
         compared: bool = False,
     ) -> None:
         super().__init__(name="console", daemon=True)
         self._setup, self._page, self._recorder, self._note = setup, page, recorder, note
-        self._choices = Choices(setup, phantoms)
+        self._choices = Choices(setup, PHANTOMS)
         self.panel = ControlPanel()
         self._inbox = Inbox()
         self._stopped = threading.Event()
@@ -95,13 +92,13 @@ class RealTimeLoop(threading.Thread):
 
     # -- requests, from other threads ---------------------------------------------------------------------------------
 
-    def request(self, request: dict[str, Any]) -> None:
-        """Takes a request of the page.
+    def request(self, asked: str | Mapping[str, Any]) -> None:
+        """Takes a request of the page, as `read_request` does.
 
         Raises:
             ValueError: its values are impossible.
         """
-        request = check_request(request)
+        request = read_request(asked)
         kind = request["type"]
         if kind == "controls":
             catheter = request.get("catheter", (0.0, 0.0))

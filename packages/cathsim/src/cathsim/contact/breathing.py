@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-import mujoco
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
@@ -54,13 +53,3 @@ class Breathing:
     def velocity(self, time: float) -> NDArray[np.float64]:
         """The velocity at a time (s), m/s, world frame. Shape (3,)."""
         return self.farthest * (0.5 * self.rate * math.sin(self.rate * time))
-
-
-def let_vessel_move(spec: mujoco.MjSpec) -> None:
-    """Makes room in a model under construction for the vessel's motion, which the native step sets."""
-    spec.nuserdata = MOTION
-
-
-def let_walls_slide(model: mujoco.MjModel) -> None:
-    """Has a model heed the velocity of the walls, which the native step gives to the contacts."""
-    model.flg_surfacevel = True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from cathsim.contact.breathing import let_vessel_move, let_walls_slide
+from cathsim.contact.breathing import MOTION
 from cathsim.contact.sdf import Vessel
 from cathsim.guidewire import Guidewire
 from cathsim.presets import Accuracy
@@ -50,7 +50,7 @@ def model_spec(
     spec = empty_spec(numerics)
     vessel.add_to(spec)
     if breathes:
-        let_vessel_move(spec)
+        spec.nuserdata = MOTION  # which the native step sets
 
     quaternion = np.zeros(4)
     mujoco.mju_quatZ2Vec(quaternion, vessel.direction)
@@ -79,7 +79,7 @@ def compiled_model(
     if not vessel.wall_parts(model):  # a tree of boxes saves nothing where one geom is the wall
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
     if breathes:
-        let_walls_slide(model)
+        model.flg_surfacevel = True  # the velocity of the walls, which the native step gives to the contacts
     return model
 
 

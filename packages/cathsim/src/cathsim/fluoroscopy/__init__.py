@@ -28,10 +28,8 @@ if TYPE_CHECKING:
     from cathsim.fluoroscopy.c_arms import askew_pair as askew_pair
     from cathsim.fluoroscopy.c_arms import clinical_pair as clinical_pair
     from cathsim.fluoroscopy.c_arms import guide3d_pair as guide3d_pair
-    from cathsim.fluoroscopy.calibration_file import read_projection as read_projection
     from cathsim.fluoroscopy.calibration_file import write_calibration as write_calibration
     from cathsim.fluoroscopy.detector import Detector as Detector
-    from cathsim.fluoroscopy.detector import quantum_noise as quantum_noise
     from cathsim.fluoroscopy.device_renderer import DeviceRenderer as DeviceRenderer
     from cathsim.fluoroscopy.distortion import DetectorDistortion as DetectorDistortion
     from cathsim.fluoroscopy.materials import Section as Section
@@ -59,8 +57,8 @@ __getattr__, __dir__, __all__ = lazy_names(
         "biplane": "BiplaneFluoroscope DevicesFrame Frame",
         "body": "Box Ellipsoid THORAX WATER_BATH",
         "c_arms": "PAIRS XRayCamera askew_pair clinical_pair guide3d_pair",
-        "calibration_file": "read_projection write_calibration",
-        "detector": "Detector quantum_noise",
+        "calibration_file": "write_calibration",
+        "detector": "Detector",
         "device_renderer": "DeviceRenderer",
         "distortion": "DetectorDistortion",
         "materials": "Section WireMaterial catheter_material coil_tipped_wire jacketed_wire steel_wire wire_material",

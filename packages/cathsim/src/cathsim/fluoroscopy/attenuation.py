@@ -15,7 +15,7 @@ from cathsim.lattice.node_blocks import LatticeStruct, NodeBlocks
 
 CONTRAST = 28.0  # 1/m, diluted iodine over blood
 GAMMA = 0.5  # of the display: wide enough a range for lungs, spine and wire in one image
-MIDDLE = 120.0  # grey level of the middle of the background
+MIDDLE = 120.0  # grey level of the median depth in the middle of the background, where the exposure is measured
 _BORDER = 0.2  # of the image on each side, left out where the exposure is measured
 _RAYS = 256  # rays along the shorter side at least, so that small images have smooth edges
 
@@ -87,20 +87,18 @@ def lumen_path_length(
     return lengths
 
 
-def expose(depth: NDArray[np.float32], *, middle: float = MIDDLE, gamma: float = GAMMA) -> NDArray[np.float32]:
+def expose(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     """Grey levels of optical depths by Beer and Lambert's law, under automatic brightness and a display's gamma.
 
     Args:
         depth: (height, width) optical depth, dimensionless.
-        middle: grey level of the median depth in the middle of the image, where the exposure is measured.
-        gamma: exponent of the display; below 1 it lifts the dark parts.
 
     Returns:
-        (height, width), 0 to 255, not rounded. An object of depth d put in front multiplies a level by exp(-gamma d).
+        (height, width), 0 to 255, not rounded. An object of depth d put in front multiplies a level by exp(-`GAMMA` d).
     """
     rows, columns = (slice(int(_BORDER * n), n - int(_BORDER * n)) for n in depth.shape)
     reference = np.float32(np.median(depth[rows, columns]))
-    return np.minimum(middle * np.exp(-gamma * (depth - reference)), 255.0).astype(np.float32)
+    return np.minimum(MIDDLE * np.exp(-GAMMA * (depth - reference)), 255.0).astype(np.float32)
 
 
 def background_image(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,22 +15,6 @@ Array = NDArray[np.float64]
 
 TEXT_UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0}  # world units per metre
 _HEADINGS = ("image size", "camera matrix", "rotation", "translation")
-
-
-@dataclass(frozen=True, eq=False)
-class Projection:
-    """A pinhole camera as a text file holds it."""
-
-    K: Array  # (3, 3) camera to pixel, px
-    R: Array  # (3, 3) world to camera
-    t: Array  # (3,) the world's origin in the camera frame, in the file's unit
-    width: int  # px
-    height: int  # px
-
-    @property
-    def P(self) -> Array:
-        """(3, 4) from homogeneous world points, in the file's unit, to homogeneous pixels."""
-        return self.K @ np.column_stack([self.R, self.t])
 
 
 def write_calibration(cameras: Mapping[str, XRayCamera], folder: Path, *, unit: str = "cm") -> list[Path]:
@@ -70,34 +53,3 @@ def write_calibration(cameras: Mapping[str, XRayCamera], folder: Path, *, unit: 
         path.write_bytes("\r\n".join(blocks).encode("ascii"))
         written.append(path)
     return written
-
-
-def read_projection(path: Path) -> Projection:
-    """Reads a camera from the text layout, with commas or semicolons, in the file's own unit.
-
-    Raises:
-        ValueError: the file has another layout; the message says which part is wrong.
-    """
-    blocks: dict[str, list[list[float]]] = {}
-    heading = ""
-    content = path.read_text(encoding="utf-8-sig")
-    if ";" in content:  # as spreadsheets write it where the decimal point is a comma
-        content = content.replace(",", ".").replace(";", ",")
-    for line in content.split("\n"):
-        text = line.strip().rstrip(",")
-        if text in _HEADINGS:
-            heading, blocks[text] = text, []
-        elif text:
-            try:
-                blocks[heading].append([float(value) for value in text.split(",")])
-            except (KeyError, ValueError):
-                raise ValueError(f"{path.name} is no projection file: cannot read the line {text!r}.") from None
-    shapes = dict(zip(_HEADINGS, ((1, 2), (3, 3), (3, 3), (3, 1)), strict=True))
-    arrays = {}
-    for name, shape in shapes.items():
-        rows = blocks.get(name, [])
-        if (len(rows), *{len(row) for row in rows}) != shape:
-            raise ValueError(f"{path.name} must hold {shape[0]} x {shape[1]} numbers under '{name}', got {rows}.")
-        arrays[name] = np.array(rows)
-    width, height = arrays["image size"][0].astype(int).tolist()
-    return Projection(arrays["camera matrix"], arrays["rotation"], arrays["translation"].ravel(), width, height)

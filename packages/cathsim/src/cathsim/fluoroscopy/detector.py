@@ -8,7 +8,6 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from cathsim.fluoroscopy.attenuation import GAMMA
 from cathsim.validation import Listed, Share, Unit, settings
 
 REFERENCE_SIZE = 1024  # px: lengths of a Detector are given for an image of this size
@@ -68,22 +67,3 @@ class Detector:
         width_share = max(self.penumbra * self.scale(width, height), 1.0) / (half * self.field_radius)
         shade = np.clip((1 - r) / width_share, 0.0, 1.0)  # how much of the source the collimator's edge lets through
         return (light * (1 - np.square(1 - shade))).astype(np.float32)
-
-
-def quantum_noise(
-    image: NDArray[np.uint8], photons: float, generator: np.random.Generator, *, gamma: float = GAMMA
-) -> NDArray[np.uint8]:
-    """An image (height, width) of grey levels, as a detector that counts photons would have seen it, uint8.
-
-    Args:
-        photons: mean count of a white pixel.
-        gamma: exponent of the display that the grey levels went through.
-
-    Raises:
-        ValueError: the count is not positive.
-    """
-    if not photons > 0:
-        raise ValueError(f"a noisy image needs a positive number of photons a pixel, got {photons!r}.")
-    expected = photons * (image.astype(np.float64) / 255) ** (1 / gamma)
-    counted = generator.poisson(expected)
-    return np.clip(np.rint(255 * (counted / photons) ** gamma), 0, 255).astype(np.uint8)

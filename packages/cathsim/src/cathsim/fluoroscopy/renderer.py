@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cathsim.fluoroscopy.attenuation import GAMMA
-from cathsim.fluoroscopy.detector import quantum_noise
 from cathsim.fluoroscopy.projector import Projector
 from cathsim.presets import WIRE_RADIUS
 
@@ -55,7 +54,6 @@ class FluoroscopyRenderer:
         wire_attenuation: 1/m, of the wire's material.
         centre: (3,) m, where the wire's width is taken; the middle of the phantom.
         gamma: the display's exponent, as used for the background.
-        photons: mean count of a white pixel for quantum noise, or None for an image without noise.
 
     Raises:
         ValueError: when the background does not fit the camera or a wire property is not positive.
@@ -70,7 +68,6 @@ class FluoroscopyRenderer:
         wire_attenuation: float = WIRE_ATTENUATION,
         centre: ArrayLike = (0.0, 0.0, 0.0),
         gamma: float = GAMMA,
-        photons: float | None = None,
     ) -> None:
         grey = np.ascontiguousarray(background, dtype=np.float32)
         shape = (projector.height, projector.width)
@@ -88,12 +85,9 @@ class FluoroscopyRenderer:
             "wire_attenuation": wire_attenuation,
             "centre": centre,
             "gamma": gamma,
-            "photons": photons,
         }
         self.projector = projector
         self.shape = shape
-        self.photons = photons
-        self._gamma = gamma
         self._grey = grey
         self._empty = np.rint(grey).astype(np.uint8)
         self._empty.flags.writeable = False
@@ -115,23 +109,18 @@ class FluoroscopyRenderer:
         """(height, width) uint8, the image without a wire, read-only."""
         return self._empty
 
-    def render(self, points: ArrayLike, *, generator: np.random.Generator | None = None) -> NDArray[np.uint8]:
+    def render(self, points: ArrayLike) -> NDArray[np.uint8]:
         """Image (height, width) uint8 of the wire, a new array.
 
         Args:
             points: (n, 3) m, the wire's nodes in order, world frame; only the part outside the sheath.
-            generator: source of the quantum noise; needed where `photons` is set.
 
         Raises:
             ValueError: for points of another shape, not finite, or behind the source.
         """
         image = np.empty(self.shape, np.uint8)
         self.render_into(points, image, None)
-        if self.photons is None:
-            return image
-        if generator is None:
-            raise ValueError("this renderer adds quantum noise: pass render() a numpy Generator.")
-        return quantum_noise(image, self.photons, generator, gamma=self._gamma)
+        return image
 
     def mask(self, points: ArrayLike) -> NDArray[np.uint8]:
         """Pixels that show the wire's nodes (n, 3) m: (height, width) uint8, 1 on the wire.

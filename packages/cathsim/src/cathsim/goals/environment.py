@@ -171,11 +171,6 @@ def centreline_goals(phantom: Phantom, entry: EntryLike = "descending") -> dict[
 
 
 class ThreadedGoalVectorEnv(ThreadedVectorEnv):
-    """`num_envs` goal-conditioned environments in threads; each draws its own goal at each of its resets.
-
-    Args:
-        num_envs: as for `ThreadedVectorEnv`, like what follows.
-        arguments: of `NavigateGoalEnv`.
-    """
+    """A `ThreadedVectorEnv` of `NavigateGoalEnv`; arguments are those of both."""
 
     _make = NavigateGoalEnv

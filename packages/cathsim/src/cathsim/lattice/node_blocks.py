@@ -49,15 +49,11 @@ class NodeBlocks:
             array.flags.writeable = False
 
     @classmethod
-    def from_dense(cls, values: NDArray, constant: float | None = None) -> NodeBlocks:
-        """Blocks of a dense array (nx, ny, nz).
-
-        Args:
-            constant: the value whose blocks are shared; by default the least one.
-        """
+    def from_dense(cls, values: NDArray) -> NodeBlocks:
+        """Blocks of a dense array (nx, ny, nz); those that hold the least value everywhere are shared."""
         if values.ndim != 3 or not values.size:
             raise ValueError(f"a lattice needs values of shape (nx, ny, nz), got {values.shape}.")
-        least = values.min() if constant is None else constant
+        least = values.min()
         nx, ny, nz = values.shape
         return cls.from_slabs([values], (nx, ny, nz), 0.0 if np.isnan(least) else float(least))
 

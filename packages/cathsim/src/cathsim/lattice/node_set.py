@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.lattice.linked_parts import linked_parts
 from cathsim.lattice.node_blocks import STRIDES, NodeBlocks
 
 _BATCH = 2**20  # nodes handled at once, so that memory stays bounded
@@ -44,8 +45,7 @@ class NodeSet:
         Args:
             step: -1, 0 or 1 along each axis.
         """
-        numbers: NDArray[np.int32] = self.numbers.nodes.reshape(-1)[self.positions[chosen] + int(np.dot(step, STRIDES))]
-        return numbers
+        return self.numbers.nodes.reshape(-1)[self.positions[chosen] + int(np.dot(step, STRIDES))]
 
     def number_at(self, index: NDArray[np.integer]) -> int:
         """Number of the node at an index (3,) of the lattice, -1 where that is none of the set."""
@@ -58,17 +58,13 @@ class NodeSet:
 
     def parts(self) -> NDArray[np.int32]:
         """Number (n,) of the part that each node belongs to; nodes of a part hang together across faces."""
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.csgraph import connected_components
-
         ends = []
         for step in FACES[1::2]:
             after = self.neighbours(slice(None), step)
             first = np.flatnonzero(after >= 0).astype(np.int32)
             ends.append((first, after[first]))
-        row, column = (np.concatenate(half) for half in zip(*ends, strict=True))
-        edges = coo_matrix((np.ones(len(row), dtype=np.int8), (row, column)), shape=(len(self), len(self)))
-        return np.asarray(connected_components(edges, directed=False)[1], dtype=np.int32)
+        first, second = (np.concatenate(half) for half in zip(*ends, strict=True))
+        return linked_parts(first, second, len(self))
 
 
 class NodeSetStruct(ctypes.Structure):

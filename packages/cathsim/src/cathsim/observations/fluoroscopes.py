@@ -100,11 +100,8 @@ class Fluoroscope:
     @cached_property
     def renderer(self) -> FluoroscopyRenderer | DeviceRenderer:
         """The camera, made at the first look: its background costs time and memory."""
-        phantom, catheter, radius = (
-            self.simulation.phantom,
-            catheter_in(self.simulation),
-            wire_radius_of(self.simulation),
-        )
+        phantom, radius = self.simulation.phantom, wire_radius_of(self.simulation)
+        catheter = catheter_in(self.simulation)
         if catheter is None:
             return camera(phantom, self.shape[0], radius)
         return camera_of_devices(phantom, self.shape[0], radius, catheter)
@@ -142,21 +139,13 @@ class Fluoroscope:
         self._draw()
         return self._image.copy()
 
-    def shows(self, device: str | None) -> str | None:
-        """Whose mask is meant: None (both devices), or "wire" or "catheter" where there are two.
-
-        Raises:
-            ValueError: the mask of a catheter is asked for, and there is none.
-        """
-        return shown_device(self.simulation, device)
-
     def mask(self, device: str | None = None) -> np.ndarray:
         """A device's pixels, 0 or 1; None: of both. Shape (size, size), uint8, a copy.
 
         Raises:
             ValueError: the mask of a catheter is asked for, and there is none.
         """
-        device = self.shows(device)
+        device = shown_device(self.simulation, device)
         self._draw()
         return (self._mask if device is None else self._masks[device]).copy()
 
@@ -208,13 +197,9 @@ class BiplaneView:
             self._frames[name] = frame_of(self.simulation, self.fluoroscope, generator, name)
         return self._frames[name]
 
-    def shows(self, device: str | None) -> str | None:
-        """As of `Fluoroscope`."""
-        return shown_device(self.simulation, device)
-
     def mask(self, name: str, device: str | None = None) -> np.ndarray:
         """A device's pixels in a camera's image, 0 or 1; None: of both; not to be written into."""
-        device = self.shows(device)
+        device = shown_device(self.simulation, device)
         frame = self.frame(name)
         return frame.mask if device is None else getattr(frame, f"mask_{device}")
 
@@ -230,7 +215,11 @@ def frame_of(
 
 
 def shown_device(simulation: Simulation, device: str | None) -> str | None:
-    """As `Fluoroscope.shows`."""
+    """Whose mask is meant: None (both devices), or "wire" or "catheter" where there are two.
+
+    Raises:
+        ValueError: the mask of a catheter is asked for, and there is none.
+    """
     if catheter_in(simulation) is not None:
         return device
     if device == "catheter":

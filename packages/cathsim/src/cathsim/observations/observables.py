@@ -12,7 +12,7 @@ import numpy as np
 
 from cathsim.devices.active_chain import pass_on
 from cathsim.devices.simulation import DEVICE_NAMES, DualSimulation
-from cathsim.observations.fluoroscopes import FRAMES, BiplaneView, Fluoroscope
+from cathsim.observations.fluoroscopes import FRAMES, BiplaneView, Fluoroscope, shown_device
 from cathsim.observations.progress_history import History
 from cathsim.observations.roadmap import Roadmap, target_image
 from cathsim.observations.tracking import Tracking
@@ -172,7 +172,7 @@ def make_observable(
     if name in GUIDANCE:
         return _guidance(name, fluoroscope, roadmap, history, tracking)
     if name in MASKS:
-        mask = partial(_mask, fluoroscope, fluoroscope.shows(MASKS[name]))
+        mask = partial(_mask, fluoroscope, shown_device(simulation, MASKS[name]))
         return Observable(gymnasium.spaces.Box(0, 255, (1, *fluoroscope.shape), np.uint8), mask)
     kind, _, view = name.partition("_")
     if kind in ("image", "mask") and view:
@@ -245,7 +245,7 @@ def _camera_observable(name: str, kind: str, view: str, biplane: BiplaneView | N
     device: str | None = None
     first, _, rest = view.partition("_")
     if kind == "mask" and first in DEVICE_NAMES and rest:
-        device, view = biplane.shows(first), rest
+        device, view = shown_device(biplane.simulation, first), rest
     if view not in cameras:
         known = ", ".join(f"image_{camera}, mask_{camera}" for camera in cameras)
         raise ValueError(f"unknown observation '{name}'; the cameras give {known}")

@@ -82,7 +82,6 @@ class Roadmap:
         self.registration_noise = quantity("registration_noise", registration_noise, _Noise)
         self.offset = np.zeros(3)
         self.aim(target)
-        self._site = -1
         self._path = np.empty((round(PATH_ARCS[-1] / PATH_STEP), 3))
         self._shown = np.rint(PATH_ARCS / PATH_STEP).astype(int) - 1
         self._lengths = np.empty(len(RAYS))

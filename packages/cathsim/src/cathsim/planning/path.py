@@ -80,7 +80,6 @@ def plan_path(
     clearance: float = CLEARANCE,
     preferred_clearance: float = 0.0,
     aversion: float = 4.0,
-    smooth: bool = True,
 ) -> LumenPath:
     """A smooth short way through the lumen, from start to target themselves.
 
@@ -90,7 +89,6 @@ def plan_path(
         clearance: m that the path keeps from the wall.
         preferred_clearance: m below which nearness to the wall costs; 0 gives the shortest way.
         aversion: how many times longer a way along the wall may count, on top of its length.
-        smooth: round the corners of the taut path.
 
     Raises:
         ValueError: for an end outside the lumen.
@@ -102,7 +100,7 @@ def plan_path(
     if preferred_clearance <= clearance:
         # pulled taut, a way that keeps off the wall would go back to it
         path = pull_taut(path, grid, clearance=clearance)
-    return smooth_path(path, grid, clearance=clearance) if smooth else path
+    return smooth_path(path, grid, clearance=clearance)
 
 
 def shortest_lattice_path(
@@ -187,8 +185,7 @@ def _nearest_free(grid: SignedDistanceGrid, end: Array, clearance: float, name: 
     distance = np.linalg.norm(near - index, axis=1)
     if len(near) == 0 or distance.min() > _SNAP:
         raise ValueError(f"the path's {name} {_text(end)} lies outside the lumen: move it inside, away from the wall.")
-    chosen: NDArray[np.intp] = near[np.argmin(distance)]
-    return chosen
+    return near[np.argmin(distance)]
 
 
 def _text(point: Array) -> str:

@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 
 from cathsim.devices.simulation import DualSimulation
 from cathsim.environment import NavigateEnv
-from cathsim.navigation import NavigationTask
 from cathsim.planning.manoeuvres import retreat, search_manoeuvres
 from cathsim.planning.plan_trials import TWO_DEVICES, ExpertSettings, PlanTrials
-from cathsim.presets import ACCURACY, Accuracy
+from cathsim.presets import ACCURACY
 
 EMERGED, BEYOND = 0.010, 0.035  # m of wire in front of the catheter
 _FIRST = 10  # steps in which the catheter is moved first, by these translations and rotations
@@ -114,7 +113,6 @@ class SamplingExpert:
         *,
         seed: int = 0,
         settings: ExpertSettings | None = None,
-        numerics: Accuracy = ACCURACY["fast"],
         threads: int | None = None,
     ) -> None:
         real = environment.simulation
@@ -127,7 +125,7 @@ class SamplingExpert:
         self.environment, self._pace = environment, real.pace
         self._actions = 4 if both else 2
         self._generator = np.random.default_rng(seed)
-        self.trials = PlanTrials(environment, self.settings, numerics, threads)
+        self.trials = PlanTrials(environment, self.settings, ACCURACY["fast"], threads)
         self._plan = np.zeros((0, self._actions))
         self._left = 0
         self._nearest, self._waited = np.inf, 0
@@ -142,11 +140,6 @@ class SamplingExpert:
     def steps(self) -> int:
         """Control steps that all plans took so far, those of manoeuvres included."""
         return self.trials.steps
-
-    @property
-    def task(self) -> NavigationTask:
-        """The environment's, of the episode."""
-        return self.environment.task
 
     def restart(self, seed: int | None = None) -> None:
         """Forgets the plan; to be called when the environment is reset."""
@@ -168,7 +161,7 @@ class SamplingExpert:
         settings, generator = self.settings, self._generator
         simulation = self.environment.simulation
         state = simulation.state()
-        here = self.task.remaining(self.environment.phantom, simulation.tip_in_vessel)
+        here = self.environment.task.remaining(self.environment.phantom, simulation.tip_in_vessel)
         if self._stalled(here):
             self._leave_minimum(state, here)
             return

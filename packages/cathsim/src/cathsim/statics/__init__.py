@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from cathsim.statics.observed_curve import curve_from_entry as curve_from_entry
     from cathsim.statics.observed_curve import inserted_curve as inserted_curve
     from cathsim.statics.observed_curve import inserted_part as inserted_part
+    from cathsim.statics.observed_curve import noisy_curve as noisy_curve
     from cathsim.statics.shape_series import DrawnErrors as DrawnErrors
     from cathsim.statics.shape_series import drawn_errors as drawn_errors
-    from cathsim.statics.shape_series import noisy_curve as noisy_curve
     from cathsim.statics.uncertainty import Uncertainty as Uncertainty
 
 __getattr__, __dir__, __all__ = lazy_names(
@@ -24,8 +24,8 @@ __getattr__, __dir__, __all__ = lazy_names(
     {
         "ensemble_summary": "ContactForces Estimate",
         "estimator": "ContactForceEstimator contact_forces",
-        "observed_curve": "curve_from_entry inserted_curve inserted_part",
-        "shape_series": "DrawnErrors drawn_errors noisy_curve",
+        "observed_curve": "curve_from_entry inserted_curve inserted_part noisy_curve",
+        "shape_series": "DrawnErrors drawn_errors",
         "uncertainty": "Uncertainty",
     },
 )

@@ -66,12 +66,9 @@ def summarise(members: Sequence[RestingContacts], insertion: float, rotation: fl
     errors = np.array([member.shape_error for member in members])
     weights = _weights(errors, _VALUE_DISTANCE), _weights(errors, _INTERVAL_DISTANCE)
     sums = {
-        name: np.array([value(member) for member in members])
-        for name, value in (
-            ("normal_sum", lambda member: member.normal_sum),
-            ("resultant", lambda member: float(np.linalg.norm(member.resultant))),
-            ("largest", lambda member: member.largest),
-        )
+        "normal_sum": np.array([member.normal_sum for member in members]),
+        "resultant": np.array([float(np.linalg.norm(member.resultant)) for member in members]),
+        "largest": np.array([member.largest for member in members]),
     }
     estimates = {name: _estimate(values, *weights) for name, values in sums.items()}
     away = sum(np.abs(_log(sums[name]) - _log(estimates[name].value)) for name in ("normal_sum", "resultant"))

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cathsim.anatomy import Phantom
-from cathsim.anatomy.centreline import resampled
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire
@@ -20,10 +19,10 @@ from cathsim.simulation import LEAD_ADVANCE, LEAD_ROTATION, Simulation
 from cathsim.statics.ensemble_summary import ContactForces, summarise
 from cathsim.statics.feeder import Feeder, checked_catheter, checked_number
 from cathsim.statics.laying import distance_to, found_rotation, lay_along
-from cathsim.statics.observed_curve import STEP, ObservedCurve, checked_insertion, observed_curve
+from cathsim.statics.observed_curve import ObservedCurve, checked_insertion, noisy_curve, observed_curve
 from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
 from cathsim.statics.simulated_device import simulated_device
-from cathsim.statics.uncertainty import Deviation, Uncertainty, deviations, smooth_noise
+from cathsim.statics.uncertainty import Deviation, Uncertainty, deviations
 from cathsim.validation import quantity
 
 MEMBERS = 40  # with 16 the ends of a 90 % interval are two of 16 numbers, and 78 to 88 % of them held the truth
@@ -175,10 +174,10 @@ class ContactForceEstimator:
         """The curve with the noise of a case."""
         if case.curve_seed is None or self.uncertainty.curve == 0:
             return observed
-        points = resampled(observed.points, STEP)
-        generator = np.random.default_rng(case.curve_seed)
-        noise = smooth_noise(len(points), STEP, self.uncertainty.curve_width, generator)
-        return ObservedCurve(points + self.uncertainty.curve * noise, observed.length)
+        sizes, generator = self.uncertainty, np.random.default_rng(case.curve_seed)
+        return ObservedCurve(
+            noisy_curve(observed.points, sizes.curve, generator, width=sizes.curve_width), observed.length
+        )
 
 
 def contact_forces(

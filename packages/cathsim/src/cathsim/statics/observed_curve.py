@@ -11,6 +11,7 @@ from cathsim.anatomy import Phantom
 from cathsim.anatomy.centreline import arc_length, resampled, smoothed
 from cathsim.devices.arena import PROTRUSION
 from cathsim.simulation import Simulation
+from cathsim.statics.uncertainty import smooth_noise
 
 STEP = 1e-3  # m between the points of a curve
 SMOOTHING = 1.5e-3  # m, deviation of the Gaussian along the curve: more would cut the bent tip short
@@ -98,6 +99,12 @@ def curve_from_entry(curve: ArrayLike, phantom: Phantom, entry: str = "descendin
     sides = [np.vstack((nearest, points[at + 1 :])), np.vstack((nearest, points[at::-1]))]
     into = [float(((side - gate.position) @ gate.direction)[arc_length(side) <= _LOOK_AHEAD].mean()) for side in sides]
     return sides[int(np.argmax(into))]
+
+
+def noisy_curve(curve: Array, deviation: float, generator: np.random.Generator, *, width: float = 0.010) -> Array:
+    """A curve (n, 3) m with noise of a deviation (m) along each axis that is smooth over a width (m)."""
+    points = resampled(curve, STEP)
+    return np.asarray(points + deviation * smooth_noise(len(points), STEP, width, generator))
 
 
 def observed_curve(curve: ArrayLike, phantom: Phantom, entry: str, max_insertion: float) -> ObservedCurve:

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
-from cathsim.anatomy.centreline import resampled
 from cathsim.devices.pair import DevicePair
 from cathsim.guidewire import Guidewire
 from cathsim.statics.estimator import ContactForceEstimator
-from cathsim.statics.observed_curve import STEP, inserted_part
+from cathsim.statics.observed_curve import inserted_part, noisy_curve
 from cathsim.statics.simulated_device import changed_device, with_lumen
-from cathsim.statics.uncertainty import Uncertainty, smooth_noise
+from cathsim.statics.uncertainty import Uncertainty
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -44,14 +43,6 @@ def drawn_errors(
     rotation = uncertainty.rotation * float(generator.standard_normal())
     moved = with_lumen(phantom, phantom.grid.offset(lumen).moved((x, y, z)))
     return DrawnErrors(moved, wrong, insertion, rotation)
-
-
-def noisy_curve(
-    curve: NDArray[np.float64], deviation: float, generator: np.random.Generator, *, width: float = 0.010
-) -> NDArray[np.float64]:
-    """A curve (n, 3) m with noise of a deviation (m) along each axis that is smooth over a width (m)."""
-    points = resampled(curve, STEP)
-    return np.asarray(points + deviation * smooth_noise(len(points), STEP, width, generator))
 
 
 def forces_of_shapes(

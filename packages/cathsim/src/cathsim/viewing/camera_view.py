@@ -46,15 +46,12 @@ def robot_pose(entry: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np
     return np.asarray(entry, float) - GAP * forward, rotation
 
 
-def add_robot(
-    scene: mujoco.MjvScene, robot: FollowerRobot, entry: np.ndarray, direction: np.ndarray, colour: tuple[float, ...]
-) -> None:
+def add_robot(scene: mujoco.MjvScene, robot: FollowerRobot, entry: np.ndarray, direction: np.ndarray) -> None:
     """Adds the robot and the wire that runs through it to a scene that MuJoCo has updated.
 
     Args:
         entry: end of the sheath in the vessel, m. Shape (3,).
         direction: unit vector into the vessel. Shape (3,).
-        colour: of the wire, red, green, blue and opacity.
 
     Raises:
         RuntimeError: the scene has no room left.
@@ -76,7 +73,7 @@ def add_robot(
         scene.ngeom += 1
     wire = scene.geoms[scene.ngeom]
     capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-    mujoco.mjv_initGeom(wire, capsule, np.ones(3), np.zeros(3), np.eye(3).ravel(), np.array(colour, np.float32))
+    mujoco.mjv_initGeom(wire, capsule, np.ones(3), np.zeros(3), np.eye(3).ravel(), np.array(WIRE, np.float32))
     rear = origin - (robot.settings.length + 0.010) * rotation[:, 2]
     mujoco.mjv_connector(wire, capsule.value, 0.9e-3, rear, np.asarray(entry, float))
     scene.ngeom += 1
@@ -100,7 +97,7 @@ def open_context(width: int, height: int) -> Any:
     for name in names:
         os.environ["PYOPENGL_PLATFORM"] = name if name != "glfw" else ""
         try:
-            module = __import__(f"mujoco.{name if name != 'glfw' else 'glfw'}", fromlist=["GLContext"])
+            module = __import__(f"mujoco.{name}", fromlist=["GLContext"])
             context = module.GLContext(width, height)
             context.make_current()
         except Exception as error:  # the bindings raise ImportError, AttributeError, OSError, RuntimeError, …
@@ -165,7 +162,7 @@ class View:
         else:
             self._add_rod(_seen(simulation, simulation.wire_points()), WIRE, SHOWN_RADIUS)
         if self._robot is not None:
-            add_robot(scene, self._robot, simulation.vessel.entry, simulation.vessel.direction, WIRE)
+            add_robot(scene, self._robot, simulation.vessel.entry, simulation.vessel.direction)
         if goal is not None:
             self._add(mujoco.mjtGeom.mjGEOM_SPHERE, TARGET, size=0.003, position=goal)
         mujoco.mjr_render(self._viewport, scene, self._render_context)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy.mesh.parts.vessel_parts import Surface, read_parts
-from cathsim.anatomy.mesh.reading import read_triangles
+from cathsim.anatomy.mesh.reading import read_surfaces
 from cathsim.anatomy.mesh.report import MeshRefusedError
 
 WRITTEN = Path(__file__).parent / "vtk"
@@ -60,7 +60,8 @@ def _vtp(connectivity: str, ends: str) -> bytes:
 
 def test_empty_strips_beside_polygons_of_several_sizes(tmp_path: Path):
     (tmp_path / "a.vtp").write_bytes(_vtp("0 2 1  0 1 3 2  0 3 2  1 2 3", "3 7 10 13"))
-    assert read_triangles(tmp_path / "a.vtp").faces.tolist() == [[0, 2, 1], [0, 1, 3], [0, 3, 2], [0, 3, 2], [1, 2, 3]]
+    faces = read_surfaces(tmp_path / "a.vtp")[0].mesh.faces
+    assert faces.tolist() == [[0, 2, 1], [0, 1, 3], [0, 3, 2], [0, 3, 2], [1, 2, 3]]
 
 
 @pytest.mark.parametrize(
@@ -79,7 +80,7 @@ def test_empty_strips_beside_polygons_of_several_sizes(tmp_path: Path):
 def test_what_is_no_sound_polydata_is_refused(content: bytes, message: str, tmp_path: Path):
     (tmp_path / "bad.vtp").write_bytes(content)
     with pytest.raises(MeshRefusedError, match=message):
-        read_triangles(tmp_path / "bad.vtp")
+        read_surfaces(tmp_path / "bad.vtp")
 
 
 LEGACY = "# vtk DataFile Version {}\na\nASCII\nDATASET POLYDATA\nPOINTS 4 float\n0 0 0 1 0 0 0 1 0 0 0 1\n{}\n"
@@ -99,7 +100,7 @@ def test_an_offset_beyond_its_list_takes_no_memory(cells: str, end: int, tmp_pat
     tracemalloc.start()
     try:
         with pytest.raises(MeshRefusedError, match="its polygons do not lie within their list of points"):
-            read_triangles(path)
+            read_surfaces(path)
         assert tracemalloc.get_traced_memory()[1] < 5e6
     finally:
         tracemalloc.stop()
@@ -107,13 +108,13 @@ def test_an_offset_beyond_its_list_takes_no_memory(cells: str, end: int, tmp_pat
 
 def test_files_that_are_cut_off_or_no_polydata_are_refused(tmp_path: Path):
     with pytest.raises(MeshRefusedError, match="it holds DATASET UNSTRUCTURED_GRID, expected POLYDATA"):
-        read_triangles(WRITTEN / "grid.vtk")
+        read_surfaces(WRITTEN / "grid.vtk")
     for name in set(FILES) - {"grid.vtk"}:
         whole = (WRITTEN / name).read_bytes()
         path = tmp_path / name
         path.write_bytes(whole[: len(whole) // 2])
         with pytest.raises(MeshRefusedError, match="cannot be read as a "):
-            read_triangles(path)
+            read_surfaces(path)
 
 
 @pytest.mark.parametrize("name", ["ras_appended_zlib_32_little.vtp", "strips_appended_lzma_64_little.vtp"])
@@ -121,13 +122,13 @@ def test_the_checksum_of_every_block_is_reached(name: str, tmp_path: Path):
     sound = (WRITTEN / name).read_bytes()
     end = sound.rindex(b"</AppendedData>")
     start = sound.index(b"_", sound.index(b"<AppendedData")) + 1
-    expected, other = read_triangles(WRITTEN / name), 0
+    expected, other = read_surfaces(WRITTEN / name)[0].mesh, 0
     for at in range(start, end, 3):
         damaged = bytearray(sound)
         damaged[at] ^= 1 << at % 8
         (tmp_path / name).write_bytes(damaged)
         try:
-            mesh = read_triangles(tmp_path / name)
+            mesh = read_surfaces(tmp_path / name)[0].mesh
         except MeshRefusedError:
             continue
         same = np.array_equal(mesh.vertices, expected.vertices) and np.array_equal(mesh.faces, expected.faces)

@@ -252,10 +252,7 @@ def build_arch(parameters: ArchParameters) -> VesselTree:
     branches += grow_supra_aortic(parameters, aorta, origins, rng)
     if parameters.aneurysm is not None and parameters.aneurysm.kind == "saccular":
         branches.append(_sac(parameters.aneurysm, branches[0], aorta, lsa_arc))
-    tree = VesselTree(tuple(branches))
-    low = np.min([np.min(b.points - b.radius[:, None], axis=0) for b in tree], axis=0)
-    high = np.max([np.max(b.points + b.radius[:, None], axis=0) for b in tree], axis=0)
-    return tree.translated(-(low + high) / 2)
+    return VesselTree(tuple(branches)).centred()
 
 
 def _sac(aneurysm: Aneurysm, branch: Branch, aorta: Aorta, lsa_arc: float) -> Branch:

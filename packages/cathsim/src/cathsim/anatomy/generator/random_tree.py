@@ -56,9 +56,7 @@ def build_random_tree(recipe: RandomTree) -> VesselTree:
                 continue
         except ValueError:  # a branch does not leave its parent
             continue
-        low = np.min([np.min(b.points - b.radius[:, None], axis=0) for b in tree], axis=0)
-        high = np.max([np.max(b.points + b.radius[:, None], axis=0) for b in tree], axis=0)
-        return tree.translated(-(low + high) / 2)
+        return tree.centred()
     raise RuntimeError(f"no tree in {_ATTEMPTS} draws; the ranges do not fit together")
 
 

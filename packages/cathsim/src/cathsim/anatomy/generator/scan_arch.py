@@ -150,9 +150,7 @@ def build_scan_arch(arch: ScanArch) -> VesselTree:
         except ValueError:  # no such arch can be built, or the cut took a branch's origin
             continue
         if wall >= LEAST_WALL:
-            low = np.min([np.min(b.points - b.radius[:, None], axis=0) for b in tree], axis=0)
-            high = np.max([np.max(b.points + b.radius[:, None], axis=0) for b in tree], axis=0)
-            return tree.translated(-(low + high) / 2)
+            return tree.centred()
     raise RuntimeError(f"no valid arch in {_ATTEMPTS} draws; the ranges do not fit together.")
 
 

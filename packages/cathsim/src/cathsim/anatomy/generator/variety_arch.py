@@ -290,9 +290,7 @@ def build_variety_arch(arch: VarietyArch) -> VesselTree:
     for _ in range(_ATTEMPTS):
         tree = _draw(arch, rng)
         if tree is not None and separation(tree) >= LEAST_WALL:
-            low = np.min([np.min(b.points - b.radius[:, None], axis=0) for b in tree], axis=0)
-            high = np.max([np.max(b.points + b.radius[:, None], axis=0) for b in tree], axis=0)
-            return tree.translated(-(low + high) / 2)
+            return tree.centred()
     raise RuntimeError(f"no arch of type {arch.arch_type} in {_ATTEMPTS} draws; its waypoints do not fit together")
 
 

@@ -53,8 +53,7 @@ class RoughVessel:
     def tip(self) -> Array:
         """(3,) m, the furthest of its own and its children's last points, seen from its start."""
         tips = [self.points[-1], *[child.tip for child in self.children]]
-        middle: Array = np.mean(tips if self.end is None else tips[:1], axis=0)
-        return middle
+        return np.mean(tips if self.end is None else tips[:1], axis=0)
 
     @property
     def radius(self) -> float:
@@ -328,20 +327,6 @@ def _beside(vessel: RoughVessel, point: Array) -> float:
 def leaving(vessel: RoughVessel, parent: RoughVessel) -> int:
     """First point of a vessel outside its parent's lumen."""
     return next((i for i, point in enumerate(vessel.points) if _beside(parent, point) > 0), len(vessel.points) - 1)
-
-
-def continued(trunk: RoughVessel, onward: RoughVessel) -> None:
-    """Makes a trunk go on as `onward`, one of the vessels it forks into; the others then leave it at its side."""
-    length = trunk.length
-    trunk.children.remove(onward)
-    for child in trunk.children:
-        child.from_fork = False
-    for child in onward.children:
-        child.start += length
-    trunk.points = np.concatenate([trunk.points, onward.points[1:]])
-    trunk.depth = np.concatenate([trunk.depth, onward.depth[1:]])
-    trunk.end = onward.end
-    trunk.children += onward.children
 
 
 def led_into(vessel: RoughVessel, side: RoughVessel) -> RoughVessel:

@@ -54,8 +54,7 @@ class Cavity:
         """The wall's voxels (nx, ny, nz), thickened so that no ray slips through."""
         from scipy.ndimage import binary_dilation
 
-        thick: Mask = binary_dilation(self.wall)
-        return thick
+        return binary_dilation(self.wall)
 
     def index(self, points: Array) -> NDArray[np.int64]:
         """Voxels (..., 3) that points (..., 3) m lie in; points outside the lattice get its border's."""
@@ -65,8 +64,7 @@ class Cavity:
     def holds(self, mask: Mask, points: Array) -> Mask:
         """Whether points (..., 3) m lie in voxels of a mask."""
         i, j, k = np.moveaxis(self.index(points), -1, 0)
-        found: Mask = mask[i, j, k]
-        return found
+        return mask[i, j, k]
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +172,7 @@ def largest_part(mask: Mask, structure: NDArray[Any] | None = None) -> Mask:
         return mask
     sizes = np.bincount(labels.reshape(-1))
     sizes[0] = 0
-    part: Mask = labels == int(np.argmax(sizes))
-    return part
+    return labels == int(np.argmax(sizes))
 
 
 def _rooms(mask: Mask, span: float) -> list[_Room]:

@@ -15,6 +15,7 @@ from cathsim.anatomy.mesh.cavity import Cavity, largest_part
 from cathsim.anatomy.mesh.ends import VesselEnd
 from cathsim.anatomy.mesh.lattice import short_distance
 from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
+from cathsim.lattice.linked_parts import linked_parts
 from cathsim.presets import WIRE_RADIUS
 
 EXACT = 3e-3  # m from the wall within which distances are to triangles, not to points on them
@@ -246,9 +247,6 @@ def _far_distance(surface: Array, points: Array, farthest: float, unbounded: Mas
 
 def _largest_component(nodes: NDArray[np.int64], shape: NDArray[np.int64]) -> Mask:
     """Which of some lattice points (n, 3), in C order, belong to the largest part that hangs together by faces."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     strides = np.array([shape[1] * shape[2], shape[2], 1])
     keys = nodes @ strides
     order = np.argsort(keys)
@@ -259,9 +257,7 @@ def _largest_component(nodes: NDArray[np.int64], shape: NDArray[np.int64]) -> Ma
         here = np.flatnonzero(keys[place] == keys + stride)
         first.append(here)
         second.append(place[here])
-    i, j = np.concatenate(first), np.concatenate(second)
-    graph = coo_matrix((np.ones(len(i), dtype=np.int8), (i, j)), shape=(len(keys), len(keys)))
-    _, labels = connected_components(graph, directed=False)
+    labels = linked_parts(np.concatenate(first), np.concatenate(second), len(keys))
     chosen = np.zeros(len(nodes), dtype=bool)
     if len(labels):
         chosen[order] = labels == np.argmax(np.bincount(labels))

@@ -76,15 +76,12 @@ def _plain_end(cavity: Cavity, way: Array, depth: Array) -> VesselEnd | None:
     near = np.flatnonzero((from_end <= 6 * radius) & (from_end >= 0.5 * radius) & (depth >= _STILL_WIDE * radius))
     step = cavity.spacing
     travel = np.arange(step, _REACH * radius, 0.5 * step)
-    angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
     for index in near[::-1]:
         inner = smoothed(resampled(way[: index + 1], step), radius / 2) if index >= 3 else way[: index + 1]
         if len(inner) < 4:
             break
         normal = _direction(inner, radius)
-        first, second = (v[0] for v in across_frames(normal[None]))
-        rays = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
-        struck = cavity.holds(cavity.thick_wall, inner[-1] + travel[None, :, None] * rays[:, None, :])
+        struck, _ = _struck(cavity, inner[-1], normal, travel)
         met = struck.max(axis=1)
         if met.mean() >= _PLAINLY:
             reach = float(np.percentile(travel[np.argmax(struck[met], axis=1)], 90))
@@ -184,24 +181,17 @@ def straightened(cavity: Cavity, end: VesselEnd) -> VesselEnd:
     inner = end.way[: max(int(np.count_nonzero(back >= end.radius)), 2)]
     step = 0.5 * cavity.spacing
     travel = np.arange(step, _REACH * end.radius, step)
-    angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
     first, second = (v[0] for v in across_frames(end.normal[None]))
     best, direction = np.inf, end.normal
     for tilt_a, tilt_b in np.stack(np.meshgrid(_TILTS, _TILTS), axis=-1).reshape(-1, 2):
         normal = end.normal + tilt_a * first + tilt_b * second
         normal /= np.linalg.norm(normal)
-        u, v = (w[0] for w in across_frames(normal[None]))
-        rays = np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v
-        struck = cavity.holds(cavity.thick_wall, inner[-1] + travel[None, :, None] * rays[:, None, :])
+        struck, _ = _struck(cavity, inner[-1], normal, travel)
         reach = np.where(struck.max(axis=1), travel[np.argmax(struck, axis=1)], travel[-1])
         reach = np.minimum(reach, 1.3 * np.median(reach))  # openings of other vessels do not count
         if (area := float((reach**2).sum())) < best:
             best, direction = area, normal
-    centres, normal, reach_90 = _sweep(cavity, tuple(inner[-1]), tuple(direction), end.radius, step, _SURROUNDED)
-    if len(centres) < 3:
-        return end
-    track = resampled(np.concatenate([inner[:-1], np.array(centres)]), 2 * step)
-    return VesselEnd(centres[-1], normal, max(reach_90, 2 * cavity.spacing), track)
+    return _swept_end(cavity, inner, direction, end.radius, _SURROUNDED) or end
 
 
 def severs(end: VesselEnd, way: Array) -> bool:
@@ -262,8 +252,13 @@ def _followed(cavity: Cavity, way: Array, start: int, radius: float, surrounded:
     """The end of the vessel in which a place of a way lies, None where its wall does not surround it there."""
     step = 0.5 * cavity.spacing
     inner = smoothed(resampled(way[: start + 1], 2 * step), radius / 2) if start >= 2 else way[:2]
-    direction = tuple(_direction(inner, 1.5 * radius))
-    centres, normal, reach = _sweep(cavity, tuple(inner[-1]), direction, radius, step, surrounded)
+    return _swept_end(cavity, inner, _direction(inner, 1.5 * radius), radius, surrounded)
+
+
+def _swept_end(cavity: Cavity, inner: Array, direction: Array, radius: float, surrounded: float) -> VesselEnd | None:
+    """The end of a vessel that goes on in a direction (3,) from a way (n, 3) m in it; None where none is found."""
+    step = 0.5 * cavity.spacing
+    centres, normal, reach = _sweep(cavity, tuple(inner[-1]), tuple(direction), radius, step, surrounded)
     if len(centres) < 3:
         return None
     track = resampled(np.concatenate([inner[:-1], np.array(centres)]), 2 * step)
@@ -287,8 +282,15 @@ def _direction(points: Array, length: float) -> Array:
     if len(some) < 3:
         some = points[-3:]
     _, _, axes = np.linalg.svd(some - some.mean(axis=0), full_matrices=False)
-    direction: Array = axes[0] * np.sign(axes[0] @ (some[-1] - some[0]))
-    return direction
+    return axes[0] * np.sign(axes[0] @ (some[-1] - some[0]))
+
+
+def _struck(cavity: Cavity, middle: Array, normal: Array, travel: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Where rays across a vessel lie in its wall, by ray and travel (m), and the rays' unit vectors (rays, 3)."""
+    angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
+    first, second = (v[0] for v in across_frames(normal[None]))
+    rays = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
+    return cavity.holds(cavity.thick_wall, middle + travel[None, :, None] * rays[:, None, :]), rays
 
 
 @kept_with_owner
@@ -302,14 +304,11 @@ def _sweep(
 ) -> tuple[list[Array], Array, float]:
     """Goes along a vessel as long as its wall surrounds it: middles (3,) m, last direction, radius m about the last."""
     middle, normal = np.array(start), np.array(direction)
-    angles = np.arange(_RAYS) * 2 * np.pi / _RAYS
     travel = np.arange(step, _REACH * radius, step)
 
     def across(middle: Array) -> tuple[Array, float, Array]:
         """Reaches of the rays that met a wall, their share, and the way to the middle between those walls."""
-        first, second = (v[0] for v in across_frames(normal[None]))
-        rays = np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second
-        struck = cavity.holds(cavity.thick_wall, middle + travel[None, :, None] * rays[:, None, :])
+        struck, rays = _struck(cavity, middle, normal, travel)
         met = struck.max(axis=1)
         if not met.any():
             return travel, 0.0, np.zeros(3)

@@ -91,24 +91,14 @@ def world_rotation(aorta: RoughVessel, leftward: Array | None = None) -> tuple[A
 
 def _spread(branches: list[RoughVessel], up: Array, left: Array) -> Array:
     """Horizontal direction (3,) in which branches' ends spread most, on the side of `left`; short where they do not."""
-    tips = np.array([tip for branch in branches for tip in _tips(branch)])
+    tips = np.array([one.points[-1] for branch in branches for one in branch.every if one.end is not None])
     if len(tips) < 2:
         return np.zeros(3)
     flat = tips - np.outer(tips @ up, up)
     flat -= flat.mean(axis=0)
     _, size, axes = np.linalg.svd(flat, full_matrices=False)
     spread = float(np.hypot(size[0], 0) - size[1]) / math.sqrt(len(tips))
-    direction: Array = axes[0] * np.sign(axes[0] @ left) * min(spread / _WIDE_SPREAD, 1.0)
-    return direction
-
-
-def _tips(vessel: RoughVessel) -> list[Array]:
-    own = [] if vessel.end is None else [vessel.points[-1]]
-    return own + [tip for child in vessel.children for tip in _tips(child)]
-
-
-def _all_of(vessel: RoughVessel) -> list[RoughVessel]:
-    return [vessel] + [one for child in vessel.children for one in _all_of(child)]
+    return axes[0] * np.sign(axes[0] @ left) * min(spread / _WIDE_SPREAD, 1.0)
 
 
 def has_arch(aorta: RoughVessel) -> bool:
@@ -156,7 +146,7 @@ def arch_branches(aorta: RoughVessel, up: Array | None = None) -> list[RoughVess
         limb = float(height[top] - (height[-1] if at > top else height[0]))
         if below > (0.75 * limb if at > top else 2.5 * radius + _BELOW_ARCH):
             continue  # a coronary artery, or one of the descending aorta
-        highest = max(float((one.points @ up).max()) for one in _all_of(child))  # an arm's artery goes down again
+        highest = max(float((one.points @ up).max()) for one in child.every)  # an arm's artery goes down again
         ostium = child.points[leaving(child, aorta)]  # the way of a wide branch parts from the aorta's long before
         beside = float(height[np.argmin(np.linalg.norm(aorta.points - ostium, axis=1))])
         if highest >= max(min(height[at], beside) + 0.7 * radius, height[top] - radius):
@@ -255,5 +245,4 @@ def _snap(direction: Array, angle: float, avoid: Array | None = None) -> tuple[A
 
 
 def _unit(vector: Array) -> Array:
-    unit: Array = vector / max(float(np.linalg.norm(vector)), 1e-12)
-    return unit
+    return vector / max(float(np.linalg.norm(vector)), 1e-12)

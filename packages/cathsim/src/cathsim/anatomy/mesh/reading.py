@@ -185,11 +185,6 @@ def read_surfaces(path: Path) -> list[NamedSurface]:
     return surfaces
 
 
-def read_triangles(path: Path) -> Triangles:
-    """The triangles of a file that is one surface, as `read_surfaces` reads them."""
-    return read_surfaces(path)[0].mesh
-
-
 def _expected(path: Path) -> str:
     return f"expected a triangle mesh in {path.suffix[1:].upper()} format; export it again"
 

@@ -30,7 +30,7 @@ from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.reading import Size, Triangles, clean_triangles, measure_size
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError, draw_refusal
 from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
-from cathsim.anatomy.mesh.tree import TreeSettings, grow_tree
+from cathsim.anatomy.mesh.tree import grow_tree
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.vessel_names import SUPRA_AORTIC
 from cathsim.anatomy.vessel_tree import VesselTree
@@ -284,7 +284,7 @@ class SurfaceImport:
             grid = fill_chambers(thicken_between_lumens(grid_of(resolution=self.resolution)))
             self.budget.check_time("drawing its centrelines")
             least = max(LEAST_WIDTH, 1.25 * self.resolution)
-            tree, left_out = grow_tree(aorta, names, grid, TreeSettings(least))
+            tree, left_out = grow_tree(aorta, names, grid, least)
             thinnest = int(np.argmin(tree.root.radius))
             narrowest = float(tree.root.radius[thinnest])
             if narrowest >= least:

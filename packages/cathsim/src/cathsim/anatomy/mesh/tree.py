@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from cathsim.anatomy.mesh.branches import RoughVessel
 from cathsim.anatomy.vessel_tree import Branch, VesselTree, nearest_on_branch
 
 STEP = 1e-3  # m between centreline points
+_LEAST_LENGTH = 6e-3  # m outside its parent that a branch must have to be kept
 _ROUNDS = 10
 _RAYS = 24
 _SIDE = 1.3  # median radii beyond which a ray is taken to look into another vessel
@@ -26,22 +26,15 @@ _END_SETBACK = 3e-3  # m from a flat end at which radii are still measured
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class TreeSettings:
-    """What a branch must have to be kept."""
-
-    least_radius: float  # m; where a branch is narrower, it ends
-    least_length: float = 6e-3  # m outside its parent
-
-
 def grow_tree(
-    aorta: RoughVessel, names: Mapping[int, str], grid: SignedDistanceGrid, settings: TreeSettings
+    aorta: RoughVessel, names: Mapping[int, str], grid: SignedDistanceGrid, least_radius: float
 ) -> tuple[VesselTree, tuple[str, ...]]:
     """Makes a vessel tree, and notes on what was left out or cut short.
 
     Args:
         aorta: the main vessel with its branches, world frame.
         names: of the vessels, by `id()`.
+        least_radius: m; where a branch is narrower, it ends.
     """
     notes: list[str] = []
     in_rings: set[str] = set()
@@ -52,7 +45,7 @@ def grow_tree(
         vessel, parent = queue.pop(0)
         name = names[id(vessel)]
         before = [b.parent_arc for b in branches if b.parent == "aorta" and parent is root]
-        branch, note = _branch(vessel, name, parent, grid, settings, min(before, default=np.inf))
+        branch, note = _branch(vessel, name, parent, grid, least_radius, min(before, default=np.inf))
         if note:
             notes.append(note)
         if branch is None:
@@ -76,7 +69,7 @@ def _main(aorta: RoughVessel, grid: SignedDistanceGrid) -> Branch:
 
 
 def _branch(
-    vessel: RoughVessel, name: str, parent: Branch, grid: SignedDistanceGrid, settings: TreeSettings, most: float
+    vessel: RoughVessel, name: str, parent: Branch, grid: SignedDistanceGrid, least_radius: float, most: float
 ) -> tuple[Branch | None, str]:
     raw = smoothed(resampled(vessel.points, STEP), 1.5e-3)
     if vessel.from_fork:
@@ -103,15 +96,15 @@ def _branch(
     if any(child.from_fork for child in vessel.children):
         # Ways part where no ball fills the lumen any more; the daughters' centrelines meet about a radius before.
         keep = max(int(np.searchsorted(arc_length(points), arc_length(points)[-1] - _FORK * radius[-6:].min())), 4)
-        keep = max(keep, _deep_enough(points, parent, vessel, grid, settings.least_radius))
+        keep = max(keep, _deep_enough(points, parent, vessel, grid, least_radius))
         points, radius = points[:keep], radius[:keep]
-    narrow = np.flatnonzero((radius < settings.least_radius) & (np.arange(len(points)) >= outside))
+    narrow = np.flatnonzero((radius < least_radius) & (np.arange(len(points)) >= outside))
     note, open_end = "", vessel.end is not None and vessel.end >= 0
     if len(narrow):
         cut = int(narrow[0])
-        note = f"{name} ends where its radius falls below {settings.least_radius * 1e3:.1f} mm"
+        note = f"{name} ends where its radius falls below {least_radius * 1e3:.1f} mm"
         points, radius, open_end = points[:cut], radius[:cut], False
-    short = (len(points) - 1 - outside) * STEP < settings.least_length and not vessel.children
+    short = (len(points) - 1 - outside) * STEP < _LEAST_LENGTH and not vessel.children
     if len(points) < 4 or short:
         return None, f"{name} left out: it is too short or too narrow for a wire"
     return Branch(name, points, radius, parent.name, start_arc, open_end), note
@@ -177,5 +170,4 @@ def measured_radii(points: Array, grid: SignedDistanceGrid, outside: int) -> Arr
     begin = outside + 2 if outside else setback
     measured = np.clip(index, min(begin, len(points) - 1), max(len(points) - 1 - setback, 0))
     reach, _ = wall_distances(grid, points[measured], tangents[measured], rays=_RAYS)
-    radius: Array = gaussian_filter1d(np.maximum(np.median(reach, axis=0), 1e-4), 2.0, mode="nearest")
-    return radius
+    return gaussian_filter1d(np.maximum(np.median(reach, axis=0), 1e-4), 2.0, mode="nearest")

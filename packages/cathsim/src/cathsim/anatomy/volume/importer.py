@@ -17,7 +17,7 @@ from cathsim.anatomy.mesh.reading import Triangles
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
 from cathsim.anatomy.mesh.request import ONE_AT_A_TIME, check_resolution, content_digest, hashable_names, names_of
 from cathsim.anatomy.mesh.surface_import import LEAST_WIDTH, Names, SurfaceFacts, phantom_of_surface
-from cathsim.anatomy.mesh.tree import TreeSettings, grow_tree
+from cathsim.anatomy.mesh.tree import grow_tree
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
@@ -145,7 +145,7 @@ def build_volume_phantom(
         own = ordered_names(aorta, found, list(names))
     final = renamed(found, own)
     least = max(LEAST_WIDTH, 1.25 * resolution)
-    tree, left_out = grow_tree(aorta, final, grid, TreeSettings(least))
+    tree, left_out = grow_tree(aorta, final, grid, least)
     narrowest = float(tree.root.radius.min())
     if narrowest < least:
         raise MeshRefusedError(
@@ -281,8 +281,7 @@ def lumen_surface_of(volume: LabelVolume) -> tuple[Triangles, tuple[str, ...]]:
     if sizes.max() < _LEAST_PART * sizes.sum():
         raise MeshRefusedError(
             f"the label of {volume.file} is noise: its {int(sizes.sum()):,} voxels lie in {count:,} separate parts; "
-            "export "
-            "the segmentation again, or say which labels are vessels by labels=."
+            "export the segmentation again, or say which labels are vessels by labels=."
         )
     notes: tuple[str, ...] = ()
     if count > 1:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.lattice.linked_parts import linked_parts
 from cathsim.lattice.node_set import NodeSet
 from cathsim.presets import WIRE_RADIUS
 
@@ -117,15 +118,11 @@ def _apart(grid: SignedDistanceGrid, first: Array, second: Array) -> NDArray[np.
 
 def _with_neighbours(places: Array, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Chosen places (n, 3) m, and all that hang together with them by steps of `_LINK`."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     pairs = cKDTree(places).query_pairs(_LINK, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=(len(places),) * 2)
-    _, parts = connected_components(graph, directed=False)
-    linked: NDArray[np.bool_] = np.isin(parts, parts[chosen])
-    return linked
+    parts = linked_parts(pairs[:, 0], pairs[:, 1], len(places))
+    return np.isin(parts, parts[chosen])
 
 
 def _nearest_part(parts: NDArray[np.int32], at: Array, point: Array) -> int:
@@ -136,30 +133,24 @@ def _nearest_part(parts: NDArray[np.int32], at: Array, point: Array) -> int:
     return int(parts[inside][np.argmin(((at[inside] - point) ** 2).sum(axis=-1))])
 
 
-def fill_chambers(
-    grid: SignedDistanceGrid, largest: float = LARGEST, clearance: float = WIRE_RADIUS
-) -> SignedDistanceGrid:
+def fill_chambers(grid: SignedDistanceGrid) -> SignedDistanceGrid:
     """The grid without small hollows that no wire can get into.
 
-    Nodes further than `clearance` from the wall that hang together are a chamber. All but the largest chamber are
-    filled as far as their volume is below a limit; those of less than `SPECK` nodes stay.
-
-    Args:
-        largest: m^3.
-        clearance: m, the wire's radius.
+    Nodes further than a wire's radius from the wall that hang together are a chamber. All but the largest chamber are
+    filled as far as their volume is below `LARGEST`; those of less than `SPECK` nodes stay.
 
     Returns:
         Another grid on the same lattice, or the same where there is nothing to fill.
     """
     from scipy.spatial import cKDTree
 
-    free = NodeSet.where(grid.blocks, lambda values: values > clearance)
+    free = NodeSet.where(grid.blocks, lambda values: values > WIRE_RADIUS)
     if not len(free):
         return grid
     parts = free.parts()
     sizes = np.bincount(parts)
     lumen = int(np.argmax(sizes))
-    hollow = (sizes >= SPECK) & (sizes * grid.spacing**3 < largest)
+    hollow = (sizes >= SPECK) & (sizes * grid.spacing**3 < LARGEST)
     hollow[lumen] = False
     if not hollow.any():
         return grid

@@ -115,34 +115,25 @@ _REQUESTS: TypeAdapter[Any] = TypeAdapter(
 )
 
 
-def read_request(text: str) -> dict[str, Any]:
-    """Reads what the page asks for, in JSON; the request has fields that its type has, each of its kind, and no other.
+def read_request(request: str | Mapping[str, Any]) -> dict[str, Any]:
+    """Reads what the page asks for, in JSON or as its content; a request has the fields that its type has, no other.
 
     A field that may be left out (a catheter, wire or limit) is then not in the result.
 
     Raises:
         ValueError: it is no request; one sentence says why.
     """
-    if len(text) > LONGEST_REQUEST:
-        raise ValueError(f"a request may have {LONGEST_REQUEST} characters, got {len(text)}")
+    if isinstance(request, str) and len(request) > LONGEST_REQUEST:
+        raise ValueError(f"a request may have {LONGEST_REQUEST} characters, got {len(request)}")
     try:
-        request: dict[str, Any] = _REQUESTS.validate_json(text).model_dump(exclude_unset=True)
+        if isinstance(request, str):
+            read = _REQUESTS.validate_json(request)
+        else:
+            read = _REQUESTS.validate_python(dict(request))
     except ValidationError as error:
         raise ValueError(_sentence(error)) from error
-    return request
-
-
-def check_request(request: Mapping[str, Any]) -> dict[str, Any]:
-    """Checks a request that did not come as JSON, and returns it.
-
-    Raises:
-        ValueError: it is no request; one sentence says why.
-    """
-    try:
-        checked: dict[str, Any] = _REQUESTS.validate_python(dict(request)).model_dump(exclude_unset=True)
-    except ValidationError as error:
-        raise ValueError(_sentence(error)) from error
-    return checked
+    content: dict[str, Any] = read.model_dump(exclude_unset=True)
+    return content
 
 
 def _sentence(error: ValidationError) -> str:

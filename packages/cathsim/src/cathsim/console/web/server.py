@@ -16,7 +16,7 @@ from fastapi import FastAPI, Request, WebSocket, WebSocketDisconnect
 from fastapi.responses import FileResponse, PlainTextResponse, Response
 from fastapi.staticfiles import StaticFiles
 
-from cathsim.console.web.requests import Access, read_request
+from cathsim.console.web.requests import Access
 from cathsim.console.worker import RealTimeLoop
 
 PAGE = Path(__file__).parents[1] / "page"
@@ -208,7 +208,7 @@ async def _receive(socket: WebSocket, loop: RealTimeLoop, desk: Desk) -> None:
                 await socket.close(FLOODED, f"more than {MOST_A_SECOND} messages a second: close what sends them")
                 return
             try:
-                loop.request(read_request(message.get("text") or ""))
+                loop.request(message.get("text") or "")
             except ValueError as error:
                 desk.say({"type": "notice", "kind": "error", "text": str(error)})
             except Exception as error:  # a message must not end the connection

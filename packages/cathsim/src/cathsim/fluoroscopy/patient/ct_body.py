@@ -117,8 +117,7 @@ class CTBody(MeasuredBody):
     @property
     def spacing(self) -> Array:
         """(3,) m between voxels."""
-        spacing: Array = np.linalg.norm(np.linalg.inv(self.to_index[:, :3]), axis=0)
-        return spacing
+        return np.linalg.norm(np.linalg.inv(self.to_index[:, :3]), axis=0)
 
     def chord(self, source: Array, directions: Array) -> Array:
         """Optical depth (...) of rays.

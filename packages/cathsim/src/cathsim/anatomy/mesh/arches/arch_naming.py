@@ -115,8 +115,7 @@ def labelled_sides(aorta: RoughVessel, label_of: LabelOf) -> Array | None:
                 ends[True].append(leaf.points[-1])
     if not (ends[True] and ends[False]):
         return None
-    leftward: Array = np.mean(ends[True], axis=0) - np.mean(ends[False], axis=0)
-    return leftward
+    return np.mean(ends[True], axis=0) - np.mean(ends[False], axis=0)
 
 
 def is_mirrored(aorta: RoughVessel) -> bool:

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise, permutations, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.arches.subtrees import RIGHT, Subtree, choices
 
@@ -55,8 +54,6 @@ _OF_TRUNK = 8e-3  # m to the left of a trunk's origin, between its vessels of th
 _TRUNK, _LATE_TRUNK = 58e-3, 75e-3  # m: longer, a brachiocephalic trunk usually, or certainly, has parted
 _CAROTID = 38e-3  # m: shorter, a common carotid artery has not yet
 _MOST = 7  # vessels that are tried
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

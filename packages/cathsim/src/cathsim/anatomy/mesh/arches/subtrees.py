@@ -67,16 +67,14 @@ class Subtree:
     @property
     def tip(self) -> Array:
         """(3,) m, where its main leaf ends."""
-        tip: Array = self.main_leaf.vessel.points[-1]
-        return tip
+        return self.main_leaf.vessel.points[-1]
 
     @cached_property
     def base(self) -> Array:
         """(3,) m, where it leaves its parent's lumen, or parts from its sister."""
         arc = arc_length(self.vessel.points)
         index = self.vessel.outside if self.start == 0 else int(np.searchsorted(arc, self.start))
-        base: Array = self.vessel.points[min(index, len(arc) - 1)]
-        return base
+        return self.vessel.points[min(index, len(arc) - 1)]
 
 
 Named = list[tuple[RoughVessel, tuple[Subtree, ...]]]

@@ -24,6 +24,7 @@ from cathsim.anatomy.mesh.reading import (
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import ACCESS, AORTA, SUPRA_AORTIC, is_other, not_taken, of_one_name, vessel_name
 from cathsim.guarded_reading import UnreadableFileError, call_in_child
+from cathsim.lattice.linked_parts import linked_parts
 
 Result = TypeVar("Result")
 
@@ -177,14 +178,9 @@ def pieces(mesh: Triangles) -> list[Triangles]:
     Closed parts that one file holds one after the other are apart even where their corners coincide. Small pieces are
     dropped where there are others.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     welded = mesh.welded()
     a, b, c = welded.faces.T
-    count = len(welded.vertices)
-    graph = coo_matrix((np.ones(2 * len(a)), (np.r_[a, a], np.r_[b, c])), shape=(count, count))
-    _, labels = connected_components(graph, directed=False)
+    labels = linked_parts(np.r_[a, a], np.r_[b, c], len(welded.vertices))
     runs = _closed_runs(welded.faces)
     of_face = labels[welded.faces[:, 0]].astype(np.int64) * (int(runs.max()) + 1) + runs
     if len(np.unique(of_face)) == 1:

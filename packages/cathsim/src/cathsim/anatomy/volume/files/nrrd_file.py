@@ -151,8 +151,7 @@ def _axes(path: Path, header: dict[str, Any], sizes: list[int]) -> tuple[int | N
     if others and sizes[others[0]] > 1 and kinds and kinds[others[0]] in ("time", "vector", "3-vector", "rgb-color"):
         raise MeshRefusedError(
             f"{path.name} has {sizes[others[0]]} values a voxel ({kinds[others[0]]}), expected one label; save one "
-            "volume "
-            "of the series as its own file."
+            "volume of the series as its own file."
         )
     affine = np.eye(4)
     if rows is None:

@@ -62,8 +62,7 @@ class LabelVolume:
     @property
     def spacing(self) -> Array:
         """(3,) m between voxels along the volume's axes."""
-        spacing: Array = np.linalg.norm(self.affine[:3, :3], axis=0)
-        return spacing
+        return np.linalg.norm(self.affine[:3, :3], axis=0)
 
     @property
     def voxel_volume(self) -> float:
@@ -193,8 +192,7 @@ def _folder(path: Path, labels: Labels, transform: str | None) -> LabelVolume:
     if labels is None and not any(vessel_name(stem) for stem in files):
         raise MeshRefusedError(
             f"{path.name} has no file that is named after the aorta ({', '.join(list(files)[:8])}); name its files "
-            "after "
-            "vessels, or say which is which by labels={file: 'aorta', ...}."
+            "after vessels, or say which is which by labels={file: 'aorta', ...}."
         )
     choice = choose_labels(dict.fromkeys(names, 1), names, labels, path.name)
     choice = LabelChoice(choice.vessels, "names of the files", named=True, notes=choice.notes)
@@ -277,16 +275,14 @@ def _box(parts: list[tuple[VolumeSource, LabelChoice]], file: str, present: dict
         litres = 1e3 * voxel * sum(present.get(key, 0) for key in choice.vessels)
         if litres > _MOST_LITRES:
             raise MeshRefusedError(
-                f"{source.path.name} has {litres:.3g} litres labelled as vessels, an aorta with its branches has "
-                "less than "
-                f"one; it is noise or another kind of labels: say which labels are vessels by labels=."
+                f"{source.path.name} has {litres:.3g} litres labelled as vessels, an aorta with its branches has less "
+                "than one; it is noise or another kind of labels: say which labels are vessels by labels=."
             )
         taken = sum(present.get(key, 0) for key in choice.vessels)
         if taken > _MOST_TAKEN:
             raise MeshRefusedError(
                 f"{source.path.name} has {taken:,} voxels labelled as vessels, at most {_MOST_TAKEN:,} are taken; it "
-                "is "
-                "noise, or its voxels are finer than any wire needs: save it with larger ones."
+                "is noise, or its voxels are finer than any wire needs: save it with larger ones."
             )
         for name in choice.vessels.values():
             if name not in names:
@@ -297,8 +293,7 @@ def _box(parts: list[tuple[VolumeSource, LabelChoice]], file: str, present: dict
     if np.prod((high - low).astype(float)) > _MOST_VOXELS:
         raise MeshRefusedError(
             f"the vessels of {file} spread over {np.prod((high - low).astype(float)):.2g} voxels; cut the volume to "
-            "them, "
-            "or save it with larger voxels."
+            "them, or save it with larger voxels."
         )
     box = np.zeros(tuple(high - low), dtype=np.uint8)
     # where labels overlap the smaller vessel counts: an aorta's label may run on beneath its branches'

@@ -53,9 +53,8 @@ class VolumeSource:
         size = float(math.prod(self.shape)) * self.layers * self.itemsize
         if size > LARGEST:
             raise MeshRefusedError(
-                f"{self.path.name} holds {size / 1e9:.1f} GB of values, at most {LARGEST / 1e9:g} GB are read; cut "
-                "it to "
-                "the chest, or save it with fewer bytes a voxel."
+                f"{self.path.name} holds {size / 1e9:.1f} GB of values, at most {LARGEST / 1e9:g} GB are read; cut it "
+                "to the chest, or save it with fewer bytes a voxel."
             )
 
     @property
@@ -66,8 +65,7 @@ class VolumeSource:
     @property
     def spacing(self) -> Array:
         """(3,) m between voxels along the file's axes."""
-        spacing: Array = np.linalg.norm(self.affine[:3, :3], axis=0) * self.metres
-        return spacing
+        return np.linalg.norm(self.affine[:3, :3], axis=0) * self.metres
 
     @property
     def frame(self) -> Array:
@@ -103,8 +101,7 @@ def require_one_volume(path: Path, sizes: Sequence[int], components: int = 1) ->
 def corners(affine: Array, shape: Sequence[int]) -> Array:
     """(8, 3) places of a volume's corner voxels in the file's world."""
     at = np.array(list(itertools.product(*((0, size - 1) for size in shape))), dtype=np.float64)
-    places: Array = at @ affine[:3, :3].T + affine[:3, 3]
-    return places
+    return at @ affine[:3, :3].T + affine[:3, 3]
 
 
 def farthest_apart(one: Array, other: Array, shape: Sequence[int]) -> float:
@@ -151,16 +148,14 @@ def check_geometry(path: Path, shape: tuple[int, ...], affine: Array, metres: fl
     if spacing.min() <= 0 or abs(np.linalg.det(affine[:3, :3])) < 1e-3 * np.prod(spacing):
         raise MeshRefusedError(
             f"{path.name} has an affine that is none: its axes {np.round(affine[:3, :3], 4).tolist()} do not span "
-            "space; "
-            "save the volume again with its axes."
+            "space; save the volume again with its axes."
         )
     axes = affine[:3, :3] / spacing
     shear = float(np.abs(axes.T @ axes - np.eye(3)).max())
     if shear > _MOST_SHEAR:
         raise MeshRefusedError(
             f"{path.name} has axes that are not at right angles ({np.degrees(np.arccos(shear)):.0f} degrees), as a "
-            "tilted "
-            "gantry leaves them; resample it to right angles."
+            "tilted gantry leaves them; resample it to right angles."
         )
     spacing = spacing * metres
     if not (spacing.min() >= _THINNEST and spacing.max() <= _THICKEST):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import AORTA, PARENTS, TOTALSEGMENTATOR, is_other, not_taken, of_one_name, vessel_name
+from cathsim.anatomy.volume.labels.parts import distances
 
 Key = tuple[int, int]  # layer and value of a label
 Labels = Mapping[int | str, str | None] | None
@@ -238,7 +239,7 @@ def sides_exchanged(clouds: Mapping[str, Array]) -> str:
 
 def _hangs(name: str, clouds: Mapping[str, Array]) -> bool:
     parents = [parent for parent in (AORTA, *PARENTS.get(name, ())) if parent in clouds]
-    return any(_distance(clouds[name], clouds[parent]).min() < _NEAR for parent in parents)
+    return any(distances(clouds[name], clouds[parent]).min() < _NEAR for parent in parents)
 
 
 def _zones_misfit(places: Mapping[Key, Array], sizes: Mapping[Key, int]) -> str:
@@ -246,7 +247,7 @@ def _zones_misfit(places: Mapping[Key, Array], sizes: Mapping[Key, int]) -> str:
     zones = {key: places[key] for key in places if key[1] in ARCH_ZONES}
     branches = {key: places[key] for key in places if key[1] in (4, 6)}
     for key, branch in branches.items():
-        away = {zone[1]: _distance(branch, cloud) for zone, cloud in zones.items()}
+        away = {zone[1]: distances(branch, cloud) for zone, cloud in zones.items()}
         least = np.min(list(away.values()), axis=0)
         foot = least <= least.min() + _TAKE_OFF
         if 1 in away and np.mean(away[1][foot] <= least[foot]) > 0.5:
@@ -264,10 +265,3 @@ def _section(cloud: Array, size: int) -> float:
     offset = cloud - cloud.mean(axis=0)
     axis = np.linalg.svd(offset, full_matrices=False)[2][0]
     return size / (float(np.ptp(offset @ axis)) + CELL)
-
-
-def _distance(points: Array, to: Array) -> Array:
-    from scipy.spatial import cKDTree
-
-    distance: Array = cKDTree(to).query(points)[0]
-    return distance

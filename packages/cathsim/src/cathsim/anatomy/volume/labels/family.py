@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.vessel_names import AORTA, PARENTS
-from cathsim.anatomy.volume.labels.parts import bridge, clean_parts, led_on
+from cathsim.anatomy.volume.labels.parts import bridge, clean_parts, distances, led_on
 from cathsim.anatomy.volume.lumen.lattice import neighbours
+from cathsim.lattice.linked_parts import linked_parts
 
 _LEAST_SHARE = 0.3  # of a vessel's largest contact: one smaller than this is no take-off
 # of a vessel's radius, and of its section: one that touches its parent by less, and has less of it there, is led on to
@@ -152,14 +153,14 @@ def _false_contacts(
             continue
         link = links[a] if a in links and links[a].beside == b else links.get(b)
         if link is not None and link.beside in (a, b):
-            places = places[_distance(places, link.ostium) > _CLUSTER]
+            places = places[distances(places, link.ostium) > _CLUSTER]
         elif a in links and b in links and links[a].parent == links[b].parent != root:
             # the ridge where a trunk parts in two is no bridge
             for one in (links[a], links[b]):
                 if len(places):
-                    places = places[_distance(places, one.ostium) > one.radius + _CLUSTER]
+                    places = places[distances(places, one.ostium) > one.radius + _CLUSTER]
         elif (a, b) in beside:
-            places = places[_distance(places, links[beside[a, b]].ostium) > _CLUSTER]
+            places = places[distances(places, links[beside[a, b]].ostium) > _CLUSTER]
         elif any(_is_mouth(places, areas, links[n]) for n in (a, b) if n in links):
             continue
         if len(places):
@@ -236,7 +237,7 @@ def _take_off(number: int, box: Box, possible: Sequence[int], touching: Touching
 def _is_mouth(places: Array, areas: Array, link: Link) -> bool:
     """Whether a contact with another vessel than the parent is too wide, and too near to the take-off, for a bridge."""
     wide = float(areas.sum()) > _MOUTH * np.pi * link.radius**2
-    return wide and float(_distance(places, link.ostium).min()) < _CLUSTER
+    return wide and float(distances(places, link.ostium).min()) < _CLUSTER
 
 
 def _raise_sisters(links: dict[int, Link], names: Sequence[str]) -> None:
@@ -271,16 +272,12 @@ def _link(number: int, parent: int, touching: Touching) -> Link:
 
 def _main_cluster(places: Array, areas: Array) -> NDArray[np.bool_]:
     """The contacts (n,) that hang together over the largest area."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     pairs = cKDTree(places).query_pairs(_CLUSTER, output_type="ndarray")
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(places),) * 2)
-    count, which = connected_components(graph, directed=False)
-    sizes = np.bincount(which, weights=areas + 1e-12, minlength=count)
-    chosen: NDArray[np.bool_] = which == int(np.argmax(sizes))
-    return chosen
+    which = linked_parts(pairs[:, 0], pairs[:, 1], len(places))
+    sizes = np.bincount(which, weights=areas + 1e-12)
+    return which == int(np.argmax(sizes))
 
 
 def _close_to_parent(box: Box, number: int, names: Sequence[str], placed: Sequence[int], spacing: Array) -> str:
@@ -297,13 +294,6 @@ def _close_to_parent(box: Box, number: int, names: Sequence[str], placed: Sequen
         if gap is not None:
             return f"a gap of {1e3 * gap:.1f} mm between {names[number - 1]} and {candidate} is closed"
     return ""
-
-
-def _distance(points: Array, to: Array) -> Array:
-    from scipy.spatial import cKDTree
-
-    distance: Array = cKDTree(to).query(points)[0]
-    return distance
 
 
 def from_far_end(

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import PARENTS
+from cathsim.lattice.linked_parts import linked_parts
 
 _LONGEST_GAP = 6e-3  # m between a vessel and its parent, or two parts of one, that is closed
 _SPECK = 0.02  # of a vessel: a part of this size is noise
@@ -77,7 +78,7 @@ def _clean(box: Box, number: int, names: Sequence[str], spacing: Array) -> list[
             continue
         ours = np.argwhere(np.isin(parts, kept)) * spacing
         theirs = np.argwhere(parts == part) * spacing
-        other = _continued(crop, parts == part, number, spacing) if _gap(ours, theirs) > _OWN_GAP else 0
+        other = _continued(crop, parts == part, number, spacing) if distances(theirs, ours).min() > _OWN_GAP else 0
         if other and _hang_together(name, names[other - 1]):
             other = 0
         if other:
@@ -104,11 +105,11 @@ def _hang_together(one: str, other: str) -> bool:
     return one in PARENTS.get(other, ()) or other in PARENTS.get(one, ())
 
 
-def _gap(ours: Array, theirs: Array) -> float:
-    """Least distance (m) between two clouds of voxels (n, 3) m."""
+def distances(points: Array, to: Array) -> Array:
+    """Distance (n,) m of points (n, 3) m to the nearest of others (k, 3) m."""
     from scipy.spatial import cKDTree
 
-    return float(cKDTree(ours).query(theirs)[0].min())
+    return cKDTree(to).query(points)[0]
 
 
 def _continued(box: Box, part: NDArray[np.bool_], number: int, spacing: Array) -> int:
@@ -152,9 +153,6 @@ def _fill(box: Box, holes: NDArray[np.int64], share: float) -> int:
         holes: (n,) flat indices of voxels, ascending.
         share: of a hole's faces that must be vessels'.
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     if not len(holes):
         return 0
     places = np.stack(np.unravel_index(holes, box.shape), axis=1)
@@ -170,9 +168,8 @@ def _fill(box: Box, holes: NDArray[np.int64], share: float) -> int:
             ends.append(np.stack([rows[same], other[same]]))
             faces.append(np.stack([rows[~same], flat[beside[~same]].astype(np.int64)]))
     pairs, outer = np.concatenate(ends, axis=1), np.concatenate(faces, axis=1)
-    graph = coo_matrix((np.ones(pairs.shape[1], dtype=np.int8), tuple(pairs)), shape=(len(holes),) * 2)
-    count, which = connected_components(graph, directed=False)
-    around = np.zeros((count, 256), dtype=np.int64)
+    which = linked_parts(pairs[0], pairs[1], len(holes))
+    around = np.zeros((int(which.max()) + 1, 256), dtype=np.int64)
     np.add.at(around, (which[outer[0]], outer[1]), 1)
     best = np.argmax(around[:, 1:], axis=1) + 1
     within = around[:, 1:].sum(axis=1) >= share * np.maximum(around.sum(axis=1), 1)
@@ -279,5 +276,4 @@ def _fill_tube(box: Box, number: int, first: Array, last: Array, radius: float, 
 
 
 def _unit(vector: Array) -> Array:
-    unit: Array = vector / max(float(np.linalg.norm(vector)), 1e-12)
-    return unit
+    return vector / max(float(np.linalg.norm(vector)), 1e-12)

@@ -235,8 +235,7 @@ def rough_vessels(
 
 def _before(end: FlatEnd) -> Array:
     """A place (3,) m in the middle of a vessel right before its flat end."""
-    place: Array = end.centre - min(0.5 * end.radius, 3e-3) * end.normal
-    return place
+    return end.centre - min(0.5 * end.radius, 3e-3) * end.normal
 
 
 def _leaves_end(courses: Courses, number: int, ostia: dict[int, Array]) -> bool:

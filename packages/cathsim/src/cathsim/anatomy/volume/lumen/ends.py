@@ -12,6 +12,7 @@ from cathsim.anatomy.cross_section import plane_coordinates
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.lumen.courses import Courses
 from cathsim.anatomy.volume.lumen.union import FlatEnd
+from cathsim.lattice.linked_parts import linked_parts
 
 _FULL = 0.8  # of the usual depth, at which a vessel has its full width
 _LOOK_BACK = (1.0, 6e-3)  # radii and m of the way before a place that say what is usual: more would cut tapering aortas
@@ -95,8 +96,6 @@ def _half_section(points: Array, base: Array, normal: Array, radius: float, spac
 
 def _section_middle(points: Array, tip: Array, place: Array, normal: Array, reach: float, thick: float) -> Array:
     """Middle (3,) m of a lumen's section about a tip: of its points (n, 3) m within `thick` of a plane."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     height = (points - place) @ normal
@@ -104,11 +103,9 @@ def _section_middle(points: Array, tip: Array, place: Array, normal: Array, reac
     middle = tip
     if len(near):  # a plane may cut the aorta twice: what hangs together with the tip counts
         pairs = cKDTree(near).query_pairs(0.9 * thick, output_type="ndarray")
-        graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(near),) * 2)
-        _, part = connected_components(graph, directed=False)
+        part = linked_parts(pairs[:, 0], pairs[:, 1], len(near))
         middle = near[part == part[np.argmin(((near - tip) ** 2).sum(axis=1))]].mean(axis=0)
-    onto: Array = middle - float((middle - place) @ normal) * normal
-    return onto
+    return middle - float((middle - place) @ normal) * normal
 
 
 def _direction(points: Array, length: float) -> Array:
@@ -119,5 +116,4 @@ def _direction(points: Array, length: float) -> Array:
     some = points[from_end <= length]
     some = some if len(some) >= 3 else points[-3:]
     _, _, axes = np.linalg.svd(some - some.mean(axis=0), full_matrices=False)
-    direction: Array = axes[0] * np.sign(axes[0] @ (some[-1] - some[0]) or 1.0)
-    return direction
+    return axes[0] * np.sign(axes[0] @ (some[-1] - some[0]) or 1.0)

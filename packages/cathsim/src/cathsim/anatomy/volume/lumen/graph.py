@@ -58,8 +58,7 @@ class LumenGraph:
     def _middle_cost(self) -> Array:
         """(m,) cost of every pair: its length, dearer near the wall, so that ways keep to the middle."""
         dear = (self.spacing / np.maximum(self.depth, 0.5 * self.spacing)) ** 2
-        cost: Array = self.lengths * 0.5 * (dear[self.pairs[:, 0]] + dear[self.pairs[:, 1]])
-        return cost
+        return self.lengths * 0.5 * (dear[self.pairs[:, 0]] + dear[self.pairs[:, 1]])
 
     def away(self, start: int, chosen: NDArray[np.bool_] | None = None) -> Array:
         """Distance (n,) m within the lumen, or within some of its nodes; infinite where there is no way."""

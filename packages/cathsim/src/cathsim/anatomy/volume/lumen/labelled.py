@@ -57,8 +57,7 @@ class LabelledLumen:
     @property
     def world_offset(self) -> Array:
         """(3,) m that is added to points of the file's world, turned to the patient's axes."""
-        offset: Array = self.offset - self.volume.frame @ self.volume.affine[:3, 3]
-        return offset
+        return self.offset - self.volume.frame @ self.volume.affine[:3, 3]
 
     def build(self) -> tuple[SignedDistanceGrid, RoughVessel, dict[int, str], dict[str, tuple[float, float]]]:
         """The distance grid, the vessels' courses with names by `id()`, and volumes (m^3) in voxels and in the grid."""
@@ -118,13 +117,11 @@ class LabelledLumen:
 
     def to_patient(self, points: Array) -> Array:
         """Points (..., 3) m of the box's axes in the patient's."""
-        moved: Array = points @ self.turn.T + self.offset
-        return moved
+        return points @ self.turn.T + self.offset
 
     def to_box(self, points: Array) -> Array:
         """Points (..., 3) m of the patient's axes in the box's."""
-        moved: Array = (points - self.offset) @ np.linalg.inv(self.turn).T
-        return moved
+        return (points - self.offset) @ np.linalg.inv(self.turn).T
 
     def level(self) -> tuple[Field, NDArray[np.uint8], NDArray[np.bool_]]:
         """Level (n,) m of all nodes, the vessel of each, and which belong to the lumen."""
@@ -206,8 +203,7 @@ class LabelledLumen:
                 self._open(number, self.to_box(places))
                 self.notes.append(
                     f"{self.family.names[number]} is kept open to {1e3 * least:.1f} mm of radius where the labels "
-                    "leave "
-                    f"{1e3 * depth:.1f}"
+                    f"leave {1e3 * depth:.1f}"
                 )
 
     def flatten(self, courses: Courses) -> tuple[FlatEnd, dict[int, FlatEnd], list[str]]:
@@ -241,5 +237,4 @@ class LabelledLumen:
 
 
 def _inner_points(field: VesselField) -> Array:
-    inner: Array = field.origin + np.argwhere(field.values > 0) * field.spacing
-    return inner
+    return field.origin + np.argwhere(field.values > 0) * field.spacing

@@ -47,13 +47,11 @@ class BlockLattice:
     def nodes(self) -> Nodes:
         """(n, 3) indices of all nodes, block by block."""
         within = np.stack(np.meshgrid(*[np.arange(BLOCK)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-        nodes: Nodes = (self.corners[:, None, :] + within).reshape(-1, 3)
-        return nodes
+        return (self.corners[:, None, :] + within).reshape(-1, 3)
 
     def points(self, nodes: Nodes) -> Array:
         """Places (n, 3) m of nodes (n, 3)."""
-        places: Array = self.origin + nodes * self.spacing
-        return places
+        return self.origin + nodes * self.spacing
 
     def number(self, nodes: Nodes) -> Nodes:
         """Rows (n,) in `nodes` of nodes (n, 3); -1 where there is none."""
@@ -63,8 +61,7 @@ class BlockLattice:
         i, j, k = np.clip(block, 0, size - 1).T
         which = np.where(outside, -1, self.table[i, j, k]).astype(np.int64)
         a, b, c = (nodes - block * BLOCK).T
-        numbers: Nodes = np.where(which >= 0, ((which * BLOCK + a) * BLOCK + b) * BLOCK + c, -1)
-        return numbers
+        return np.where(which >= 0, ((which * BLOCK + a) * BLOCK + b) * BLOCK + c, -1)
 
     def neighbours(self, rows: Nodes, step: tuple[int, int, int]) -> Nodes:
         """Rows (n,) of the nodes one step from those of rows (n,); -1 where there is none."""

@@ -54,8 +54,7 @@ class VesselField:
         from scipy.ndimage import map_coordinates
 
         index = ((points - self.origin) / self.spacing).T
-        values: Field = map_coordinates(self.values, index, order=1, mode="nearest", output=np.float32)
-        return values
+        return map_coordinates(self.values, index, order=1, mode="nearest", output=np.float32)
 
     @property
     def bounds(self) -> Array:
@@ -258,5 +257,4 @@ def _way(depth: Array, main: Mask, lost: Mask, spacing: Array) -> NDArray[np.int
     way = [int(reached[np.argmax(away[reached])])]
     while before[way[-1]] >= 0:
         way.append(int(before[way[-1]]))
-    places: NDArray[np.int64] = voxels[way[::-1]]
-    return places
+    return voxels[way[::-1]]

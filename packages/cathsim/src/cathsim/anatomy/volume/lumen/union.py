@@ -36,8 +36,7 @@ class FlatEnd:
     @property
     def centre(self) -> Array:
         """(3,) m, in the middle of the end."""
-        centre: Array = self.base + self.beyond * self.normal
-        return centre
+        return self.base + self.beyond * self.normal
 
 
 @dataclass(eq=False)

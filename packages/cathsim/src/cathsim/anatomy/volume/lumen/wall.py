@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.lumen import OUTSIDE
 from cathsim.anatomy.volume.lumen.lattice import BlockLattice, Nodes
+from cathsim.lattice.linked_parts import linked_parts
 
 _STEPS = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 _FLAT, _ROUND = 1.0, 2.5  # spacings from the wall up to, and from which on, distances are to planes, and to points
@@ -20,9 +21,6 @@ Field = NDArray[np.float32]
 
 def connected(lattice: BlockLattice, level: Field, start: int) -> NDArray[np.bool_]:
     """Which nodes (n,) with a positive level hang together with the node of a row."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     rows = np.flatnonzero(level > 0)
     place = np.full(len(level) + 1, -1, dtype=np.int64)
     place[rows] = np.arange(len(rows))
@@ -32,9 +30,7 @@ def connected(lattice: BlockLattice, level: Field, start: int) -> NDArray[np.boo
         linked = other >= 0
         first.append(np.flatnonzero(linked))
         second.append(other[linked])
-    ends = np.concatenate(first), np.concatenate(second)
-    graph = coo_matrix((np.ones(len(ends[0]), dtype=np.int8), ends), shape=(len(rows),) * 2)
-    _, parts = connected_components(graph, directed=False)
+    parts = linked_parts(np.concatenate(first), np.concatenate(second), len(rows))
     chosen = np.zeros(len(level), dtype=bool)
     chosen[rows[parts == parts[place[start]]]] = True
     return chosen
