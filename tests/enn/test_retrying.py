@@ -67,19 +67,3 @@ def test_an_environments_devices_come_back_to_the_sheath() -> None:
     assert max(insertions) > 0.06
     assert min(insertions[41:]) < insertions[0] + 2 * WITHIN
     assert insertions[-1] > 0.01  # on its way again
-
-
-def test_an_attempt_that_presses_too_hard_ends_and_after_the_last_the_devices_rest() -> None:
-    robot = _Feeders(1)
-    controller = RetryingController(lambda seed: lambda observation, info: FORWARDS, 50, most=2, most_force=1.0)
-    forces = [0.0] * 5 + [1.5] * 4 + [0.0] * 10 + [1.5] * 20  # drawn back at the sixth step, in spite of the force
-    begun, last = [0], FORWARDS
-    for force in forces:
-        last = controller(None, {**robot.info, "force": force})
-        robot.step(last)
-        begun.append(controller.attempts)
-    assert begun.index(2) == 5 + 5 + 1
-    assert not last.any()
-    assert robot.places[0] == pytest.approx(0.001, abs=WITHIN)
-    with pytest.raises(ValueError, match="most_force must be above 0 N, got -1"):
-        RetryingController(lambda seed: lambda observation, info: FORWARDS, 50, most_force=-1.0)

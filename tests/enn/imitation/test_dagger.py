@@ -23,7 +23,7 @@ QUICK = replace(DESK_CLONING, fit=EpisodeFitSettings(epochs=6, batch_size=32, le
 def test_rounds_aggregate_and_the_student_improves() -> None:
     environment = DrawnPoint()
     first = [record(environment, expert, seed=seed, keys=("image",)) for seed in range(4)]
-    settings = DaggerSettings(rounds=3, episodes=12, expert_share=0.5)
+    settings = DaggerSettings(rounds=3, episodes=12)
     student, rounds, everything = dagger(DrawnPoint, expert, first, settings, QUICK)
     assert [told.episodes for told in rounds] == [16, 28, 40]
     assert len(everything) == 40

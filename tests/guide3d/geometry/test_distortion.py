@@ -48,14 +48,14 @@ def test_leave_out_error_tells_noise_from_distortion(sheet, method):
     assert clean.shape == (len(holes),)
     assert clean.mean() < 0.1
     noise = np.random.default_rng(0).normal(size=holes.centres_px.shape)
-    shaken = SheetHoles(holes.centres_px + noise, holes.indices, holes.partial, holes.pitch_px, 512, 512)
+    shaken = SheetHoles(holes.centres_px + noise, holes.indices, holes.partial, 512, 512)
     assert leave_out_errors(shaken, method, spans=12).mean() > 1.0
 
 
 def test_the_ideal_frame_does_not_hang_on_border_holes(sheet):
     _, _, holes = sheet
     inner = (np.abs(holes.centres_px - 255.5) < 240).all(axis=1)
-    fewer = SheetHoles(holes.centres_px[inner], holes.indices[inner], holes.partial[inner], holes.pitch_px, 512, 512)
+    fewer = SheetHoles(holes.centres_px[inner], holes.indices[inner], holes.partial[inner], 512, 512)
     middle = np.linalg.norm(fewer.centres_px - 255.5, axis=1) < 100
 
     def change(frame: str) -> float:

@@ -238,7 +238,7 @@ def test_an_overlay_shows_confidence_by_colour() -> None:
     points = next(iter(scenes(1, seed=77))).points[0]
     maps = maps_of(points, gaps=((150, 260),))
     image = picture(maps)
-    overlay = draw_reading(image, read(image, DarkLineReader()), truth_px=points[::50])
+    overlay = draw_reading(image, read(image, DarkLineReader()))
     assert overlay.shape == (1024, 1024, 3)
     red, green = (overlay == confidence_colour(share) for share in (0.0, 1.0))
     assert red.all(axis=2).any() or (overlay[..., 0].astype(int) - overlay[..., 1] > 60).any()

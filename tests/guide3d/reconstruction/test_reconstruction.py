@@ -92,7 +92,7 @@ def test_gaps_are_completed_between_measured_pairs_and_no_further() -> None:
     measured = np.ones(40, dtype=bool)
     measured[16:25] = False
     measured[-2:] = False
-    match = Match(along, stalled, line[:40], line[:40], np.zeros(40), measured, 98.0, 98.0, 0.0)
+    match = Match(along, stalled, line[:40], line[:40], measured, 98.0, 98.0, 0.0)
     done = complete(match, line, line, 2.0)
     assert np.abs(done.along_b - done.along_a).max() < 1.0
     assert np.array_equal(done.along_b[-2:], stalled[-2:])

@@ -74,17 +74,24 @@ def try_in_copies(
     trials: list[Trial] = []
     tick(0.0)
     for case in cases:
-        controller = policy.controller(deterministic=False, seed=seed + case)
-        observation, info = environment.reset(seed=seed + case, options={"case": case})
-        ended = reached = False
-        forces: list[float] = []
-        while not ended:
-            observation, _, reached, truncated, info = environment.step(controller(observation, info))
-            forces.append(float(info["force"]))
-            ended = bool(reached or truncated)
-        trials.append((bool(reached), forces))
+        trials.append(play_case(policy, environment, seed, case, deterministic=False))
         tick(len(trials) / len(cases))
     return trials
+
+
+def play_case(
+    policy: Policy, environment: gymnasium.Env[Any, Any], seed: int, case: int, *, deterministic: bool
+) -> Trial:
+    """Plays one episode in a case of an environment; its seed is the sum of both."""
+    controller = policy.controller(deterministic=deterministic, seed=seed + case)
+    observation, info = environment.reset(seed=seed + case, options={"case": case})
+    ended = reached = False
+    forces: list[float] = []
+    while not ended:
+        observation, _, reached, truncated, info = environment.step(controller(observation, info))
+        forces.append(float(info["force"]))
+        ended = bool(reached or truncated)
+    return bool(reached), forces
 
 
 def best_devices(tries: Sequence[Callable[[int], Tried]], usual: int) -> int:

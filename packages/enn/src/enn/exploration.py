@@ -146,14 +146,13 @@ class Frontier:
     """States that earlier roll-outs came to, by the cell of space their tip lay in; rarely visited cells come first.
 
     Roll-outs that always begin in the sheath crowd into the branch that lies straight ahead.
-
-    Args:
-        cell: side of a cell, m.
-        capacity: states kept a cell; with more, each seen one is kept with equal probability.
     """
 
-    def __init__(self, generator: np.random.Generator, cell: float = 0.006, capacity: int = 12) -> None:
-        self.generator, self.cell, self.capacity = generator, cell, capacity
+    CELL = 0.006  # side of a cell, m
+    CAPACITY = 12  # states kept a cell; with more, each seen one is kept with equal probability
+
+    def __init__(self, generator: np.random.Generator) -> None:
+        self.generator = generator
         self._cells: list[list[np.ndarray]] = []
         self._visits: list[int] = []
         self._index: dict[tuple[int, ...], int] = {}
@@ -163,16 +162,16 @@ class Frontier:
 
     def add(self, state: np.ndarray, tip: np.ndarray) -> None:
         """Keeps a state whose tip lies at a position, m. Shape (3,)."""
-        key = tuple(int(number) for number in np.floor(tip / self.cell))
+        key = tuple(int(number) for number in np.floor(tip / self.CELL))
         index = self._index.setdefault(key, len(self._cells))
         if index == len(self._cells):
             self._cells.append([])
             self._visits.append(0)
         self._visits[index] += 1
         states = self._cells[index]
-        if len(states) < self.capacity:
+        if len(states) < self.CAPACITY:
             states.append(state)
-        elif (place := int(self.generator.integers(self._visits[index]))) < self.capacity:
+        elif (place := int(self.generator.integers(self._visits[index]))) < self.CAPACITY:
             states[place] = state
 
     def draw(self) -> np.ndarray | None:

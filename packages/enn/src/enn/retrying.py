@@ -1,4 +1,4 @@
-"""Retrying controller: where an attempt takes too long, or presses too hard, devices are drawn back and try again."""
+"""Retrying controller: where an attempt takes too long, devices are drawn back and try again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ Controller = Callable[[Any, Mapping[str, Any]], NDArray[np.float32]]  # observat
 
 INSERTIONS = ("insertion", "catheter_insertion")  # of the feeders, in `info`, m
 WITHIN = 1e-3  # m of where they began: drawn back far enough
-FORCE = "force"  # in `info`: of all contacts, N
 _BACK = 250  # steps in which 0.5 m are drawn back at the usual pace, at most
 _ANOTHER = 1_000_003  # between the seeds of an episode's attempts
 
@@ -34,28 +33,17 @@ class RetryingController:
         steps: of an attempt.
         most: attempts; the last one goes on to the episode's end. None: any number.
         seed: of the attempts and of the turns between them.
-        most_force: N of all contacts with which an attempt ends at once; after the last one the devices are drawn back
-            and rest. None: any.
 
     Raises:
-        ValueError: an attempt has no step, there is none, or the force is not above zero.
+        ValueError: an attempt has no step, or there is none.
     """
 
     def __init__(
-        self,
-        attempt: Callable[[int], Controller],
-        steps: int,
-        most: int | None = None,
-        seed: int = 0,
-        *,
-        most_force: float | None = None,
+        self, attempt: Callable[[int], Controller], steps: int, most: int | None = None, seed: int = 0
     ) -> None:
         if steps < 1 or (most is not None and most < 1):
             raise ValueError(f"there must be 1 attempt with 1 step at least, got {most} with {steps}")
-        if most_force is not None and not most_force > 0:
-            raise ValueError(f"most_force must be above 0 N, got {most_force:g}")
         self._attempt, self._steps, self._most, self._seed = attempt, steps, most, seed
-        self._most_force = np.inf if most_force is None else most_force
         self.reset()
 
     def reset(self) -> None:
@@ -81,14 +69,13 @@ class RetryingController:
         """The action of this step. Shape (actions,): translation and rotation of each feeder.
 
         Args:
-            info: of the environment, with the feeders' insertions, and its force where that ends an attempt.
+            info: of the environment, with the feeders' insertions.
         """
         insertions = {name: float(info[name]) for name in INSERTIONS if name in info}
         if not self._began:
             self._began = insertions
-        pressed = float(info.get(FORCE, 0.0)) > self._most_force
         steering = self._controller is not None and self._turns is None
-        if steering and (pressed or (self._left == 0 and self.attempts != self._most)):
+        if steering and self._left == 0 and self.attempts != self._most:
             self._turns = self._generator.uniform(-1.0, 1.0, len(insertions))
         if self._turns is not None:
             inside = [insertions[name] > self._began[name] + WITHIN for name in insertions]
@@ -96,8 +83,6 @@ class RetryingController:
                 turns = zip(inside, self._turns, strict=True)
                 back = [(-1.0, turn) if pulled else (0.0, 0.0) for pulled, turn in turns]
                 return np.array(back, np.float32).ravel()
-            if self.attempts == self._most:
-                return np.zeros(2 * len(insertions), np.float32)
         if self._controller is None or self._turns is not None:
             self._number += 1
             own_seed = self._seed + _ANOTHER * self._number

@@ -33,10 +33,6 @@ class DaggerSettings:
 
     rounds: Count = 3
     episodes: Count = 10  # a round
-    # chance that the expert steers a step of the first round, beside the student; it falls by half from round to
-    # round
-    expert_share: Share = 0.0
-    warm_start: bool = True  # fits go on from the student of the round before
 
 
 @settings
@@ -183,7 +179,7 @@ def dagger(
         return clone(
             everything,
             cloning,
-            initial=initial if settings.warm_start else None,
+            initial=initial,
             seed=seed + index,
             progress=None if progress is None else lambda fit: progress(index, fit),
             device=device,
@@ -195,10 +191,9 @@ def dagger(
     rounds = []
     for index in range(1, settings.rounds + 1):
         generator = np.random.default_rng((seed, index))
-        share = settings.expert_share * 0.5 ** (index - 1)
+        steers = student.controller()
         new, apart = [], []
         for episode in range(settings.episodes):
-            steers = _mixed(student, expert, share, generator)
             start = int(generator.integers(2**31))
             name = f"round {index}, episode {episode}"
             new.append(
@@ -212,12 +207,3 @@ def dagger(
         rounds.append(DaggerRound(index, len(everything), success, float(np.concatenate(apart).mean()), report))
     environment.close()
     return student, rounds, everything
-
-
-def _mixed(student: ClonedPolicy, expert: Act, share: float, generator: np.random.Generator) -> Act:
-    def act(observation: Mapping[str, NDArray[Any]], info: Mapping[str, Any]) -> NDArray[Any]:
-        if share and generator.random() < share:
-            return expert(observation, info)
-        return student.act(observation)
-
-    return act

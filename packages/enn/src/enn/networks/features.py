@@ -40,10 +40,10 @@ def modality_keys(modalities: str) -> tuple[str, ...]:
     return tuple(key for letter in modalities.split("+") for key in MODALITIES[letter])
 
 
-def _dense(sizes: Sequence[int], activation: type[nn.Module] = nn.ReLU) -> list[nn.Module]:
+def _dense(sizes: Sequence[int]) -> list[nn.Module]:
     layers: list[nn.Module] = []
     for before, after in itertools.pairwise(sizes):
-        layers += [nn.Linear(before, after), activation()]
+        layers += [nn.Linear(before, after), nn.ReLU()]
     return layers
 
 

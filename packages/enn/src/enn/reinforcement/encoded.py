@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -14,17 +14,10 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn, VecE
 from enn.devices import device_of
 from enn.networks.features import require_keys
 
+if TYPE_CHECKING:
+    from enn.networks.encoder_network import Encoder
+
 Observations = dict[str, np.ndarray]
-
-
-class FrozenEncoder(Protocol):
-    """What turns observations into features; `enn.encoder.Encoder` is one."""
-
-    keys: tuple[str, ...]
-    settings: Any
-
-    def __call__(self, observations: Mapping[str, torch.Tensor], /) -> torch.Tensor:
-        """Shapes (n, ...) to (n, features)."""
 
 
 class EncodedEnvs(VecEnvWrapper):
@@ -39,7 +32,7 @@ class EncodedEnvs(VecEnvWrapper):
         ValueError: an observation is missing, or has another shape than the encoder was trained with.
     """
 
-    def __init__(self, venv: VecEnv, encoder: FrozenEncoder, passthrough: Sequence[str] = ()) -> None:
+    def __init__(self, venv: VecEnv, encoder: Encoder, passthrough: Sequence[str] = ()) -> None:
         self.encoder, self.passthrough = encoder, tuple(passthrough)
         space = require_keys(venv.observation_space, (*encoder.keys, *self.passthrough))
         for key, shape in zip(encoder.keys, encoder.settings.shapes, strict=True):
@@ -48,10 +41,8 @@ class EncodedEnvs(VecEnvWrapper):
                     f"the encoder was trained with '{key}' of shape {tuple(shape)}, but the environment gives "
                     f"{space[key].shape}: use the same wire and image size"
                 )
-        self._device = torch.device("cpu")
-        if isinstance(encoder, torch.nn.Module):
-            encoder.eval()
-            self._device = device_of(encoder)
+        encoder.eval()
+        self._device = device_of(encoder)
         size = encoder.settings.features
         features = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
         spaces = {key: space[key] for key in self.passthrough}

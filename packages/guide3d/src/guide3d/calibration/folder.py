@@ -79,7 +79,7 @@ def distortions_in(folder: Path) -> tuple[Distortion, Distortion] | None:
         ValueError: several files *16710*.npz or *16709*.npz, or one that `Distortion.save` did not write.
     """
     for place in (folder / "calibration", folder):
-        files = [_only(place, DETECTOR[view], ("npz",)) for view in ("a", "b")]
+        files = [_only(place, detector) for detector in DETECTOR.values()]
         if files[0] is not None and files[1] is not None:
             return Distortion.load(files[0]), Distortion.load(files[1])
     return None
@@ -185,10 +185,9 @@ def _set_of(place: Path, sets: list[dict[str, Path]], tag: str) -> tuple[str, di
     return f"{a.name}, {b.name}", {"a": a, "b": b}
 
 
-def _only(folder: Path, name: str, endings: tuple[str, ...]) -> Path | None:
-    files = files_in(folder, *(f"*{name}*.{ending}" for ending in endings))
+def _only(folder: Path, detector: str) -> Path | None:
+    files = files_in(folder, f"*{detector}*.npz")
     if len(files) > 1:
         names = ", ".join(file.name for file in files)
-        what = f"detector {name}" if name in DETECTOR.values() else name
-        raise ValueError(f"{folder} holds several files of {what} ({names}): keep the one that is meant")
+        raise ValueError(f"{folder} holds several files of detector {detector} ({names}): keep the one that is meant")
     return files[0] if files else None

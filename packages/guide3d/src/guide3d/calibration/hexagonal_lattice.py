@@ -10,6 +10,8 @@ import heapq
 import numpy as np
 from scipy.spatial import cKDTree
 
+from guide3d.geometry.displacement_field import quadratic_terms
+
 # the six neighbours of a lattice site in axial coordinates, in the order of their angle
 NEIGHBOURS = np.array([[1, 0], [0, 1], [-1, 1], [-1, 0], [0, -1], [1, -1]])
 _TOLERANCE = 0.28  # of a pitch, between where growth expects a point and where it is
@@ -124,8 +126,7 @@ def regular(centres: np.ndarray, indices: np.ndarray, tolerance_px: float) -> np
 
 def predicted(away: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Where the quadratics through pixels `seen` (m, k, 2), `away` (m, k, 2) lattice steps off, put sites (m, 2)."""
-    x, y = away[..., 0], away[..., 1]
-    A = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    A = quadratic_terms(away)
     # a trace of ridge holds the few holes whose neighbours all lie on one side
     normal = A.transpose(0, 2, 1) @ A + 1e-6 * np.eye(6)
     return np.linalg.solve(normal, A.transpose(0, 2, 1) @ seen)[:, 0]

@@ -10,7 +10,6 @@ import logging
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from guide3d.calibration.hexagonal_lattice import grow_lattice, local_lattice, missed_sites, regular
 from guide3d.image_filters import blurred, largest_around, least_around
@@ -28,13 +27,11 @@ class SheetHoles:
     centres_px: (n, 2) sub-pixel centres, x right and y down
     indices: (n, 2) whole axial coordinates (q, r) on the lattice, unique, (0, 0) near the middle of the image
     partial: (n,) bool, cut by the border of the image or of the field
-    pitch_px: mean distance of neighbouring holes
     """
 
     centres_px: np.ndarray
     indices: np.ndarray
     partial: np.ndarray
-    pitch_px: float
     width: int
     height: int
 
@@ -99,11 +96,8 @@ def find_holes(image: np.ndarray) -> SheetHoles:
         holes = np.arange(len(centres))
     holes = np.flatnonzero(regular(centres, indices, _IRREGULAR * pitch))
     holes = holes[np.lexsort((indices[holes, 0], indices[holes, 1]))]
-    nearest = cKDTree(centres[holes]).query(centres[holes], k=2)[0][:, 1]
     logger.debug("%d candidates, %d on the lattice, %d kept", len(candidates), len(chosen), len(holes))
-    return SheetHoles(
-        centres[holes], indices[holes], partial[holes], float(np.mean(nearest)), image.shape[1], image.shape[0]
-    )
+    return SheetHoles(centres[holes], indices[holes], partial[holes], image.shape[1], image.shape[0])
 
 
 def _pitch(grey: np.ndarray) -> float:

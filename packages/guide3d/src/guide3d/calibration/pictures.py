@@ -22,7 +22,7 @@ _FINE = 1 << _FINE_BITS
 
 def draw_holes(image: np.ndarray, holes: SheetHoles) -> Picture:
     """The sheet (h, w), twice as large, with every hole marked: whole ones green, those cut by the border red."""
-    picture = _ground(image, _ENLARGED)
+    picture = _ground(image)
     for (x, y), partial in zip(holes.centres_px, holes.partial, strict=True):
         _cross(picture, x, y, 2, _RED if partial else _GREEN)
     _caption(picture, f"{len(holes)} holes, {int(holes.partial.sum())} of them cut by the border")
@@ -35,7 +35,7 @@ def draw_displacement(holes: SheetHoles, distortion: Distortion) -> Picture:
     Returns:
         A picture of the raw image's size, enlarged.
     """
-    picture = _ground(np.zeros((holes.height, holes.width)), _ENLARGED)
+    picture = _ground(np.zeros((holes.height, holes.width)))
     number = {tuple(site): k for k, site in enumerate(holes.indices.tolist())}
     for places, colour in ((distortion.ideal_px, (40, 80, 150)), (distortion.raw_px, (150, 150, 150))):
         for (q, r), k in number.items():
@@ -54,7 +54,7 @@ def draw_displacement(holes: SheetHoles, distortion: Distortion) -> Picture:
 
 def draw_beads(calibration: CubeCalibration, view: CubeView) -> Picture:
     """A cube image, twice as large: beads' numbers (from 1) and residuals, wire marks, beads that were not measured."""
-    picture = _ground(view.image, _ENLARGED)
+    picture = _ground(view.image)
     key = view.pose, view.detector
     for mark in view.marks:
         for x, y in mark.pixels[::3]:
@@ -83,10 +83,10 @@ def draw_beads(calibration: CubeCalibration, view: CubeView) -> Picture:
     return picture
 
 
-def _ground(image: np.ndarray, enlarged: int) -> Picture:
+def _ground(image: np.ndarray) -> Picture:
     top = max(float(np.percentile(image, 99.5)), 1.0)
     grey = np.clip(image * (215 / top), 0, 255).astype(np.uint8)
-    large = cv2.resize(grey, None, fx=enlarged, fy=enlarged, interpolation=cv2.INTER_CUBIC)
+    large = cv2.resize(grey, None, fx=_ENLARGED, fy=_ENLARGED, interpolation=cv2.INTER_CUBIC)
     return np.repeat(large[:, :, None], 3, axis=2)
 
 

@@ -64,7 +64,6 @@ class RigCalibration:
 
     cameras: dict[str, Camera]
     swirl_px: dict[str, float]
-    swirl_sd_px: dict[str, float]
     poses: dict[str, tuple[np.ndarray, np.ndarray]]
     residuals_px: dict[tuple[str, str], np.ndarray]
     used: dict[tuple[str, str], np.ndarray]
@@ -244,9 +243,7 @@ class _Bundle:
         self.cameras, self.poses, self.swirl = cameras, poses, swirl
         return True
 
-    def solve(
-        self, used: list[np.ndarray], swirled: Mapping[str, bool], robust_px: float | None = None, rounds: int = 60
-    ) -> None:
+    def solve(self, used: list[np.ndarray], swirled: Mapping[str, bool], robust_px: float | None = None) -> None:
         """Levenberg-Marquardt over all free parameters."""
         free = self._free(swirled)
         for detector, with_swirl in swirled.items():
@@ -254,7 +251,7 @@ class _Bundle:
                 self.swirl[detector] = 0.0
         cost, gradient, normal, _ = self._assembled(used, robust_px)
         damping = 1e-4
-        for _ in range(rounds):
+        for _ in range(60):
             N = normal[np.ix_(free, free)]
             step = np.zeros(len(gradient))
             step[free] = -np.linalg.solve(N + damping * np.diag(np.diag(N)) + 1e-12 * np.eye(len(free)), gradient[free])
@@ -308,18 +305,17 @@ class _Bundle:
         scale = 1 / np.sqrt(np.diag(normal)[free])  # units from pixels to radians: balance before inverting
         N = normal[np.ix_(free, free)] * scale[:, None] * scale
         whole[np.ix_(free, free)] = variance * np.linalg.inv(N) * scale[:, None] * scale
-        cameras, sds = {}, {}
+        cameras = {}
         for d, detector in enumerate(self.detectors):
             rows = 12 * d + np.array([0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11])
             camera = self.cameras[detector]
             cameras[detector] = Camera(
                 camera.K, camera.R, camera.t_mm, *self.sizes[detector], detector, whole[np.ix_(rows, rows)]
             )
-            sds[detector] = float(np.sqrt(whole[12 * d + 5, 12 * d + 5]))
         keys = [(s.pose, s.detector) for s in self.sightings]
         kept, residual = dict(zip(keys, used, strict=True)), dict(zip(keys, residuals, strict=True))
         return RigCalibration(
-            cameras, dict(self.swirl), sds, dict(self.poses), residual, kept, alone, float(np.sqrt(variance)), left_out
+            cameras, dict(self.swirl), dict(self.poses), residual, kept, alone, float(np.sqrt(variance)), left_out
         )
 
 

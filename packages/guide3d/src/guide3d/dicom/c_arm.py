@@ -84,15 +84,15 @@ def camera_of(run: XrayRun, frame: int = 0) -> Camera:
     return Camera(K, -detector_axes(primary, secondary), np.array([0.0, 0.0, -isocentre]), width, height)
 
 
-def view_warnings(run: XrayRun, frame: int = 0) -> list[str]:
-    """What speaks against `camera_of` for this frame, a sentence each."""
+def view_warnings(run: XrayRun) -> list[str]:
+    """What speaks against `camera_of` for the first frame, a sentence each."""
     said = []
     if run.beam_tilt_deg > 0.5:
         said.append(
             f"{run.path.name}: the beam stands {run.beam_tilt_deg:.1f} degrees askew on the detector, which the camera "
             "leaves out"
         )
-    axes = detector_axes(float(run.primary_deg[frame]), float(run.secondary_deg[frame]))
+    axes = detector_axes(float(run.primary_deg[0]), float(run.secondary_deg[0]))
     for what, word, axis in zip(("rows", "columns"), run.orientation, axes[:2], strict=False):
         side = _SIDES.get(word[:1])
         if side is not None and np.isfinite(axis).all() and float(axis @ np.array(side)) < _AGAINST:

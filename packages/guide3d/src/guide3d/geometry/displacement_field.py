@@ -10,6 +10,7 @@ from scipy import linalg
 from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
+_SMOOTHING = 1e-3  # weight of the squared second differences of the coefficients, relative to a control point
 _EVALUATED_AT_ONCE = 20_000  # points, to bound the memory
 
 
@@ -38,7 +39,7 @@ class LocalWeightedMean:
         self._tree = cKDTree(sources)
         distances, around = self._tree.query(sources, k=neighbours)
         self._reach = distances[:, -1] * (1 + 1e-9)
-        A = _quadratic((sources[around] - sources[:, None]) / self._reach[:, None, None])
+        A = quadratic_terms((sources[around] - sources[:, None]) / self._reach[:, None, None])
         At = A.transpose(0, 2, 1)
         moves = (targets - sources)[around]
         # a trace of ridge on the bent terms, for control points whose neighbours lie on a line
@@ -59,7 +60,7 @@ class LocalWeightedMean:
         weight = 1 - 3 * share**2 + 2 * share**3
         total = weight.sum(axis=1)
         away = (points[:, None] - self._sources[around]) / self._reach[around][..., None]
-        terms = _quadratic(away)
+        terms = quadratic_terms(away)
         moves = np.einsum("nkc,nkcd->nkd", terms, self._coefficients[around])
         outside = total < 1e-6
         if outside.any():  # beyond every reach: the tangent planes of the nearest control points
@@ -78,15 +79,12 @@ class SplineField:
         sources: (n, 2), from where.
         targets: (n, 2), to where.
         size: (width, height) of the image that the knots are spread over.
-        smoothing: Weight of the squared second differences of the coefficients, relative to a control point.
 
     Raises:
         ValueError: Malformed control points.
     """
 
-    def __init__(
-        self, sources: np.ndarray, targets: np.ndarray, size: tuple[int, int], spans: int = 24, smoothing: float = 1e-3
-    ) -> None:
+    def __init__(self, sources: np.ndarray, targets: np.ndarray, size: tuple[int, int], spans: int) -> None:
         sources, targets = _pairs(sources, targets)
         self.spans = spans
         self._low = np.array([-0.5, -0.5]) - 0.05 * np.array(size)
@@ -98,7 +96,7 @@ class SplineField:
         A = (along_y[:, :, None] * along_x[:, None, :]).reshape(len(sources), m * m)
         bends = np.diff(np.eye(m), 2, axis=0)
         bends = bends.T @ bends
-        normal = A.T @ A + smoothing * (np.kron(bends, np.eye(m)) + np.kron(np.eye(m), bends))
+        normal = A.T @ A + _SMOOTHING * (np.kron(bends, np.eye(m)) + np.kron(np.eye(m), bends))
         normal += 1e-9 * np.eye(m * m)
         self._coefficients = linalg.solve(normal, A.T @ (targets - sources), assume_a="pos").reshape(m, m, 2)
 
@@ -120,7 +118,8 @@ class SplineField:
         return moved.reshape(points.shape)
 
 
-def _quadratic(away: np.ndarray) -> np.ndarray:
+def quadratic_terms(away: np.ndarray) -> np.ndarray:
+    """Terms (..., 6) of a quadratic at places (..., 2): 1, x, y, x^2, x y, y^2."""
     x, y = away[..., 0], away[..., 1]
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
 

@@ -114,14 +114,14 @@ class EpipolarGeometry:
         a, b = self.coordinate(0, points_a), self.coordinate(1, points_b)
         return np.asarray((a.angle - b.angle) / np.sqrt(a.slope_squared + b.slope_squared))
 
-    def tangent_share(self, view: int, points: ArrayLike, within_deg: float = 10.0) -> float:
-        """Returns the share of a (n, 2) polyline's length that runs within some degrees of its epilines."""
+    def tangent_share(self, view: int, points: ArrayLike) -> float:
+        """Returns the share of a (n, 2) polyline's length that runs within 10 degrees of its epilines."""
         points = np.asarray(points, dtype=float)
         steps = np.diff(points, axis=0)
         gradient = self.coordinate(view, 0.5 * (points[1:] + points[:-1])).gradient
         length = np.linalg.norm(steps, axis=1)
         across = np.abs((steps * gradient).sum(axis=1)) / np.linalg.norm(gradient, axis=1)
-        return float(length[across <= np.sin(np.radians(within_deg)) * length].sum() / length.sum())
+        return float(length[across <= np.sin(np.radians(10.0)) * length].sum() / length.sum())
 
 
 def _baseline(camera_a: Camera, camera_b: Camera) -> Array:

@@ -12,6 +12,7 @@ from guide3d.setting_kinds import Weight, settings
 _SMALLEST = 1e-6
 _NEAR_CM2 = 0.01  # below, a robust distance falls like its square
 _MM_PER_CM, _MM_PER_M = 10.0, 1000.0
+_HUBER = 1000.0  # weight of the Huber loss of 3D-FGRN, whose threshold is 1 m: it is quadratic throughout
 
 
 @settings
@@ -80,22 +81,13 @@ def stop_loss(logits: Tensor, last: Tensor) -> Tensor:
     return -(right + others.sum(1) - others.gather(1, here).squeeze(1))
 
 
-def fgrn_loss(
-    predicted_mm: Tensor,
-    points_mm: Tensor,
-    last: Tensor,
-    *,
-    alpha: float = 1000.0,
-    beta: float = 1.0,
-    spacing_mm: float = 2.0,
-) -> Tensor:
+def fgrn_loss(predicted_mm: Tensor, points_mm: Tensor, last: Tensor, *, spacing_mm: float = 2.0) -> Tensor:
     """Huber loss of the points and the deviation of their spacing, both in metres, as 3D-FGRN is trained with.
 
     Args:
         predicted_mm: (n, points, 3).
         points_mm: (n, points, 3), padded.
         last: (n,) index of each curve's last point: those beyond do not count.
-        alpha: weight of the Huber loss (threshold 1 m: it is quadratic throughout).
 
     Returns:
         (n,) a loss a curve.
@@ -105,7 +97,7 @@ def fgrn_loss(
     gaps = (predicted_mm[:, 1:] - predicted_mm[:, :-1]).norm(dim=-1)
     spacing = (gaps - spacing_mm).abs() / _MM_PER_M
     steps = inside[:, 1:]
-    return alpha * (huber * inside).sum(1) / inside.sum(1) + beta * (spacing * steps).sum(1) / steps.sum(1).clamp(min=1)
+    return _HUBER * (huber * inside).sum(1) / inside.sum(1) + (spacing * steps).sum(1) / steps.sum(1).clamp(min=1)
 
 
 def segmentation_loss(logits: Tensor, masks: Tensor, *, dice: float = 0.5) -> Tensor:

@@ -57,11 +57,10 @@ class SwinBlock(nn.Module):
 
     mask: Tensor | None
 
-    def __init__(self, width: int, heads: int, window: int, grid: int, *, shifted: bool, ratio: int = 4) -> None:
+    def __init__(self, width: int, heads: int, window: int, grid: int, *, shifted: bool) -> None:
         """Args:
         grid: tokens a side of the whole image; a multiple of the window, or smaller.
         shifted: whether the windows are; never where one window is the whole image.
-        ratio: of the feed-forward's units to the width.
         """
         super().__init__()
         self.window = min(window, grid)
@@ -71,7 +70,7 @@ class SwinBlock(nn.Module):
         self.attention_norm = nn.LayerNorm(width)
         self.attention = WindowAttention(width, heads, self.window)
         self.feedforward_norm = nn.LayerNorm(width)
-        self.feedforward = FeedForward(width, ratio * width)
+        self.feedforward = FeedForward(width, 4 * width)
         self.register_buffer(
             "mask", _shift_mask(grid, self.window, self.shift) if self.shift else None, persistent=False
         )

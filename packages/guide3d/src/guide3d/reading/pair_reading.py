@@ -65,7 +65,6 @@ class PairReading:
     curve_mm: (n, 3) tip first, every 0.5 mm
     covariance_mm2: (n, 3, 3) of each point: pixels of both views, gaps in them, the wire's stiffness, the cameras
     views: what each image shows, with the candidate that was chosen; px of the images as given
-    undistorted_px: per view (m, 2) the curve that was reconstructed
     reconstruction: with residuals and matched points
     residual_px: epipolar residual of the two curves
     refusal: why the two curves are not of one wire under these cameras, as a sentence; empty where they are
@@ -75,7 +74,6 @@ class PairReading:
     curve_mm: Array
     covariance_mm2: Array
     views: tuple[ImageReading, ImageReading]
-    undistorted_px: tuple[Array, Array]
     reconstruction: Reconstruction
     residual_px: float
     refusal: str
@@ -199,7 +197,7 @@ def combine(
         refusal = "" if wire.accepted else "; ".join(wire.warnings)
     messages += unseen
     refusal = "; ".join([*([refusal] if refusal else []), *unseen])
-    return PairReading(wire.curve_mm, covariance, read_as, points, wire, best.residual_px, refusal, messages)
+    return PairReading(wire.curve_mm, covariance, read_as, wire, best.residual_px, refusal, messages)
 
 
 def _view(

@@ -66,7 +66,6 @@ class FittedCurve:
     end: parameter at which the wire leaves the image that it leaves first
     band: (3 n, 12) covariance of the control points, mm^2: element (j + k, j) at [j, k]
     along: per view, parameter of each annotated point
-    off_px: per view, signed distance of each annotated point from the curve's image
     noise_px: noise of the annotation, as estimated
     """
 
@@ -74,9 +73,7 @@ class FittedCurve:
     end: float
     band: Array
     along: tuple[Array, Array]
-    off_px: tuple[Array, Array]
     noise_px: float
-    iterations: int
 
     def sample(self, spacing_mm: float) -> tuple[Array, Array]:
         """Returns points (n, 3) mm at equal arc length from the tip and their covariances (n, 3, 3) mm^2."""
@@ -135,8 +132,7 @@ def fit_curve(
         chosen.noise_px, chosen.least_noise_px, int(chosen.estimate_noise), chosen.outlier, chosen.bending_per_mm,
         chosen.bend_per_mm, chosen.changing_per_mm3, chosen.change_per_mm2, chosen.speed, chosen.iterations, 0.0,
     )  # fmt: skip
-    iterations = library().guide3d_fit(images, ctypes.byref(spline), ctypes.byref(prior))
-    if iterations < 0 or not np.isfinite(control).all():
+    if library().guide3d_fit(images, ctypes.byref(spline), ctypes.byref(prior)) < 0 or not np.isfinite(control).all():
         raise ValueError(
             f"no curve in space fits the {len(annotated[0])} and {len(annotated[1])} annotated points; "
             "check the order of the cameras and that both annotations start at the tip"
@@ -144,7 +140,7 @@ def fit_curve(
     knots = chosen.pitch_mm * np.arange(-3.0, len(control) + 1)
     end = min(*(float(place[-1]) for place in places), float(knots[-4]))
     curve = BSplineCurve(knots, control)
-    return FittedCurve(curve, end, band, (places[0], places[1]), (offsets[0], offsets[1]), prior.noise, iterations)
+    return FittedCurve(curve, end, band, (places[0], places[1]), prior.noise)
 
 
 def smoothed(points_mm: Array, weights: Array, stiffness: float) -> Array:

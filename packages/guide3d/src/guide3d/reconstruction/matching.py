@@ -59,7 +59,6 @@ class Match:
 
     along_a, along_b: (n,) px of arc length from the annotated tips, both ascending
     points_a, points_b: (n, 2) px
-    distance_px: (n,) signed epipolar distance of each pair
     measured: (n,) whether the pair lies on one epipolar plane, or is only completed between its neighbours
     length_a, length_b: px, of the curves in full
     residual_px: epipolar distance, root mean square, with what was left out at the tips counted in: what tells right
@@ -70,7 +69,6 @@ class Match:
     along_b: Array
     points_a: Array
     points_b: Array
-    distance_px: Array
     measured: NDArray[np.bool_]
     length_a: float
     length_b: float
@@ -148,7 +146,6 @@ def match_curves(
             along_b=(j * chosen.sample_px).astype(np.float64),
             points_a=curve_a[i],
             points_b=curve_b[j],
-            distance_px=distance,
             measured=np.abs(distance) <= chosen.measured_px,
             length_a=float(arc_length(curve_a)[-1]),
             length_b=float(arc_length(curve_b)[-1]),
@@ -238,7 +235,7 @@ def match_greedily(geometry: EpipolarGeometry, curve_a: Array, curve_b: Array, s
     known[known] &= np.concatenate([[True], np.diff(crossings[known]) > 1e-6])
     if known.sum() < 2:
         empty = np.zeros((0, 2))
-        return Match(*(np.zeros(0),) * 2, empty, empty, np.zeros(0), np.zeros(0, bool), 0.0, 0.0, np.inf)
+        return Match(*(np.zeros(0),) * 2, empty, empty, np.zeros(0, bool), 0.0, 0.0, np.inf)
     inside = slice(np.flatnonzero(known)[0], np.flatnonzero(known)[-1] + 1)
     filled = PchipInterpolator(rows[known], crossings[known])(rows[inside])
     index = np.arange(len(curve_b))
@@ -250,7 +247,6 @@ def match_greedily(geometry: EpipolarGeometry, curve_a: Array, curve_b: Array, s
         along_b=filled * sample_px,
         points_a=points_a,
         points_b=points_b,
-        distance_px=distance,
         measured=known[inside],
         length_a=(len(curve_a) - 1) * sample_px,
         length_b=(len(curve_b) - 1) * sample_px,

@@ -134,24 +134,21 @@ def seen(camera: Camera, curve_mm: Array) -> Array:
     return np.asarray(pixels if inside.all() else pixels[: int(np.argmin(inside))])
 
 
-def clicked(
-    points: Array, rng: np.random.Generator, noise_px: float, spacing_px: tuple[float, float] = (15.0, 30.0)
-) -> Array:
-    """Annotates a curve as a person does: both ends and points between, closer where it bends or folds, with noise.
+def clicked(points: Array, rng: np.random.Generator, noise_px: float) -> Array:
+    """Annotates a curve as a person does: both ends and a point every 15 to 30 px, closer where it bends or folds.
 
     Args:
         points: (n, 2) px, the curve.
         noise_px: standard deviation of a click in x and in y.
-        spacing_px: smallest and largest distance of clicks.
 
     Returns:
         (m, 2) px.
     """
     dense = resample(points, spacing=1.0)
     last = len(dense) - 1
-    positions, low, high = [0], *spacing_px
+    positions = [0]
     while True:
-        step = rng.uniform(low, high)
+        step = rng.uniform(15.0, 30.0)
         while step > 4.0 and _sag(dense[positions[-1] : positions[-1] + round(step) + 1]) > SAG_PX:
             step *= 0.8
         if positions[-1] + 1.5 * step >= last:

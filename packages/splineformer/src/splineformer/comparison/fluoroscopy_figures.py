@@ -43,14 +43,12 @@ def finder(predictor: Predictor) -> CurveFinder:
     return find
 
 
-def evaluate_on_fluoroscopy(
-    predictor: Predictor, settings: FluoroscopySettings, images: int, first: int = TEST_FIRST
-) -> dict[str, Any]:
+def evaluate_on_fluoroscopy(predictor: Predictor, settings: FluoroscopySettings, images: int) -> dict[str, Any]:
     """Figures on random images of the test's seed: see `summary`."""
     fluoroscopy = RandomFluoroscopy(settings, TEST_SEED)
     find = finder(predictor)
     rows = []
-    for index in range(first, first + images):
+    for index in range(TEST_FIRST, TEST_FIRST + images):
         drawn = fluoroscopy.image(index)
         rows.append(figures_of(drawn, find(drawn.image)))
     return summary(rows)

@@ -11,23 +11,11 @@ from scipy.sparse import csgraph
 
 from guide3d.geometry.polyline import Array, arc_length
 from guide3d.opencv import cv2
-from guide3d.setting_kinds import CountOrNone, PixelDistanceOrNone, settings
 
+_SMALLEST = 12  # pixels: smaller pieces of the skeleton are specks, and dropped
+_WIDEST_GAP_PX = 60.0  # pieces whose ends are nearer than this to the wire traced so far are joined to it
 _SMOOTHING_PX = 3.0  # standard deviation, along the way, of the filter that takes the steps of pixels off
 _HALF = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2**0.5), (1, -1, 2**0.5))  # half of the neighbours, each pair counted once
-
-
-@settings
-class SkeletonSettings:
-    """How a mask is traced.
-
-    Attributes:
-        smallest_px: pieces of the skeleton with fewer pixels are specks, and dropped.
-        widest_gap_px: pieces whose ends are nearer than this to the wire traced so far are joined to it.
-    """
-
-    smallest_px: CountOrNone = 12
-    widest_gap_px: PixelDistanceOrNone = 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +36,7 @@ class TracedMask:
         return max(self.pieces - 1, 0)
 
 
-def trace_mask(mask: ArrayLike, end_px: ArrayLike, settings: SkeletonSettings | None = None) -> TracedMask:
+def trace_mask(mask: ArrayLike, end_px: ArrayLike) -> TracedMask:
     """Traces the wire in a mask.
 
     Each piece of the skeleton gives its longest shortest way, so a loop is cut short where the wire crosses itself. The
@@ -63,7 +51,6 @@ def trace_mask(mask: ArrayLike, end_px: ArrayLike, settings: SkeletonSettings | 
     """
     from skimage.morphology import skeletonize
 
-    settings = settings or SkeletonSettings()
     wire = np.asarray(mask) != 0
     if wire.ndim != 2:
         raise ValueError(f"mask: expected (h, w), got {wire.shape}")
@@ -74,7 +61,7 @@ def trace_mask(mask: ArrayLike, end_px: ArrayLike, settings: SkeletonSettings | 
     top, left = rows[0], columns[0]
     line = skeletonize(np.pad(wire[top : rows[-1] + 1, left : columns[-1] + 1], 1))
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(line.astype(np.uint8), connectivity=8)
-    kept = [label for label in range(1, count) if boxes[label, cv2.CC_STAT_AREA] >= settings.smallest_px]
+    kept = [label for label in range(1, count) if boxes[label, cv2.CC_STAT_AREA] >= _SMALLEST]
     if not kept:
         return TracedMask(None, 0)
     corner = np.array([left - 1, top - 1])
@@ -82,7 +69,7 @@ def trace_mask(mask: ArrayLike, end_px: ArrayLike, settings: SkeletonSettings | 
     for label in kept:
         x, y, width, height = boxes[label, :4]
         ways.append(_longest_way(labels[y : y + height, x : x + width] == label) + corner + (x, y))
-    points = _joined(ways, settings.widest_gap_px)
+    points = _joined(ways)
     ends = np.linalg.norm(points[[0, -1]] - np.asarray(end_px, float), axis=1)
     points = points[::-1] if ends[0] < ends[1] else points
     return TracedMask(ndimage.gaussian_filter1d(points, _SMOOTHING_PX, axis=0, mode="nearest"), len(kept))
@@ -114,7 +101,7 @@ def _longest_way(line: NDArray[np.bool_]) -> Array:
     return places[way][:, ::-1].astype(float)
 
 
-def _joined(ways: list[Array], widest: float) -> Array:
+def _joined(ways: list[Array]) -> Array:
     """The longest way and those whose ends are near, one behind the other: always the nearest end first."""
     ways = sorted(ways, key=lambda way: -arc_length(way)[-1])
     whole, others = ways[0], ways[1:]
@@ -124,7 +111,7 @@ def _joined(ways: list[Array], widest: float) -> Array:
         gaps = np.linalg.norm(whole[[-1, 0]][:, None] - ends, axis=3)  # way, end of the whole, end of the way
         gaps[~left] = np.inf
         place, end, start = np.unravel_index(int(np.argmin(gaps)), gaps.shape)
-        if gaps[place, end, start] > widest:
+        if gaps[place, end, start] > _WIDEST_GAP_PX:
             break
         left[place] = False
         other = others[place] if start == 1 else others[place][::-1]

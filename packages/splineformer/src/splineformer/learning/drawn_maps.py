@@ -101,10 +101,10 @@ def _draw_wire(generator: Generator, wire: NDArray[np.uint8], points_px: Points)
         _stroke(wire, points_px[first : last + 1], float(level[first]))
 
 
-def _stroke(wire: NDArray[np.uint8], points_px: Points, level: float, width_px: float = _STRIP_PX) -> None:
+def _stroke(wire: NDArray[np.uint8], points_px: Points, level: float) -> None:
     scale = len(wire) / SCENE_PX
     places = ((points_px + 0.5) * scale - 0.5) * 2**_SHIFT
-    width = max(1, round(width_px * scale))
+    width = max(1, round(_STRIP_PX * scale))
     cv2.polylines(wire, [np.rint(places).astype(np.int32)], False, round(255 * level), width, cv2.LINE_AA, _SHIFT)
 
 

@@ -22,7 +22,7 @@ from splineformer.build import build, size_of
 from splineformer.image_input import picture_of
 from splineformer.learning.augmentation import Augmentation
 from splineformer.learning.drawn_maps import drawn_map
-from splineformer.learning.fluoroscopy_pool import ONE, PictureMaker, draw_pool
+from splineformer.learning.fluoroscopy_pool import ONE, draw_pool
 from splineformer.learning.fluoroscopy_samples import FluoroscopyObjective
 from splineformer.learning.losses import OrderedWeights, PublishedWeights
 from splineformer.learning.recipes import recipe_of
@@ -131,7 +131,7 @@ def train_on_fluoroscopy(
         ValueError: the folders hold something else, or there is nothing to learn from.
     """
     size, side = recipe.settings.image_px, recipe.fluoroscopy.image_px
-    make = picture_maker(recipe.input, size, side)
+    make = functools.partial(_picture, input=recipe.input, size_px=size, source_px=side)
     parts = {
         "training": (RandomFluoroscopy(recipe.fluoroscopy, seed), range(recipe.images)),
         "validation": (
@@ -167,12 +167,8 @@ def train_on_fluoroscopy(
     return Predictor(network, source_px=side, input=recipe.input), report
 
 
-def picture_maker(input: str, size_px: int, source_px: int) -> PictureMaker:
-    """What makes a network's picture of an image: of the shipped reader's maps, or of the grey levels."""
-    return functools.partial(_picture, input=input, size_px=size_px, source_px=source_px)
-
-
 def _picture(image: NDArray[np.uint8], input: str, size_px: int, source_px: int) -> NDArray[np.uint8]:
+    """A network's picture of an image: of the shipped reader's maps, or of the grey levels."""
     if input == "maps":
         return picture_by_reader(image, size_px, shipped_reader()).pixels
     return picture_of(image, size_px, source_px).pixels

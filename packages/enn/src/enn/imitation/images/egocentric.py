@@ -71,9 +71,6 @@ def lumen_distance(lumen: NDArray[np.floating], target: Array) -> tuple[Array, N
 class EgocentricView:
     """The view from the tip over one episode; begin with `start`, then `look` once a decision.
 
-    Args:
-        smoothing: points of the traced wire over which it is averaged.
-
     Attributes:
         axis: of the devices as last looked at, from the tip to the entry, rows and columns over the image's side.
             Shape (n, 2).
@@ -82,9 +79,6 @@ class EgocentricView:
 
     axis: Array
     catheter_arc: float | None
-
-    def __init__(self, smoothing: int = _SMOOTHING) -> None:
-        self._smoothing = smoothing
 
     def start(
         self,
@@ -149,7 +143,7 @@ class EgocentricView:
                 total += weight
                 centre += weight[:, None] * np.stack((rows, columns), axis=1)
         axis = centre / total[:, None]
-        return (smoothed(axis, self._smoothing) + 0.5) / self.size
+        return (smoothed(axis, _SMOOTHING) + 0.5) / self.size
 
     def way(self, place: Array) -> tuple[Array, float]:
         """The way from a place to the target through the lumen.

@@ -19,7 +19,7 @@ from guide3d.reading.pair_reading import PairReading
 Picture = NDArray[np.uint8]
 
 _FINE_BITS = 4
-_TIP, _OTHER, _TRUTH = (255, 255, 80), (80, 170, 255), (255, 255, 255)
+_TIP, _OTHER = (255, 255, 80), (80, 170, 255)
 _LOW, _MIDDLE, _HIGH = (255, 60, 50), (255, 200, 40), (60, 230, 90)  # colours of confidence
 
 
@@ -37,12 +37,11 @@ def confidence_colour(confidence: float) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def draw_reading(image: ArrayLike, reading: ImageReading, truth_px: ArrayLike | None = None) -> Picture:
+def draw_reading(image: ArrayLike, reading: ImageReading) -> Picture:
     """Draws a reading on its image.
 
     Args:
         image: (h, w) grey values.
-        truth_px: (n, 2) a curve to compare with, dotted in white.
 
     Returns:
         (h, w, 3) RGB, brightened.
@@ -57,9 +56,6 @@ def draw_reading(image: ArrayLike, reading: ImageReading, truth_px: ArrayLike | 
             cv2.line(picture, _at(start), _at(end), confidence_colour(confidence), 1, cv2.LINE_AA, _FINE_BITS)
         radius = round(max(picture.shape[:2]) / 128) << _FINE_BITS
         cv2.circle(picture, _at(reading.points_px[0]), radius, _TIP, 1, cv2.LINE_AA, _FINE_BITS)
-    if truth_px is not None:
-        for point in np.asarray(truth_px, float):
-            cv2.circle(picture, _at(point), 1 << _FINE_BITS, _TRUTH, -1, cv2.LINE_AA, _FINE_BITS)
     return picture
 
 
