@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 import importlib.util
 import logging
 import time
@@ -33,14 +32,7 @@ from pipeline.task import Task, device_files
 _LOGGER = logging.getLogger(__name__)
 
 
-class Outcome(enum.Enum):
-    """How a run of a stage ended."""
-
-    DONE = "done"
-    UP_TO_DATE = "up to date"
-
-
-def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool = False) -> Outcome:
+def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool = False) -> None:
     """Runs one stage, or finds it up to date; a sweep's job has a folder named after its overrides."""
     stage = load_stage(config.stage.name)
     stage.prepare(config.stage)
@@ -61,11 +53,14 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
         end_earlier_jobs(folder.path)
         if not config.force and folder.is_up_to_date():
             _LOGGER.info("%s: up to date in %s%s", stage.name, folder.path, _other_commits(folder.path))
-            return Outcome.UP_TO_DATE
+            return
         kept = folder.prepare(force=config.force)
         _LOGGER.info("%s: working in %s%s", stage.name, folder.path, f", {kept} finished items kept" if kept else "")
         started, meter = time.monotonic(), CostMeter()
-        context = _context(config, folder, run_path, {name: path for name, (path, _) in inputs.items()})
+        context = StageContext(
+            folder=folder, run_path=run_path, inputs={name: path for name, (path, _) in inputs.items()},
+            budget=config.budget_name, seed=config.seed,
+        )  # fmt: skip
         try:
             with chosen_engine(config.engine, available_bytes), variables_set(observation_of_trainings(config)):
                 results = stage.run(config.stage, context)
@@ -81,7 +76,6 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
             config=asdict(config.stage), started=started, overrides=effective_overrides(overrides), variant=variant,
         )  # fmt: skip
         _LOGGER.info("%s: done in %.1f s, %d files", stage.name, manifest.wall_time_s, len(manifest.outputs))
-    return Outcome.DONE
 
 
 def observation_of_trainings(config: RunConfig) -> dict[str, str]:
@@ -109,9 +103,3 @@ def _other_commits(folder: Path) -> str:
     return (
         f", made by commit {', '.join(others)}, the code is at {present} (force=true makes it again)" if others else ""
     )
-
-
-def _context(config: RunConfig, folder: RunFolder, run_path: Path, inputs: dict[str, Path]) -> StageContext:
-    return StageContext(
-        folder=folder, run_path=run_path, inputs=inputs, budget=config.budget_name, seed=config.seed
-    )  # fmt: skip

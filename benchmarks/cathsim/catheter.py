@@ -171,7 +171,6 @@ def expert_forces(targets: tuple[str, ...], seeds: int, settings: ExpertSettings
 
 
 def main() -> None:
-    """Runs all parts, prints their tables and a JSON line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one seed, few steps, a small search: below 60 s")
     parser.add_argument("--parts", default=",".join(PARTS), help="what is measured, with commas between")

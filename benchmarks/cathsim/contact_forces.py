@@ -77,7 +77,6 @@ class State:
 
     phantom: Phantom
     curve: Array  # from the entry to the tip, m. Shape (n, 3).
-    nodes: Array  # of the wire, from the tip, what lies in the sheath included, m. Shape (m, 3).
     insertion: float  # m
     rotation: float  # rad
     truth: RestingContacts
@@ -113,8 +112,7 @@ def states_at_rest(phantom: Phantom, count: int, seed: int, device: Device = WIR
         truth = resting_contacts(simulation, observed_curve(curve, phantom, "descending", simulation.max_insertion))
         if simulation.valid and np.linalg.norm(truth.resultant) >= LEAST_RESULTANT:
             count -= 1
-            nodes = simulation.wire_points()
-            yield State(phantom, curve, nodes, simulation.insertion, simulation.rotation, truth, moved.catheter())
+            yield State(phantom, curve, simulation.insertion, simulation.rotation, truth, moved.catheter())
 
 
 class _Wire:
@@ -289,8 +287,7 @@ def sequences(count: int, frames: int, members: int) -> dict[str, float]:
             estimate = tracker.update(noisy, feeder, simulation.rotation + case.rotation)
             if frame > 0:
                 spent, total = spent + time.process_time() - began, total + 1
-            nodes = simulation.wire_points()
-            moving = State(state.phantom, curve, nodes, simulation.insertion, simulation.rotation, truth)
+            moving = State(state.phantom, curve, simulation.insertion, simulation.rotation, truth)
             if moving.forces["resultant"] >= LEAST_RESULTANT:
                 row = compared(moving, estimate)
                 for name in QUANTITIES:
@@ -301,7 +298,6 @@ def sequences(count: int, frames: int, members: int) -> dict[str, float]:
 
 
 def main() -> None:
-    """Measures and prints the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="six states, one seed, noise 0.5 mm")
     parser.add_argument("--training", action="store_true", help="other random arches: for choices and calibration")

@@ -22,7 +22,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
-from cathsim import Guidewire, NavigateEnv, Phantom
+from cathsim import NavigateEnv
 from cathsim.console.expert import ONE_DEVICE_SEARCH, TWO_DEVICE_SEARCH
 from cathsim.planning.sampling import SamplingExpert
 
@@ -30,17 +30,9 @@ TARGETS = ("bca", "lcca")
 QUICK_SECONDS = 30.0
 
 
-def episode(
-    phantom: str | Phantom,
-    target: str,
-    seed: int,
-    wire: str | Guidewire = "default",
-    catheter: str | None = None,
-    *,
-    console: bool = False,
-) -> dict[str, float]:
+def episode(phantom: str, target: str, seed: int, catheter: str | None, *, console: bool) -> dict[str, float]:
     """Runs one episode; steps, success, mean and largest force, and processor seconds."""
-    environment = NavigateEnv(phantom, target, wire=wire, catheter=catheter, observation="tip")
+    environment = NavigateEnv(phantom, target, catheter=catheter, observation="tip")
     search = TWO_DEVICE_SEARCH if catheter else ONE_DEVICE_SEARCH
     expert = SamplingExpert(environment, seed=seed, settings=search if console else None)
     start = time.process_time()
@@ -74,7 +66,7 @@ def main() -> None:
     runs: dict[str, list[dict[str, float]]] = {f"{phantom}/{target}": [] for phantom, target in tasks}
     for seed in range(arguments.seeds):
         for phantom, target in tasks:
-            made = episode(phantom, target, seed, catheter=arguments.catheter, console=arguments.console)
+            made = episode(phantom, target, seed, arguments.catheter, console=arguments.console)
             runs[f"{phantom}/{target}"].append(made)
         if arguments.quick and time.perf_counter() - began > QUICK_SECONDS / 2:
             break

@@ -36,6 +36,7 @@ import numpy as np
 from cathsim import ACCURACY, PHANTOMS, NavigateEnv, Simulation, ThreadedVectorEnv, load_guidewire, load_phantom
 from cathsim.environment import ROTATION_STEP, TRANSLATION_STEP
 from cathsim.observations.observables import make_observable
+from cathsim.physics_checks.unguided import steps_per_second
 from cathsim.simulation import CONTROL_STEP
 
 FORWARD_STEPS = 120  # about the length of a successful episode
@@ -53,27 +54,6 @@ def humanoid_rate(steps: int) -> float:
     start = time.process_time()
     mujoco.mj_step(model, data, nstep=steps)
     return steps / (time.process_time() - start)
-
-
-def environment_rate(environment: NavigateEnv, steps: int, seed: int) -> float:
-    """Agent steps/s, half of them with random actions, half advancing at full speed with random rotation."""
-    generator = np.random.default_rng(seed)
-    spent = 0.0
-    for forward in (False, True):
-        actions = generator.uniform(-1.0, 1.0, (steps // 2, 2)).astype(np.float32)
-        if forward:
-            actions[:, 0] = 1.0
-        environment.reset(seed=seed)
-        start = time.process_time()
-        count = 0
-        for action in actions:
-            _, _, terminated, truncated, _ = environment.step(action)
-            count += 1
-            if terminated or truncated or (forward and count >= FORWARD_STEPS):
-                environment.reset()
-                count = 0
-        spent += time.process_time() - start
-    return 2 * (steps // 2) / spent
 
 
 def image_cost(steps: int) -> float:
@@ -109,7 +89,7 @@ def speeds(rounds: int, steps: int) -> dict[str, float]:
     rows: list[dict[str, float]] = []
     for index in range(rounds):
         row = {"humanoid": humanoid_rate(steps * 30)}
-        row |= {name: environment_rate(environment, steps, index) for name, environment in environments.items()}
+        row |= {name: steps_per_second(environment, steps, seed=index) for name, environment in environments.items()}
         rows.append(row)
     median = {name: statistics.median(row[name] for row in rows) for name in rows[0]}
     ratios = {f"{name}_ratio": statistics.median(row[name] / row["humanoid"] for row in rows) for name in environments}
@@ -121,8 +101,9 @@ def speeds(rounds: int, steps: int) -> dict[str, float]:
     return {**median, **ratios, "image_cost_pct": cost, "realtime_factor": median["internal"] * CONTROL_STEP}
 
 
-def vector_speedup(rounds: int, steps: int, count: int = 16) -> float:
+def vector_speedup(rounds: int, steps: int) -> float:
     """How much faster a vector environment is with two threads than with one, median over rounds."""
+    count = 16
     vectors = {threads: ThreadedVectorEnv(count, threads=threads, observation=("image", "mask")) for threads in (1, 2)}
     ratios = []
     for index in range(rounds):
@@ -143,9 +124,10 @@ def vector_speedup(rounds: int, steps: int, count: int = 16) -> float:
     return statistics.median(ratios)
 
 
-def aggression(name: str, steps: int, preset: str) -> tuple[np.ndarray, int, int, float, str]:
+def aggression(name: str, steps: int) -> tuple[np.ndarray, int, int, float, str]:
     """Bursts of full insertion, retraction and rotation; depths (mm), invalid states, escapes, force p99, deepest."""
-    simulation = Simulation(load_phantom(name), load_guidewire("default"), ACCURACY[preset], measure_penetration=True)
+    wire = load_guidewire("default")
+    simulation = Simulation(load_phantom(name), wire, ACCURACY["accurate"], measure_penetration=True)
     generator = np.random.default_rng(0)
     depths, forces, invalid, escapes = [], [], 0, 0
     translation = rotation = deepest = 0.0
@@ -172,10 +154,10 @@ def aggression(name: str, steps: int, preset: str) -> tuple[np.ndarray, int, int
     return np.concatenate(depths) * 1e3, invalid, escapes, float(np.percentile(forces, 99)), where
 
 
-def penetration(steps: int, preset: str = "accurate") -> dict[str, float]:
+def penetration(steps: int) -> dict[str, float]:
     """Penetration over `steps` agent steps shared among all phantoms."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        results = list(pool.map(lambda name: aggression(name, steps // len(PHANTOMS), preset), PHANTOMS))
+        results = list(pool.map(lambda name: aggression(name, steps // len(PHANTOMS)), PHANTOMS))
     print(
         f"{'penetration, mm':18s}{'p50':>8s}{'p99':>8s}{'max':>8s}{'invalid':>9s}{'escapes':>9s}{'force p99, N':>14s}"
         "  deepest at"
@@ -184,7 +166,7 @@ def penetration(steps: int, preset: str = "accurate") -> dict[str, float]:
         p50, p99 = np.percentile(depths, [50, 99])
         print(f"{name:18s}{p50:8.3f}{p99:8.3f}{depths.max():8.3f}{invalid:9d}{escapes:9d}{force:14.3f}  {where}")
     everything = np.concatenate([result[0] for result in results])
-    print(f"{len(everything)} substeps of preset '{preset}'\n")
+    print(f"{len(everything)} substeps of preset 'accurate'\n")
     return {
         "penetration_p99_mm": float(np.percentile(everything, 99)),
         "penetration_max_mm": float(everything.max()),

@@ -14,7 +14,6 @@ from cathsim.physics_checks import AIM_PCT, LAWS, worst_error_pct
 
 
 def main() -> None:
-    """Runs the checks, prints their table and a JSON line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer capstan and helix cases, under 50 s")
     quick = parser.parse_args().quick

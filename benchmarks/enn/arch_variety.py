@@ -65,7 +65,6 @@ class Outcome:
 
 
 def arguments() -> argparse.Namespace:
-    """Understands the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--policy", default="generalist", help=f"a file, or among {', '.join(enn.models())}")
     parser.add_argument("--steep", metavar="POLICY", help="for targets that are set back far")
@@ -192,7 +191,6 @@ def row_of(name: str, outcomes: list[Outcome], seconds: float) -> dict[str, Any]
 
 
 def main() -> None:
-    """Runs the command line."""
     given = arguments()
     if not (0 <= given.first < len(TEST_SEEDS) and given.arches > 0):
         sys.exit(f"--first and --arches: there are {len(TEST_SEEDS)} test seeds of a type")

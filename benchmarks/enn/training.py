@@ -206,7 +206,6 @@ def memory(quick: bool) -> dict[str, float]:
 
 
 def main() -> None:
-    """Measures and prints."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])  # type: ignore[union-attr]
     parser.add_argument("--quick", action="store_true", help="under 50 s")
     quick = parser.parse_args().quick

@@ -23,23 +23,15 @@ from typing import Any
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from PIL import Image, ImageDraw
+from matplotlib.figure import Figure
 
-from guide3d.calibration.perforated_sheet import find_holes
-from guide3d.files import whole_file
-from guide3d.geometry.camera import Camera, read_camera
-from guide3d.geometry.distortion import Distortion
+from guide3d.calibration.folder import Rig, distortions_of_sheets, rigs_in
+from guide3d.geometry.camera import Camera
 from guide3d.geometry.metrics import curve_metrics
-from guide3d.geometry.polyline import Array
 from guide3d.reconstruction.reconstruction import Reconstruction, reconstruct, reconstruct_greedy
 from guide3d.reconstruction.synthetic_scene import KINDS, scenes
 from guide3d.reconstruction.view_checks import epipolar_residuals, swapped_cameras, undistorted_or_raw
 
-DETECTORS = ("16710", "16709")
-PANEL_PX = 512
-CHART_PX = 220
-ANNOTATION, CURVE = (230, 60, 50), (30, 110, 220)  # colours
 PairOfPoints = tuple[np.ndarray, np.ndarray]
 
 
@@ -67,40 +59,15 @@ def read_pairs(path: Path) -> tuple[list[Any], list[PairOfPoints], str]:
     return names, pairs, str(content.get("units", ""))
 
 
-def cameras_of(folder: Path, pairs: Sequence[PairOfPoints], said: str) -> tuple[Camera, Camera, str]:
-    """Returns the cameras of a folder: the set that the pairs' file names, or else the one that fits them best."""
-    if not folder.is_dir():
-        raise ValueError(f"{folder} is missing: expected a folder with camera files")
-    sets: dict[str, dict[str, Path]] = {}
-    for detector in DETECTORS:
-        for file in sorted(folder.glob(f"*{detector}*.txt")):
-            sets.setdefault(file.name.replace(detector, "*"), {})[detector] = file
-    whole = {name: files for name, files in sets.items() if len(files) == 2}
-    if not whole:
-        for files in sets.values():
-            there = next(iter(files))
-            missing = next(detector for detector in DETECTORS if detector != there)
-            raise ValueError(
-                f"{folder} holds {files[there].name} but the other camera's file, *{missing}*.txt, is missing"
-            )
-        raise ValueError(f"{folder}: expected camera files *{DETECTORS[0]}*.txt and *{DETECTORS[1]}*.txt, found none")
-    named = [name for name in whole if name in said]
-    fit: dict[str, tuple[float, Camera, Camera]] = {}
-    for name in named if len(named) == 1 else whole:
-        a, b = (read_camera(whole[name][detector]) for detector in DETECTORS)
-        fit[name] = (float(np.median(epipolar_residuals(a, b, pairs))), a, b)
-    best = min(fit, key=lambda name: fit[name][0])
-    why = "named by the pairs" if len(named) == 1 else "the only set" if len(whole) == 1 else "of several, the best fit"
-    return fit[best][1], fit[best][2], f"cameras {best} ({why}, epipolar residual {fit[best][0]:.2f} px)"
-
-
-def distortions_of(folder: Path) -> list[Distortion] | None:
-    """Returns both detectors' maps from X-rays of the sheet, in the camera files' frame; None without them."""
-    files = [next(iter(sorted(folder.glob(f"undistort_{detector}.*"))), None) for detector in DETECTORS]
-    if files[0] is None or files[1] is None:
-        return None
-    images = [np.asarray(Image.open(file).convert("L")) for file in files if file is not None]
-    return [Distortion.from_holes(find_holes(image), frame="bounding box") for image in images]
+def rig_of(folder: Path, pairs: Sequence[PairOfPoints], said: str) -> tuple[Rig, str]:
+    """Returns the cameras of a folder, and why: those that the pairs' file names, or else those that fit them best."""
+    rigs = rigs_in(folder)
+    named = [rig for rig in rigs if rig.name in said]
+    chosen = named if len(named) == 1 else rigs
+    fit = {rig: float(np.median(epipolar_residuals(*rig.cameras, pairs))) for rig in chosen}
+    best = min(chosen, key=lambda rig: fit[rig])
+    why = "named by the pairs" if len(named) == 1 else "the only set" if len(rigs) == 1 else "of several, the best fit"
+    return best, f"cameras {best.name} ({why}, epipolar residual {fit[best]:.2f} px)"
 
 
 def numbers(result: Reconstruction) -> dict[str, Any]:
@@ -122,73 +89,21 @@ def numbers(result: Reconstruction) -> dict[str, Any]:
     return figures
 
 
-def picture(
-    cameras: tuple[Camera, Camera],
-    annotations: Sequence[ArrayLike],
-    result: Reconstruction,
-    images: Sequence[NDArray[np.uint8] | None] = (None, None),
-) -> Image.Image:
-    """Draws both views with the annotation (red) and the reprojected curve (blue), and the errors along the wire below.
-
-    Args:
-        annotations: per view (n, 2) px.
-        images: per view the X-ray image (height, width), or None.
-
-    Returns:
-        An RGB picture.
-    """
-    page = Image.new("RGB", (2 * PANEL_PX, PANEL_PX + CHART_PX), "white")
+def draw(cameras: tuple[Camera, Camera], annotations: PairOfPoints, result: Reconstruction, file: Path) -> None:
+    """Draws both views with annotation, px (red), and reprojected curve (blue), and the errors along the wire below."""
+    figure = Figure(figsize=(10, 7.5), layout="constrained")
     residuals = (result.residual_a_px, result.residual_b_px)
-    top = max(1.0, float(np.ceil(max(np.quantile(residual, 0.98) for residual in residuals))))
-    for view, camera in enumerate(cameras):
-        page.paste(_overlay(camera, annotations[view], result.curve_mm, images[view]), (view * PANEL_PX, 0))
-        mean, most = residuals[view].mean(), np.quantile(residuals[view], 0.95)
-        title = f"view {'AB'[view]}: mean {mean:.2f} px, 95 % below {most:.2f} px"
-        ImageDraw.Draw(page).text((view * PANEL_PX + 8, 6), title, fill="black" if images[view] is None else "yellow")
-        page.paste(_chart(residuals[view], result.length_mm, top), (view * PANEL_PX, PANEL_PX))
-    return page
-
-
-def save_picture(path: str | Path, *args: Any, **kwargs: Any) -> None:
-    """Writes `picture` of the same arguments as a PNG, whole or not at all."""
-    with whole_file(path, "wb") as file:
-        picture(*args, **kwargs).save(file, format="PNG")
-
-
-def _overlay(camera: Camera, annotation: ArrayLike, curve_mm: Array, image: NDArray[np.uint8] | None) -> Image.Image:
-    size = 2 * PANEL_PX  # drawn at twice the size and shrunk: smooth lines
-    scale = size / max(camera.width, camera.height)
-    if image is None:
-        panel = Image.new("RGB", (size, size), (244, 244, 244))
-    else:
-        panel = (
-            Image.fromarray(image).convert("RGB").resize((round(image.shape[1] * scale), round(image.shape[0] * scale)))
-        )
-        panel = panel.crop((0, 0, size, size))
-    draw = ImageDraw.Draw(panel)
-    seen = np.asarray(annotation, dtype=float)
-    for points, colour, width in ((seen, ANNOTATION, 5), (camera.project(curve_mm), CURVE, 2)):
-        draw.line([tuple(point) for point in (points + 0.5) * scale], fill=colour, width=width)
-    x, y = (seen[0] + 0.5) * scale
-    draw.ellipse((x - 9, y - 9, x + 9, y + 9), outline=(20, 150, 60), width=4)
-    return panel.resize((PANEL_PX, PANEL_PX), Image.Resampling.LANCZOS)
-
-
-def _chart(residual: Array, length_mm: float, top_px: float) -> Image.Image:
-    panel = Image.new("RGB", (PANEL_PX, CHART_PX), "white")
-    draw = ImageDraw.Draw(panel)
-    left, right, upper, lower = 44, PANEL_PX - 14, 14, CHART_PX - 34
-    for share in (0.0, 0.5, 1.0):
-        y = lower - share * (lower - upper)
-        draw.line((left, y, right, y), fill=(220, 220, 220))
-        draw.text((8, y - 6), f"{share * top_px:.1f}", fill="black")
-        x = left + share * (right - left)
-        draw.text((x - 8, lower + 4), f"{share * length_mm:.0f}", fill="black")
-    draw.text(((left + right) / 2 - 90, lower + 18), "mm from the tip; reprojection error, px", fill="black")
-    across = np.linspace(left, right, len(residual))
-    up = lower - np.minimum(residual / top_px, 1.0) * (lower - upper)
-    draw.line(list(zip(across.tolist(), up.tolist(), strict=True)), fill=CURVE, width=2)
-    return panel
+    for view, (above, below) in enumerate(figure.subplots(2, 2, height_ratios=(5, 2)).T):
+        camera, annotation, residual = cameras[view], annotations[view], residuals[view]
+        above.plot(*annotation.T, color="tab:red", linewidth=3)
+        above.plot(*camera.project(result.curve_mm).T, color="tab:blue", linewidth=1)
+        above.plot(*annotation[0], "o", color="tab:green")
+        mean, most = residual.mean(), np.quantile(residual, 0.95)
+        above.set(xlim=(0, camera.width), ylim=(camera.height, 0), aspect="equal")
+        above.set_title(f"view {'AB'[view]}: mean {mean:.2f} px, 95 % below {most:.2f} px")
+        below.plot(np.linspace(0, result.length_mm, len(residual)), residual, color="tab:blue")
+        below.set(xlabel="mm from the tip", ylabel="reprojection error, px", ylim=(0, None))
+    figure.savefig(file)
 
 
 def timed(
@@ -210,18 +125,19 @@ def timed(
 
 def of_pairs(path: Path, folder: Path, pictures: Path | None, as_given: bool) -> dict[str, Any]:
     names, pairs, said = read_pairs(path)
-    camera_a, camera_b, sentence = cameras_of(folder, pairs, said)
+    rig, sentence = rig_of(folder, pairs, said)
+    camera_a, camera_b = rig.cameras
     print(sentence)
     order = swapped_cameras(camera_a, camera_b, pairs)
     print(order.sentence)
     if order.answer == "swapped" and order.sure:
         camera_a, camera_b = camera_b, camera_a
         print("going on with the cameras exchanged")
-    maps = None if as_given else distortions_of(folder)
+    maps = None if as_given else distortions_of_sheets(folder)
     state = "as given"
     if maps is not None:
         if order.answer == "swapped" and order.sure:
-            maps.reverse()
+            maps = maps[::-1]
         verdict = undistorted_or_raw(camera_a, camera_b, pairs, maps[0].undistort_points, maps[1].undistort_points)
         print(verdict.sentence)
         state = verdict.answer
@@ -263,7 +179,7 @@ def of_pairs(path: Path, folder: Path, pictures: Path | None, as_given: bool) ->
                 print(f"    {warning}")
             if pictures is not None and not label:
                 pictures.mkdir(parents=True, exist_ok=True)
-                save_picture(pictures / f"pair_{name}.png", cameras, annotated, result)
+                draw(cameras, annotated, result, pictures / f"pair_{name}.png")
         good = [line for line in lines if "error" not in line]
         whole: dict[str, Any] = {
             key: float(np.mean([line[key] for line in good])) if good else None

@@ -114,7 +114,6 @@ def _is_worse(new: float, old: float, sign: int, factor: float) -> bool:
 
 
 def main() -> None:
-    """Prints the cells and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument(
         "metrics", type=Path, nargs="*", metavar="METRICS", help="of the earlier runs, then of the new one"

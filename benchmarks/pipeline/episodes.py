@@ -1,10 +1,9 @@
 """Cost of episode logs: writing beside an environment's step, reading in sequence and at random, bytes a step.
 
 Keys of the last line, beside the real environment, in one loop and in processor time: write_cost_pct (all writing, with
-opening and finishing, over the environment's step with image and mask; null where the simulator is not installed),
-env_step_us, env_write_us, env_open_finish_us, env_bytes_per_step. With synthetic steps in a tight loop:
-random_access_ms, random_access_with_image_ms, write_us, read_us_per_step, bytes_per_step, steps, and once an episode
-open_us and finish_us.
+opening and finishing, over the environment's step with image and mask), env_step_us, env_write_us, env_open_finish_us,
+env_bytes_per_step. With synthetic steps in a tight loop: random_access_ms, random_access_with_image_ms, write_us,
+read_us_per_step, bytes_per_step, steps, and once an episode open_us and finish_us.
 """
 
 from __future__ import annotations
@@ -21,7 +20,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim import NavigateEnv
 from pipeline.episodes import Camera, EpisodeInfo, EpisodeOutcome, EpisodeReader, EpisodeWriter, StepRecord
+from pipeline.recording.record import CAMERA, cameras_of, step_record
 
 SIZE = 80
 
@@ -35,17 +36,9 @@ class Recording:
     masks: list[NDArray[np.bool_]] = field(default_factory=list)
 
 
-def synthetic_recording(steps: int, seed: int = 0) -> Recording:
-    """Draw steps of realistic size: 56 joints, 29 wire points, 10 contacts, a noisy fluoroscopy picture and its mask.
-
-    Args:
-        steps: records to draw.
-        seed: of the generator.
-
-    Returns:
-        The steps.
-    """
-    rng = np.random.default_rng(seed)
+def synthetic_recording(steps: int) -> Recording:
+    """Draw steps of realistic size: 56 joints, 29 wire points, 10 contacts, a noisy fluoroscopy picture and mask."""
+    rng = np.random.default_rng(0)
     recording = Recording()
     rows, columns = np.mgrid[:SIZE, :SIZE]
     background = 150 + 40 * np.sin(columns / 25) * np.cos(rows / 31)
@@ -80,23 +73,13 @@ def synthetic_recording(steps: int, seed: int = 0) -> Recording:
     return recording
 
 
-def environment_cost(folder: Path, steps: int, episodes: int) -> dict[str, float] | None:
+def environment_cost(folder: Path, steps: int, episodes: int) -> dict[str, float]:
     """Step the real environment and log every step in the same loop, with caches as cold as they are in use.
-
-    Args:
-        folder: where the logs go.
-        steps: environment steps an episode, at most.
-        episodes: how many.
 
     Returns:
         Microseconds of processor time for a step of the environment with image and mask, and for its logging, which
-        includes reading the simulator and making the record; None where the simulator is not installed.
+        includes reading the simulator and making the record.
     """
-    try:
-        from cathsim import NavigateEnv
-        from pipeline.recording.record import CAMERA, cameras_of, step_record
-    except ImportError:
-        return None
     env = NavigateEnv(observation=("image", "mask"), max_steps=steps)
     cameras = cameras_of(env)
     rng = np.random.default_rng(0)
@@ -134,16 +117,7 @@ def environment_cost(folder: Path, steps: int, episodes: int) -> dict[str, float
 
 
 def best_us(action: Callable[[], object], count: int, repeats: int) -> float:
-    """Time an action that does `count` things.
-
-    Args:
-        action: what to time.
-        count: things it does.
-        repeats: how often.
-
-    Returns:
-        Median microseconds a thing.
-    """
+    """Median microseconds a thing of an action that does `count` things."""
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -175,16 +149,7 @@ def example_info(seed: int) -> EpisodeInfo:
 
 
 def measure(recording: Recording, folder: Path, repeats: int) -> dict[str, object]:
-    """Write and read a recording.
-
-    Args:
-        recording: what to write.
-        folder: where to.
-        repeats: how often.
-
-    Returns:
-        The figures by key.
-    """
+    """Write and read a recording; give the figures by key."""
     path, count = folder / "episode.mcap", len(recording.records)
     info = example_info(0)
     opens, writes, finishes = [], [], []
@@ -231,19 +196,16 @@ def measure(recording: Recording, folder: Path, repeats: int) -> dict[str, objec
 
 
 def main() -> None:
-    """Run the benchmark and print its table and its JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--quick", action="store_true", help="fewer repeats, under 50 s")
     parser.add_argument("--steps", type=int, default=300, help="records an episode (default 300)")
     arguments = parser.parse_args()
     repeats = 7 if arguments.quick else 25
     with tempfile.TemporaryDirectory() as folder:
-        figures: dict[str, object] = {"write_cost_pct": None}
         cost = environment_cost(Path(folder), arguments.steps, 3 if arguments.quick else 10)
-        if cost is not None:
-            written = cost["env_write_us"] + cost["env_open_finish_us"]
-            figures["write_cost_pct"] = round(100 * written / cost["env_step_us"], 2)
-            figures |= {key: round(value, 1) for key, value in cost.items()}
+        written = cost["env_write_us"] + cost["env_open_finish_us"]
+        figures: dict[str, object] = {"write_cost_pct": round(100 * written / cost["env_step_us"], 2)}
+        figures |= {key: round(value, 1) for key, value in cost.items()}
         figures |= measure(synthetic_recording(arguments.steps), Path(folder), repeats)
     for key, value in figures.items():
         print(f"{key:<28} {value}")

@@ -67,14 +67,7 @@ def steps_and_images(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def content(path: Path) -> Any:
-    """What of a file should be equal.
-
-    Args:
-        path: its place.
-
-    Returns:
-        A value that can be compared.
-    """
+    """What of a file should be equal, as a value that can be compared."""
     if path.suffix == ".json":
         return sorted(map(repr, values(json.loads(path.read_text(encoding="utf-8")))))
     if path.suffix == ".csv":
@@ -119,16 +112,7 @@ def smoke_run(folder: Path, name: str) -> Path:
 
 
 def compare(run: Path, other: Path, stages: list[str]) -> int:
-    """Prints what differs between two runs.
-
-    Args:
-        run: folder of the one.
-        other: folder of the other.
-        stages: names of those to compare; all by default.
-
-    Returns:
-        The exit code.
-    """
+    """Prints what differs between two runs' folders, in these stages or without any in all; gives the exit code."""
     before, after = files(run, stages), files(other, stages)
     if not before:
         print(f"{run} holds no results: give the folder of a run, e.g. runs/smoke", file=sys.stderr)

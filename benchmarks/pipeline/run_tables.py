@@ -65,7 +65,6 @@ def as_markdown(
 
 
 def main() -> None:
-    """Prints the tables and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("metrics", type=Path, nargs="*", metavar="METRICS", help="metrics.json of a run's report")
     parser.add_argument("--quick", action="store_true", help="two runs that are made up")

@@ -83,13 +83,7 @@ def spaces_of(keys: tuple[str, ...], image_px: int) -> gymnasium.spaces.Dict:
     )
 
 
-def update_ms(row: str, repeats: int, device: str = "cpu") -> tuple[float, float]:
-    """Median time of an update, ms, and how many updates a decision needs."""
-    update, updates = update_of(row, device)
-    return measured(update, repeats, device), updates
-
-
-def update_of(row: str, device: str = "cpu") -> tuple[Callable[[], object], float]:
+def update_of(row: str, device: str) -> tuple[Callable[[], object], float]:
     """An update of a row's training with everything that it learns from, and how many a decision needs."""
     keys, image_px, algorithm = ROWS[row]
     environment = Blank(spaces_of(keys, image_px), ACTIONS[row.partition(" ")[0]])
@@ -214,7 +208,6 @@ def expected_gb(row: str) -> float:
 
 
 def main() -> None:
-    """Measures every row."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--quick", action="store_true", help="two rows, one repeat")
     parser.add_argument("--repeats", type=int, default=3)
@@ -237,9 +230,10 @@ def main() -> None:
     print(f"{'row':26s} {'update, ms':>10s} {'s a decision':>13s}")
     for row in ("enn I", "enn V") if asked.quick else tuple(ROWS):
         fresh_memory(device)
-        update, updates = update_ms(row, repeats, device)
-        results[row] = {"update_ms": round(update, 2), "s_a_decision": round(update * updates / 1e3, 6)}
-        print(f"{row:26s} {update:10.2f} {results[row]['s_a_decision']:13.6f}{with_memory(row)}", flush=True)
+        update, updates = update_of(row, device)
+        update_ms = measured(update, repeats, device)
+        results[row] = {"update_ms": round(update_ms, 2), "s_a_decision": round(update_ms * updates / 1e3, 6)}
+        print(f"{row:26s} {update_ms:10.2f} {results[row]['s_a_decision']:13.6f}{with_memory(row)}", flush=True)
     print(f"\n{'network':26s} {'s an image':>10s}")
     for network in ("shape",) if asked.quick else NETWORKS:
         fresh_memory(device)

@@ -112,7 +112,6 @@ def megabytes(path: Path) -> float:
 
 
 def main() -> None:
-    """Build, repair, try; print a line a file and a JSON line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("dist"), help="folder of the built files")
     parser.add_argument("--try", action="store_true", dest="tried", help="install them and run them")

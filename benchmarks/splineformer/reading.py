@@ -108,7 +108,6 @@ def accuracy(predictor: Predictor, arguments: argparse.Namespace) -> dict[str, f
 
 
 def main() -> None:
-    """Measures, prints the table and the JSON line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer curves and images")
     parser.add_argument("--data", type=Path, help="folder of a data set")

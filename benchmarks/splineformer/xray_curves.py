@@ -128,7 +128,6 @@ def rounded(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def main(words: list[str] | None = None) -> int:
-    """Runs the command line; returns its exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--real", type=Path, nargs=2, metavar=("FOLDER", "CURVES"), help="real images and their curves")
     parser.add_argument("--network", type=Path, help="file of a SplineFormer; the shipped one if left out")

@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -19,8 +19,6 @@ EXIT_FAILED, EXIT_USAGE, EXIT_INTERRUPTED = 1, 2, 130
 LOG, GIF, MP4 = "episode.mcap", "film.gif", "film.mp4"
 GENERALIST = "generalist"  # by a roadmap
 MODELS = ("navigator", GENERALIST)  # that can steer
-_SEEDS = ARCHES["test"].width  # of unseen arches
-_MOST_ATTEMPTS = 9
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -100,22 +98,20 @@ def _parser() -> argparse.ArgumentParser:
         "--no-catheter", action="store_true",
         help="the wire alone, also where the ostium is set back so far that a catheter over it is used otherwise",
     )  # fmt: skip
-    parser.add_argument("--seed", type=_seed, default=0, help="of the random arch and the start, 0 to 999 (default 0)")
-    parser.add_argument("--attempts", type=_attempts, default=2, help="before the episode ends, 1 to 9 (default 2)")
+    seed, attempts = _whole_number(0, ARCHES["test"].width - 1), _whole_number(1, 9)  # seeds of unseen arches
+    parser.add_argument("--seed", type=seed, default=0, help="of the random arch and the start, 0 to 999 (default 0)")
+    parser.add_argument("--attempts", type=attempts, default=2, help="before the episode ends, 1 to 9 (default 2)")
     parser.add_argument("--output", default="runs/demo", metavar="FOLDER", help="(default runs/demo)")
     return parser
 
 
-def _seed(text: str) -> int:
-    if not text.isdecimal() or int(text) >= _SEEDS:
-        raise argparse.ArgumentTypeError(f"expected a whole number from 0 to {_SEEDS - 1}, got {text!r}")
-    return int(text)
+def _whole_number(least: int, most: int) -> Callable[[str], int]:
+    def read(text: str) -> int:
+        if not text.isdecimal() or not least <= int(text) <= most:
+            raise argparse.ArgumentTypeError(f"expected a whole number from {least} to {most}, got {text!r}")
+        return int(text)
 
-
-def _attempts(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= _MOST_ATTEMPTS:
-        raise argparse.ArgumentTypeError(f"expected a whole number from 1 to {_MOST_ATTEMPTS}, got {text!r}")
-    return int(text)
+    return read
 
 
 def _say(sentence: str, code: int) -> int:

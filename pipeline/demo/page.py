@@ -40,7 +40,6 @@ def write_page(
         metrics=metrics,
         seconds=metrics["steps"] / _STEPS_A_SECOND,
         files=files,
-        folder=folder.as_posix(),
         commands=_further(folder, files["log"]),
         parts=sections(shipped.card(scene.model)),
         summary=shipped.models()[scene.model],

@@ -48,12 +48,10 @@ class WatchedEnvironment:
         return getattr(self.environment, name)
 
     def reset(self, **further: Any) -> tuple[Any, dict[str, Any]]:
-        """Starts an episode."""
         self.observation, info = self.environment.reset(**further)
         return self.observation, info
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Advances by 0.1 s."""
         outcome = self.environment.step(action)
         self.observation = outcome[0]
         return outcome

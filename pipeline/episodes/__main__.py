@@ -18,9 +18,10 @@ from typing import Any
 from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.schema import DEVICE_MASKS
 from pipeline.episodes.reader import EpisodeReader
-from pipeline.episodes.records import EpisodeReadError, EpisodeWriteError, ViewerError
+from pipeline.episodes.records import EpisodeReadError
 from pipeline.episodes.recovery import recover
 from pipeline.printing import Parser, say, visible, written
+from pipeline.store.errors import PipelineError, StageError
 
 FINE, DAMAGED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
@@ -102,23 +103,18 @@ def _run_view(source: Path, destination: Path | None) -> int:
 
 
 def _run_film(source: Path, destination: Path | None) -> int:
-    from pipeline.recording.replay import ReplayError, film_of
+    from pipeline.recording.replay import film_of
 
-    try:
-        _say(film_of(source, destination or source.with_suffix(".gif")))
-    except ReplayError as error:
-        _say(error, error=True)
-        return DAMAGED
+    _say(film_of(source, destination or source.with_suffix(".gif")))
     return FINE
 
 
-def _run_export(arguments: argparse.Namespace) -> int:
+def _run_export(arguments: argparse.Namespace, folder: Path) -> int:
     from pipeline.episodes.export.exporting import export_logs
-    from pipeline.episodes.export.layout import ExportError
 
     try:
         report = export_logs(
-            arguments.folder,
+            folder,
             arguments.to,
             arguments.output,
             name=arguments.name,
@@ -126,12 +122,6 @@ def _run_export(arguments: argparse.Namespace) -> int:
             masks=arguments.masks,
             overwrite=arguments.overwrite,
         )
-    except ExportError as error:
-        _say(error, error=True)
-        return USAGE
-    except EpisodeReadError as error:
-        _say(error, error=True)
-        return DAMAGED
     except KeyboardInterrupt:
         _say(f"interrupted: nothing was left at {arguments.output}", error=True)
         return INTERRUPTED
@@ -149,13 +139,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|recover|view|film|export")
 
-    def command(name: str, text: str, *, argument: str = "file", about: str = "a log", **further: Any) -> Any:
+    def command(name: str, text: str, *, argument: str = "FILE", about: str = "a log", nargs: Any = 1) -> Any:
         made = commands.add_parser(name, help=text, description=f"{text[:1].upper()}{text[1:]}.")
-        made.add_argument(argument, type=Path, metavar=argument.removesuffix("s").upper(), help=about, **further)
+        made.add_argument("paths", type=Path, nargs=nargs, metavar=argument, help=about)
         return made
 
-    command("info", "show what a log holds", argument="files", nargs="+")
-    command("check", "verify every checksum, step and picture", argument="files", nargs="+")
+    command("info", "show what a log holds", nargs="+")
+    command("check", "verify every checksum, step and picture", nargs="+")
     recovering = command(
         "recover",
         "save what is intact of a damaged or unfinished log; the file itself is left as it is",
@@ -171,7 +161,7 @@ def _parser() -> argparse.ArgumentParser:
     exporting = command(
         "export",
         "write all logs in a folder and below it as one data set for other software; OUTPUT appears when it is whole",
-        argument="folder",
+        argument="FOLDER",
         about="with logs, e.g. runs/NAME/expert",
     )
     exporting.add_argument("--to", required=True, choices=("lerobot", "minari", "hdf5"), help="format")
@@ -185,6 +175,8 @@ def _parser() -> argparse.ArgumentParser:
 
 def _run(arguments: argparse.Namespace, path: Path) -> int:
     try:
+        if arguments.command == "export":
+            return _run_export(arguments, path)
         if not path.is_file():
             _say(f"{path} is no file: give the path of an episode log", error=True)
             return USAGE
@@ -200,10 +192,10 @@ def _run(arguments: argparse.Namespace, path: Path) -> int:
         if arguments.command == "film":
             return _run_film(path, arguments.out)
         return _run_recover(path, arguments.out, arguments.overwrite)
-    except EpisodeReadError as error:
+    except (EpisodeReadError, StageError) as error:  # the latter of an episode that does not repeat
         _say(error, error=True)
         return DAMAGED
-    except (EpisodeWriteError, ViewerError) as error:
+    except PipelineError as error:
         _say(error, error=True)
         return USAGE
     except OSError as error:
@@ -216,10 +208,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # a path or a log's text may hold what the terminal cannot
-    if arguments.command == "export":
-        return _run_export(arguments)
-    files = arguments.files if hasattr(arguments, "files") else [arguments.file]
-    return max(_run(arguments, path) for path in files)
+    return max(_run(arguments, path) for path in arguments.paths)
 
 
 if __name__ == "__main__":

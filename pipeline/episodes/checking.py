@@ -35,7 +35,6 @@ _TOLERANCE = 1e-9
 class CheckReport:
     """What a check found."""
 
-    path: Path
     records: int = 0
     pictures: int = 0
     problems: list[str] = field(default_factory=list)  # one sentence each; empty if the log is fine
@@ -53,7 +52,7 @@ class _DataSection:
 
 def check(path: Path) -> CheckReport:
     """Check a log from its first byte to its last; damage is reported, never raised."""
-    report = CheckReport(path)
+    report = CheckReport()
     try:
         with mapped(path) as (fd, data):
             try:

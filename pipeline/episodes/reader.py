@@ -9,7 +9,6 @@ from functools import cached_property, partial
 from itertools import zip_longest
 from operator import itemgetter
 from pathlib import Path
-from types import TracebackType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -65,7 +64,7 @@ class EpisodeReader:
         self.path = Path(path)
         self._fd = scan.open_log(self.path)
         try:
-            self._summary = scan.read_summary(self._fd)
+            self.summary = scan.read_summary(self._fd)  # the container's index
             self.info, self._cameras = self._metadata(EPISODE_METADATA, open_episode)
             self.outcome: EpisodeOutcome = self._metadata(OUTCOME_METADATA, open_outcome)
             self._topics = self._channels()
@@ -75,7 +74,7 @@ class EpisodeReader:
         except (ContainerError, OSError) as error:
             self.close()
             raise damaged(self.path, error) from error
-        in_time = sorted(self._summary.chunk_indexes, key=lambda index: index.message_start_time)
+        in_time = sorted(self.summary.chunk_indexes, key=lambda index: index.message_start_time)
         self._chunks: dict[int, list[ChunkIndex]] = {
             channel_id: [index for index in in_time if channel_id in index.message_index_offsets]
             for channel_id in self._topics.values()
@@ -93,7 +92,7 @@ class EpisodeReader:
             f"it has no metadata record {name}, so it was not written as an episode log"
         )
         found: list[tuple[dict[str, str], _Decoded]] = []
-        for index in self._summary.metadata_indexes:
+        for index in self.summary.metadata_indexes:
             if index.name == name:
                 try:
                     record = scan.read_metadata(self._fd, index).metadata
@@ -110,8 +109,8 @@ class EpisodeReader:
         """The channel of each topic, whose messages must be of the kind that the topic has."""
         kinds = topic_messages(self.cameras, devices=self.info.has_catheter)
         topics: dict[str, int] = {}
-        for channel in self._summary.channels.values():
-            schema = self._summary.schemas.get(channel.schema_id)
+        for channel in self.summary.channels.values():
+            schema = self.summary.schemas.get(channel.schema_id)
             found = (channel.message_encoding, schema and schema.encoding, schema and schema.name)
             kind = kinds.get(channel.topic)
             if kind is not None and found != ("protobuf", "protobuf", kind.DESCRIPTOR.full_name):
@@ -122,11 +121,6 @@ class EpisodeReader:
         return topics
 
     # -- chunks and messages ------------------------------------------------------------------------------------------
-
-    @property
-    def summary(self) -> scan.Summary:
-        """The container's index."""
-        return self._summary
 
     def _channel(self, topic: str) -> int:
         channel_id = self._topics.get(topic)
@@ -339,9 +333,7 @@ class EpisodeReader:
     def __enter__(self) -> EpisodeReader:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *unused: object) -> None:
         self.close()
 
 

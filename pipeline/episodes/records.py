@@ -220,10 +220,6 @@ class EpisodeInfo:
         """Give the log time of a step."""
         return self.start_time_ns + step * self.interval_ns
 
-    def to_json(self) -> dict[str, Any]:
-        """Give the fields as plain JSON values."""
-        return asdict(self)
-
 
 OUTCOME_STATES = ("finished", "interrupted")
 
@@ -246,10 +242,6 @@ class EpisodeOutcome:
         if any(later <= step for step, later in pairwise(self.missing_steps)):
             raise ValueError("missing_steps must rise")
         object.__setattr__(self, "metrics", json.loads(as_json(self.metrics)))
-
-    def to_json(self) -> dict[str, Any]:
-        """Give the fields as plain JSON values."""
-        return asdict(self)
 
 
 _LONGEST_REASON = 200
@@ -295,7 +287,7 @@ def unseal(record: Mapping[str, str]) -> dict[str, Any]:
 def seal_episode(info: EpisodeInfo, cameras: Mapping[str, Camera]) -> dict[str, str]:
     """Make the content of the record `endonav.episode`."""
     ordered = [{"name": name, **camera.to_json()} for name, camera in cameras.items()]
-    return seal({"info": info.to_json(), "cameras": ordered})
+    return seal({"info": asdict(info), "cameras": ordered})
 
 
 def open_episode(record: Mapping[str, str]) -> tuple[EpisodeInfo, dict[str, Camera]]:
@@ -310,7 +302,7 @@ def open_episode(record: Mapping[str, str]) -> tuple[EpisodeInfo, dict[str, Came
             _require_as_written(given, {"name": name, **camera.to_json()})
             cameras[name] = camera
         info = EpisodeInfo(**values["info"])
-        _require_as_written(values["info"], info.to_json())
+        _require_as_written(values["info"], asdict(info))
         return info, cameras
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise ContainerError(f"the metadata record {EPISODE_METADATA} cannot be used ({_reason(error)})") from error
@@ -333,7 +325,7 @@ def _reason(error: Exception) -> str:
 
 def seal_outcome(outcome: EpisodeOutcome) -> dict[str, str]:
     """Make the content of the record `endonav.outcome`."""
-    return seal(outcome.to_json())
+    return seal(asdict(outcome))
 
 
 def open_outcome(record: Mapping[str, str]) -> EpisodeOutcome:
@@ -341,7 +333,7 @@ def open_outcome(record: Mapping[str, str]) -> EpisodeOutcome:
     values = unseal(record)
     try:
         outcome = EpisodeOutcome(**values)
-        _require_as_written(values, outcome.to_json())
+        _require_as_written(values, asdict(outcome))
         return outcome
     except (TypeError, ValueError, OverflowError) as error:
         raise ContainerError(f"the episode's outcome cannot be used ({_reason(error)})") from error

@@ -20,7 +20,7 @@ from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema
 from pipeline.episodes.camera import Camera
 from pipeline.episodes.encoding import scan
 from pipeline.episodes.encoding.container import McapFile, replacing
-from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA, PROFILE, STEP_TOPIC, topic_messages
+from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA, STEP_TOPIC
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.records import (
     MOST_STEPS,
@@ -38,7 +38,7 @@ from pipeline.episodes.records import (
     seal_outcome,
     unseal,
 )
-from pipeline.episodes.writer import schema_data
+from pipeline.episodes.writer import register_topics
 
 logger = logging.getLogger(__name__)
 
@@ -51,7 +51,6 @@ _RECORD_COST, _MOST_IN_VAIN, _TIMES_IN_VAIN = 1 << 10, 1 << 28, 64
 class RecoveryReport:
     """What a recovery saved and what it could not."""
 
-    source: Path
     destination: Path
     steps_kept: int
     # steps known to be lost; a killed writer's last few steps leave no trace and are not counted
@@ -77,14 +76,11 @@ class _Findings:
 @contextmanager
 def mapped(path: Path) -> Iterator[tuple[int, Any]]:
     """Map a file into memory, which reads what is used and nothing else; gives descriptor and map."""
-    fd = scan.open_log(path)
-    try:
-        if os.fstat(fd).st_size == 0:
+    with open(scan.open_log(path), "rb") as log:
+        if os.fstat(log.fileno()).st_size == 0:
             raise EpisodeReadError(f"{path} is empty: there is nothing to recover")
-        with mmap.mmap(fd, 0, access=mmap.ACCESS_READ) as data:
-            yield fd, data
-    finally:
-        os.close(fd)
+        with mmap.mmap(log.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            yield log.fileno(), data
 
 
 def _examine(data: Any, likely: Iterator[int]) -> _Findings:
@@ -150,13 +146,9 @@ def _keep_metadata(findings: _Findings, record: Metadata) -> bool:
 
 def _declare(out: McapFile, findings: _Findings, info: EpisodeInfo, cameras: dict[str, Camera]) -> dict[int, int]:
     """Register the topics; return the new channel id of each old one."""
-    known = topic_messages(tuple(cameras), devices=info.has_catheter)
-    new_ids = {
-        topic: out.register(topic, message.DESCRIPTOR.full_name, schema_data(message))
-        for topic, message in known.items()
-    }
+    new_ids = register_topics(out, cameras, devices=info.has_catheter)
     # A writer numbers its channels in the order of the table, so the table stands in where a record is damaged.
-    renumbered = {number: new_ids[topic] for number, topic in enumerate(known, start=1)}
+    renumbered = dict(enumerate(new_ids.values(), start=1))
     for channel in findings.channels.values():
         schema = findings.schemas.get(channel.schema_id)
         if channel.topic not in new_ids and channel.id not in renumbered and schema is not None:
@@ -198,7 +190,7 @@ def recover(
             raise EpisodeReadError(f"{source} cannot be recovered: {reason}")
         info, cameras = findings.episode
         try:
-            with replacing(destination, PROFILE, ".recovering") as out:
+            with replacing(destination, ".recovering") as out:
                 steps = _copy(data, findings, out, info, cameras)
                 if not steps:
                     raise EpisodeReadError(f"{source} cannot be recovered: it holds no intact step")
@@ -209,7 +201,6 @@ def recover(
                 f"cannot write {destination}: {error.strerror}; {source} is unharmed: free space and try again"
             ) from error
     return RecoveryReport(
-        source=source,
         destination=destination,
         steps_kept=len(steps),
         missing_steps=outcome.missing_steps,
@@ -279,7 +270,7 @@ def annotate(path: str | os.PathLike[str], key: str, values: Mapping[str, Any]) 
     with EpisodeReader(path):
         pass  # an episode log, whole and not newer than this software
     try:
-        with replacing(path, PROFILE, ".annotating") as out:
+        with replacing(path, ".annotating") as out:
             _copy_annotated(path, out, leave_out=name)
             out.add_metadata(name, seal(values))
     except OSError as error:
@@ -290,8 +281,8 @@ def annotate(path: str | os.PathLike[str], key: str, values: Mapping[str, Any]) 
 
 def _copy_annotated(path: Path, out: McapFile, *, leave_out: str) -> None:
     """Copy chunks and metadata in their order."""
-    fd = scan.open_log(path)
-    try:
+    with open(scan.open_log(path), "rb") as log:
+        fd = log.fileno()
         summary = scan.read_summary(fd)
         counts = dict.fromkeys(summary.channels, 0)
         renumbered = {}
@@ -315,8 +306,6 @@ def _copy_annotated(path: Path, out: McapFile, *, leave_out: str) -> None:
                 counts[span.channel_id] += 1
                 out.add(renumbered[span.channel_id], span.log_time_ns, sequence, chunk[span.start : span.end])
             out.flush()
-    finally:
-        os.close(fd)
 
 
 def _offset(part: ChunkIndex | MetadataIndex) -> int:
@@ -326,11 +315,9 @@ def _offset(part: ChunkIndex | MetadataIndex) -> int:
 def read_annotation(path: str | os.PathLike[str], key: str) -> dict[str, Any] | None:
     """Read an annotation of a log: its values, or None when the log has none of that key."""
     name = annotation_name(key)
-    fd = scan.open_log(path)
     try:
-        found = [index for index in scan.read_summary(fd).metadata_indexes if index.name == name]
-        return unseal(scan.read_metadata(fd, found[-1]).metadata) if found else None
+        with open(scan.open_log(path), "rb") as log:
+            found = [index for index in scan.read_summary(log.fileno()).metadata_indexes if index.name == name]
+            return unseal(scan.read_metadata(log.fileno(), found[-1]).metadata) if found else None
     except ContainerError as error:
         raise damaged(Path(path), error) from error
-    finally:
-        os.close(fd)

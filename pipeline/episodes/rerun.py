@@ -6,7 +6,6 @@ is damaged.
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import tempfile
@@ -19,6 +18,7 @@ import numpy as np
 from pipeline.episodes.encoding.png import encode_image
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.records import DeviceRecord, ViewerError
+from pipeline.store.atomic_files import atomic_path
 
 if TYPE_CHECKING:
     from rerun import RecordingStream
@@ -208,14 +208,9 @@ def layout(cameras: tuple[str, ...], *, devices: bool = False) -> Any:
 def save_recording(path: Path, destination: Path) -> Path:
     """Writes an episode as a Rerun recording (.rrd), in place of one that is there; it appears when it is whole."""
     rr = rerun_module()
-    partial = destination.with_name(destination.name + ".partial")
     try:
-        destination.parent.mkdir(parents=True, exist_ok=True)
-        partial.touch()
-    except OSError as error:
-        raise ViewerError(f"cannot write {destination}: {error.strerror}; choose another file") from error
-    try:
-        with EpisodeReader(path) as log:
+        with atomic_path(destination) as partial, EpisodeReader(path) as log:
+            partial.touch()
             # the same episode is the same recording, however often it is opened
             identity = f"{log.info.phantom}-{log.info.target}-{log.info.seed}-{log.info.start_time_ns}"
             recording = rr.RecordingStream(APPLICATION, recording_id=identity)
@@ -228,9 +223,8 @@ def save_recording(path: Path, destination: Path) -> Path:
             finally:
                 recording.flush()
                 recording.disconnect()
-        os.replace(partial, destination)
-    finally:
-        partial.unlink(missing_ok=True)
+    except OSError as error:
+        raise ViewerError(f"cannot write {destination}: {error.strerror}; choose another file") from error
     return destination
 
 

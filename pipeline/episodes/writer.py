@@ -6,10 +6,9 @@ import errno
 import logging
 import os
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Literal
 
 import numpy as np
@@ -53,9 +52,10 @@ def schema_data(message: Any) -> bytes:
     return bytes(build_file_descriptor_set(message).SerializeToString())
 
 
-def partial_path(path: Path) -> Path:
-    """Say where a log lies until it is finished."""
-    return path.with_name(path.name + ".partial")
+def register_topics(file: McapFile, cameras: Iterable[str], *, devices: bool) -> dict[str, int]:
+    """Declare a log's topics in the order of the schema; give the channel of each."""
+    messages = schema.topic_messages(tuple(cameras), devices=devices)
+    return {topic: file.register(topic, one.DESCRIPTOR.full_name, schema_data(one)) for topic, one in messages.items()}
 
 
 class EpisodeWriter:
@@ -98,11 +98,12 @@ class EpisodeWriter:
         if not 1 <= flush_every <= MAX_FLUSH_EVERY:
             raise ValueError(f"flush_every must be 1 to {MAX_FLUSH_EVERY} steps, got {flush_every}")
         self.path = Path(path)
-        self.partial = partial_path(self.path)
+        self.partial = self.path.with_name(f"{self.path.name}.partial")
         self.info = info
         self.cameras = {require_name(name): camera for name, camera in (cameras or {}).items()}
         self._flush_every = flush_every
-        self._recorded = self._safe = 0
+        self.steps_recorded = 0
+        self.steps_safe = 0  # that a kill of the process cannot take any more
         self._state: Literal["open", "finished", "abandoned"] = "open"
         self._outcome_written = False
         self._pending: deque[tuple[StepRecord, list[_Picture]]] = deque()
@@ -119,7 +120,7 @@ class EpisodeWriter:
         try:
             if overwrite:
                 self.partial.unlink(missing_ok=True)
-            self._file = McapFile(self.partial, schema.PROFILE)
+            self._file = McapFile(self.partial)
         except FileExistsError:
             raise EpisodeWriteError(
                 f"{self.partial} exists already, from a writer that is at work or was killed: run "
@@ -127,11 +128,7 @@ class EpisodeWriter:
             ) from None
         except OSError as error:
             raise EpisodeWriteError(f"cannot write {self.partial}: {error.strerror}; choose another folder") from error
-        topics = schema.topic_messages(tuple(self.cameras), devices=info.has_catheter).items()
-        self._channels = {
-            topic: self._file.register(topic, message.DESCRIPTOR.full_name, schema_data(message))
-            for topic, message in topics
-        }
+        self._channels = register_topics(self._file, self.cameras, devices=info.has_catheter)
         self._image_tails = {
             name: delimited(_IMAGE_FIELDS["format"].number, b"png")
             + delimited(_IMAGE_FIELDS["frame_id"].number, camera_frame(name).encode())
@@ -160,16 +157,6 @@ class EpisodeWriter:
         if phantom_mesh is not None:
             self._file.add(self._channels[schema.PHANTOM_TOPIC], time_ns, 0, phantom_mesh.scene(time_ns))
         self._file.flush()
-
-    @property
-    def steps_recorded(self) -> int:
-        """Records given so far."""
-        return self._recorded
-
-    @property
-    def steps_safe(self) -> int:
-        """Records that a kill of the process cannot take any more."""
-        return self._safe
 
     def step(
         self,
@@ -204,8 +191,8 @@ class EpisodeWriter:
             for name, mask in one.items()
         ]
         self._pending.append((record, pictures))
-        self._recorded += 1
-        if self._recorded - self._safe >= self._flush_every:
+        self.steps_recorded += 1
+        if self.steps_recorded - self.steps_safe >= self._flush_every:
             try:
                 self._flush()
             except OSError as error:
@@ -222,13 +209,13 @@ class EpisodeWriter:
             size = sum(len(payload) for _, payload in batch) + 64 * len(batch)
             if self._file.pending_bytes and self._file.pending_bytes + size > MAX_CHUNK_BYTES:
                 self._file.flush()
-                self._safe = self._recorded - len(self._pending)
+                self.steps_safe = self.steps_recorded - len(self._pending)
             record, _ = self._pending.popleft()
             time_ns = self.info.time_ns(record.step)
             for channel_id, payload in batch:
                 self._file.add(channel_id, time_ns, record.step, payload)
         self._file.flush()
-        self._safe = self._recorded
+        self.steps_safe = self.steps_recorded
 
     def _encode(self, record: StepRecord, pictures: list[_Picture]) -> list[tuple[int, bytes]]:
         """Serialise a step as messages with their channels."""
@@ -255,8 +242,8 @@ class EpisodeWriter:
 
     def _check(self, record: StepRecord, pictures: Mapping[str, Mapping[str, Any]]) -> None:
         """Refuse a step that would make a log nobody can stack into arrays."""
-        if record.step != self._recorded:
-            raise ValueError(f"expected step {self._recorded}, got {record.step}: steps are consecutive, from 0")
+        if record.step != self.steps_recorded:
+            raise ValueError(f"expected step {self.steps_recorded}, got {record.step}: steps are consecutive, from 0")
         if (record.devices is not None) != self.info.has_catheter:
             raise ValueError(
                 "a step has devices just where the configuration of its log names a catheter: got "
@@ -278,7 +265,7 @@ class EpisodeWriter:
                     )
         streams = tuple(tuple(arrays) for arrays in pictures.values())
         shapes = (record.action.shape, record.joint_positions.shape, record.joint_velocities.shape)
-        if self._recorded == 0:
+        if self.steps_recorded == 0:
             self._streams, self._shapes = streams, shapes
         if streams != self._streams:
             raise ValueError(
@@ -292,13 +279,13 @@ class EpisodeWriter:
 
     def _write_error(self, error: OSError) -> EpisodeWriteError:
         cause = "disk full" if error.errno in _DISK_FULL else f"{error.strerror or error}"
-        if not self._recorded:
+        if not self.steps_recorded:
             return EpisodeWriteError(
                 f"{cause} while writing {self.path} before its first step: free space, start again"
             )
         return EpisodeWriteError(
-            f"{cause} while writing {self.path}: {self._safe} of {self._recorded} steps are safe in {self.partial}; "
-            f"free space and run '{recover_command(self.partial)}'"
+            f"{cause} while writing {self.path}: {self.steps_safe} of {self.steps_recorded} steps are safe in "
+            f"{self.partial}; free space and run '{recover_command(self.partial)}'"
         )
 
     def finish(self, outcome: EpisodeOutcome | None = None) -> Path:
@@ -315,12 +302,12 @@ class EpisodeWriter:
             return self.path
         if self._state == "abandoned":
             raise EpisodeWriteError(f"{self.path} was abandoned: run '{recover_command(self.partial)}'")
-        taken = max(self._recorded - 1, 0)
+        taken = max(self.steps_recorded - 1, 0)
         outcome = outcome or EpisodeOutcome(success=None, steps=taken)
         if outcome.steps != taken:
             raise ValueError(
-                f"the outcome must count {taken} steps, as {self._recorded} records from the reset on were written, "
-                f"got {outcome.steps}"
+                f"the outcome must count {taken} steps, as {self.steps_recorded} records from the reset on were "
+                f"written, got {outcome.steps}"
             )
         try:
             self._flush()
@@ -346,13 +333,13 @@ class EpisodeWriter:
         except OSError as error:
             logger.warning("%s", self._write_error(error))
         self._file.close()
-        if not self._recorded:
+        if not self.steps_recorded:
             self.partial.unlink(missing_ok=True)  # it holds no step, and would only be in the way of the next try
             return
         logger.warning(
             "%s was not finished; %d steps are in %s: run '%s'",
             self.path,
-            self._safe,
+            self.steps_safe,
             self.partial,
             recover_command(self.partial),
         )
@@ -360,9 +347,7 @@ class EpisodeWriter:
     def __enter__(self) -> EpisodeWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *unused: object) -> None:
         try:
             if kind is None:
                 self.finish()

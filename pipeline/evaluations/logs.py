@@ -243,6 +243,7 @@ def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: 
     Returns:
         The evaluations. Of logs of the same episode of the same policy the latest counts.
     """
+    from cathsim.metrics import EpisodeMetrics
     from pipeline.episodes import EpisodeReadError
 
     found = EvaluationSet()
@@ -261,19 +262,14 @@ def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: 
         words = str(result) if isinstance(result, EpisodeReadError) else f"{path}: {result}"
         _LOGGER.warning("left out: %s", words)
     kept.save()
-    evaluations = _named_apart([_evaluation(values) for values in known.values() if values])
+    read = [{**values, "metrics": EpisodeMetrics(**values["metrics"])} for values in known.values() if values]
+    evaluations = _named_apart([Evaluation(**values) for values in read])
     found.evaluations = _latest(evaluations, found.left_out)
     return found
 
 
 def _values(evaluation: Evaluation, path: Path) -> dict[str, Any]:
     return asdict(evaluation)
-
-
-def _evaluation(values: dict[str, Any]) -> Evaluation:
-    from cathsim.metrics import EpisodeMetrics
-
-    return Evaluation(**{**values, "metrics": EpisodeMetrics(**values["metrics"])})
 
 
 def _read_one(path: Path, run_path: Path) -> Evaluation | ValueError:

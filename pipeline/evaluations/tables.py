@@ -66,11 +66,11 @@ Shortest = Mapping[Task, float]
 _LOGGER = logging.getLogger(__name__)
 
 
-def tables_from_logs(folder: Path, *, cache: Path | None = None) -> dict[str, Table]:
+def tables_from_logs(folder: Path) -> dict[str, Table]:
     """Computes the tables of a run, or of one learning stage in it; SPL's shortest paths are those of the whole run."""
     is_stage = stage_of(folder.name) in LEARNING_STAGES and not evaluation_folders(folder)
     run_path = folder.parent if is_stage else folder
-    read = read_logs(evaluation_folders(run_path), cache=cache or run_path / CACHE)
+    read = read_logs(evaluation_folders(run_path), cache=run_path / CACHE)
     shortest = shortest_paths(read.evaluations)
     if not is_stage:
         return learning_tables(read.evaluations, shortest)
@@ -206,14 +206,13 @@ def _own(rows: Rows, stage: str, shortest: Shortest) -> Table:
     table: Table = {}
     for (of_stage, place, target, name), evaluations in rows.items():
         if of_stage == stage:
-            key = _unseen_row(name, target, place) if stage == "unseen" else f"{place}/{target}/{name}"
+            if stage == "unseen":
+                group = f"{name}_{MISREGISTERED}" if place.startswith(MISREGISTERED) else name
+                key = f"{group}/{target}/{place}"
+            else:
+                key = f"{place}/{target}/{name}"
             table[key] = _own_row(evaluations, shortest)
     return dict(sorted(table.items(), key=lambda item: item[0].rpartition("/")[0])) if stage == "unseen" else table
-
-
-def _unseen_row(name: str, target: str, test_set: str) -> str:
-    group = f"{name}_{MISREGISTERED}" if test_set.startswith(MISREGISTERED) else name
-    return f"{group}/{target}/{test_set}"
 
 
 def _own_row(evaluations: Sequence[Evaluation], shortest: Shortest) -> dict[str, Any]:

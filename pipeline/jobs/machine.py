@@ -37,8 +37,6 @@ print(json.dumps([[torch.cuda.get_device_name(k), *torch.cuda.mem_get_info(k)] f
 
 @dataclass(frozen=True)
 class Gpu:
-    """A GPU."""
-
     visible: str  # what `CUDA_VISIBLE_DEVICES` calls it
     name: str
     free_bytes: int  # of its memory when the stage looked
@@ -61,11 +59,11 @@ def find_gpus() -> list[Gpu]:
     ]
 
 
-def check_device(device: str, find: Callable[[], Sequence[Gpu]] = find_gpus) -> None:
+def check_device(device: str) -> None:
     """Refuses a GPU that there is not."""
     if device in (CPU, AUTO):
         return
-    count = len(find())
+    count = len(find_gpus())
     if count == 0:
         raise ConfigurationError(
             f"stage.device={device}, but torch finds no GPU: install a build of torch for its CUDA "
@@ -105,17 +103,17 @@ class Machine:
         self._state: dict[str, Any] = {"cores": cores, "jobs": [], "waiting": {}}
 
     @classmethod
-    def here(cls, cores: int, available: Callable[[], int], device: str, find: Callable[[], Sequence[Gpu]]) -> Machine:
-        """That of this process's chain, or of a stage alone, with `available` bytes; `find` looks for GPUs."""
+    def here(cls, cores: int, available: Callable[[], int], device: str) -> Machine:
+        """That of this process's chain, or of a stage alone, with `available` bytes."""
         folder = os.environ.get(FOLDER)
         if not folder or not Path(folder, _STATE).is_file():
-            return cls(cores, available() / _GB, gpus_of(device, find() if device != CPU else ()))
+            return cls(cores, available() / _GB, gpus_of(device, find_gpus() if device != CPU else ()))
         machine = cls(cores, 0.0, shared=Path(folder))
         with machine._locked() as state:
             machine.room_gb = state["room_gb"]
             if device != CPU:
                 if state["gpus"] is None:
-                    state["gpus"] = [asdict(gpu) for gpu in find()]
+                    state["gpus"] = [asdict(gpu) for gpu in find_gpus()]
                 machine.gpus = gpus_of(device, [Gpu(**gpu) for gpu in state["gpus"]])
         return machine
 

@@ -28,7 +28,7 @@ from pipeline.jobs.display import JobDisplay, JobState
 from pipeline.jobs.engines.cluster import JOBS, ClusterEngine
 from pipeline.jobs.engines.local import LocalEngine, available_workers
 from pipeline.jobs.engines.settings import EngineSettings, RaySettings, SlurmSettings
-from pipeline.jobs.machine import CPU, Gpu, Machine, find_gpus
+from pipeline.jobs.machine import CPU, Machine
 from pipeline.jobs.worker import AGAIN, ENDED, STARTED, Job, Message, Report
 from pipeline.store.costs import keep_cost
 from pipeline.store.errors import StageError
@@ -50,19 +50,13 @@ def chosen_engine(settings: EngineSettings | None, available: Available = lambda
 
 
 def make_engine(
-    folder: RunFolder,
-    *,
-    workers: int,
-    preload: Sequence[str],
-    device: str,
-    find: Callable[[], Sequence[Gpu]],
-    available: Available | None,
-) -> LocalEngine | ClusterEngine:
+    folder: RunFolder, *, workers: int, preload: Sequence[str], device: str
+) -> LocalEngine | ClusterEngine:  # fmt: skip
     """The chosen engine, the local one where none was chosen; arguments are those of `run_jobs`."""
-    settings, room = _CHOSEN.get()
+    settings, available = _CHOSEN.get()
     if not isinstance(settings, RaySettings | SlurmSettings):
         workers = workers or available_workers()
-        return LocalEngine(folder, Machine.here(workers, available or room, device, find), workers, preload)
+        return LocalEngine(folder, Machine.here(workers, available, device), workers, preload)
     place = folder.path.absolute() / JOBS
     place.mkdir(parents=True, exist_ok=True)
     if isinstance(settings, SlurmSettings):
@@ -92,8 +86,6 @@ def run_jobs(
     label: str = "jobs",
     preload: Sequence[str] = (),
     device: str = CPU,
-    find: Callable[[], Sequence[Gpu]] = find_gpus,
-    available: Callable[[], int] | None = None,
 ) -> dict[str, Any]:
     """Runs the jobs that are not done yet, several beside each other, by the engine that was chosen.
 
@@ -105,8 +97,6 @@ def run_jobs(
         workers: jobs beside each other; 0: as many as the engine has room for, on one machine one a core.
         preload: modules that every job needs; on one machine they are imported once, and the jobs' processes start with
             them.
-        find: lists the GPUs of this machine.
-        available: counts the bytes of memory that may still be taken; None: as `chosen_engine` says.
 
     Returns:
         Key to what each job returned, also those of an earlier, interrupted run.
@@ -120,7 +110,7 @@ def run_jobs(
             raise ValueError(f"job {job.key} waits for {', '.join(sorted(missing))}: list those before it")
     todo = _to_do(folder, jobs)
     if todo:
-        engine = make_engine(folder, workers=workers, preload=preload, device=device, find=find, available=available)
+        engine = make_engine(folder, workers=workers, preload=preload, device=device)
         try:
             for job in todo:
                 engine.check(job)

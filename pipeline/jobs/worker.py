@@ -218,4 +218,3 @@ class Job:
     # GPU memory that it is expected to need, on each of its GPUs; 0: it has no network and needs none
     gpu_gb: float = 0.0
     gpus: int = 1  # how many GPUs it computes on
-    cpus: int = 1  # cores that it keeps busy

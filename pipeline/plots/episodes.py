@@ -18,19 +18,20 @@ if TYPE_CHECKING:
     from cathsim import Phantom
 
 
-def draw_task(
-    phantom: Phantom, target: str, episodes: Sequence[Mapping[str, np.ndarray]], file: Path, *, radius_mm: float = 8.0
-) -> None:
-    """Draws the paths of the tip in the frontal view of a phantom, and the forces.
+def draw_task(phantom: Phantom, target: str, logs: Sequence[Path], file: Path, *, radius_mm: float = 8.0) -> None:
+    """Draws the paths of the tip in the frontal view of a phantom, and the forces, of logged episodes.
 
-    Args:
-        episodes: arrays of each log: tip (T + 1, 3) m, resultant_force (T + 1, 3) N.
-        radius_mm: of the sphere of success.
+    Raises:
+        EpisodeReadError: a log is damaged.
     """
+    from pipeline.episodes import EpisodeReader
+
     figure = new_figure(9.0, 4.6)
     vessel, force = figure.subplots(1, 2, width_ratios=(1.0, 1.35))
     draw_vessel(vessel, phantom, target, radius_mm=radius_mm)
-    for index, arrays in enumerate(episodes):
+    for index, path in enumerate(logs):
+        with EpisodeReader(path) as log:
+            arrays = log.load_arrays(pictures=False)
         tips = arrays["tip"] * MM
         vessel.plot(tips[:, 0], tips[:, 2], linewidth=1.2, color=f"C{index % 10}")
         norms = np.linalg.norm(arrays["resultant_force"], axis=1)
@@ -39,7 +40,7 @@ def draw_task(
     force.set(xlabel="step (0.1 s)", ylabel="resultant contact force (N)", title="largest force of each step")
     force.set_ylim(bottom=0.0)
     force.grid(alpha=0.3)
-    if len(episodes) <= 10:
+    if len(logs) <= 10:
         force.legend(frameon=False, fontsize=8)
     save_figure(figure, file)
 
@@ -59,7 +60,7 @@ def draw_vessel(axes: Axes, phantom: Phantom, target: str, *, radius_mm: float =
     axes.set(aspect="equal", xlabel="x, patient's left (mm)", ylabel="z, superior (mm)")
 
 
-def draw_planned_path(phantom: Phantom, target: str, file: Path, *, entry: str = "descending") -> float:
+def draw_planned_path(phantom: Phantom, target: str, file: Path, *, entry: str) -> float:
     """Plans the shortest path from an entry to a target with A*, draws it and returns its length, m."""
     from cathsim.planning.path import picture, plan_path
 

@@ -27,8 +27,8 @@ class Overlay:
     curves: Mapping[str, Array]  # name to (m, 2) px, reprojected
 
 
-def draw_along(lines: Mapping[str, Array], file: Path, *, x_label: str, y_label: str) -> None:
-    """Draws mean and spread of an error along the wire: name to errors of shape (pairs, places)."""
+def draw_along(lines: Mapping[str, Array], file: Path) -> None:
+    """Draws mean and spread of the reprojection error along the wire: name to px of shape (pairs, places)."""
     with chart(file, 7.2, 4.0) as axes:
         for index, (name, values) in enumerate(lines.items()):
             mean, spread = values.mean(axis=0), values.std(axis=0)
@@ -36,7 +36,7 @@ def draw_along(lines: Mapping[str, Array], file: Path, *, x_label: str, y_label:
             colour, low = _COLOURS.get(name, f"C{index}"), np.maximum(mean - spread, 0.0)
             axes.plot(places, mean, marker=".", color=colour, label=f"{name}, mean")
             axes.fill_between(places, low, mean + spread, color=colour, alpha=0.2, linewidth=0)
-        axes.set(xlabel=x_label, ylabel=y_label, ylim=(0, None))
+        axes.set(xlabel="place along the wire, from the tip", ylabel="reprojection, px", ylim=(0, None))
 
 
 def draw_segments(groups: Mapping[str, Array], file: Path, *, y_label: str) -> None:

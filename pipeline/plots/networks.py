@@ -105,8 +105,8 @@ def draw_along(networks: Mapping[str, Mapping[str, Any]], file: Path) -> None:
         axes.set(xlabel="arc length from the tip, mm", ylabel="mean distance, mm", ylim=(0, None))
 
 
-def draw_training(networks: Mapping[str, Mapping[str, Any]], file: Path, quantity: str) -> None:
-    """Draws losses (`quantity`) by epoch: network to ``curve``, which has epoch, loss and validation an epoch."""
+def draw_training(networks: Mapping[str, Mapping[str, Any]], file: Path) -> None:
+    """Draws losses by epoch: network to ``curve``, which has epoch, loss and validation an epoch."""
     with chart(file) as axes:
         for index, (name, outcome) in enumerate(networks.items()):
             epochs, losses, held = zip(*outcome["curve"], strict=True)
@@ -114,7 +114,7 @@ def draw_training(networks: Mapping[str, Mapping[str, Any]], file: Path, quantit
             if all(value is not None for value in held):
                 axes.plot(epochs, held, color=f"C{index}", label=name)
         axes.plot([], [], color="0.4", linestyle=":", linewidth=1, label="training")
-        axes.set(xlabel="epoch", ylabel=quantity, yscale="log")
+        axes.set(xlabel="epoch", ylabel="loss", yscale="log")
 
 
 ANNOTATED, MASK, TRACED, SPLINE = "tab:green", (1.0, 0.55, 0.1), "tab:red", "tab:blue"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.protocol.navigation import steered
+from pipeline.protocol.navigation import controller_of, steered
 from pipeline.store.atomic_files import write_text
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_file, present_commit, software_versions, uncommitted_changes
@@ -194,9 +194,6 @@ def _catheter(policy: Any) -> dict[str, str | None]:
 
 
 def _play(policy: Any, environment: Any, episode: Episode) -> dict[str, Any]:
-    from enn.policy import Policy
-
-    own = {"deterministic": False, "seed": episode.seed} if isinstance(policy, Policy) else {}
-    controller = policy.controller(**own)
+    controller = controller_of(policy, episode.seed)
     controller.reset()
     return steered(environment, controller, seed=episode.seed, options=episode.options)[0]

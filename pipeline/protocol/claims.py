@@ -183,16 +183,6 @@ class Protocol:
     version: int
     claims: Mapping[str, Claim]
 
-    def require(self, names: list[str]) -> None:
-        """Refuses names of no claim.
-
-        Raises:
-            ConfigurationError: listing the claims.
-        """
-        unknown = [name for name in names if name not in self.claims]
-        if unknown:
-            raise ConfigurationError(f"there is no claim {unknown[0]!r}: choose from {', '.join(self.claims)}")
-
 
 def read_protocol(path: Path | None = None) -> Protocol:
     """Reads the protocol, by default the project's.

@@ -43,7 +43,8 @@ def main(arguments: list[str]) -> int:
         if (given.board, given.episodes, given.row) != (None, None, None):
             raise ConfigurationError("--board, --episodes and --row are of a policy's row: name its file by --policy")
         protocol = read_protocol(given.protocol)
-        protocol.require(given.claims)
+        if unknown := [name for name in given.claims if name not in protocol.claims]:
+            raise ConfigurationError(f"there is no claim {unknown[0]!r}: choose from {', '.join(protocol.claims)}")
         if min(given.seeds, given.workers) < 1:
             raise ConfigurationError("--seeds and --workers are 1 at least")
         if given.list:

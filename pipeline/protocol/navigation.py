@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,7 +52,6 @@ def play(claim: Navigation, case: dict[str, Any]) -> dict[str, Any]:
         `success`, `straight` (whether the tip came within the success radius in a straight line), `branch`, `depth_mm`,
         `steps`, `force_p95_n`, `force_max_n` and the name of the `policy`; or `success` and the `reason`.
     """
-    from enn.policy import Policy
     from enn.retrying import RetryingController
 
     place = _place(claim, case["anatomy"])
@@ -65,12 +64,7 @@ def play(claim: Navigation, case: dict[str, Any]) -> dict[str, Any]:
         return {"success": False, "reason": str(error)}
     name = claim.policies[_which(claim, phantom, case["target"])]
     policy, environment, radius = _scene(claim, name, place, case)
-
-    def attempt(seed: int) -> Any:
-        # actions are drawn where they can be; a policy by images always takes the best one
-        return policy.controller(deterministic=False, seed=seed) if isinstance(policy, Policy) else policy.controller()
-
-    controller = RetryingController(attempt, claim.steps, claim.attempts, case["seed"])
+    controller = RetryingController(partial(controller_of, policy), claim.steps, claim.attempts, case["seed"])
     outcome, infos = steered(environment, controller, seed=case["seed"])
     environment.close()
     return {
@@ -81,6 +75,13 @@ def play(claim: Navigation, case: dict[str, Any]) -> dict[str, Any]:
         **outcome,
         "policy": name,
     }
+
+
+def controller_of(policy: Any, seed: int) -> Any:
+    """What steers an episode: actions are drawn where they can be; a policy by images always takes the best one."""
+    from enn.policy import Policy
+
+    return policy.controller(deterministic=False, seed=seed) if isinstance(policy, Policy) else policy.controller()
 
 
 def steered(environment: Any, controller: Any, **start: Any) -> tuple[dict[str, Any], list[dict[str, Any]]]:
@@ -123,10 +124,9 @@ def _anatomies(claim: Navigation, seed: int) -> Iterator[tuple[str, Sequence[str
 
 
 def _named(sources: Sources, claim: Navigation) -> list[str]:
-    entries = sources.entries.items()
     return [
         name
-        for name, entry in entries
+        for name, entry in sources.entries.items()
         if entry.use == claim.sources and (entry.vessels == "arch") == (claim.vessels == "arch")
     ]
 
@@ -169,7 +169,6 @@ class _VariedTask(UnseenTask):
     varied: Variation = field(default_factory=Variation)
 
     def wire(self, kind: str) -> Guidewire:
-        """The wire of the variation."""
         wire, factor = super().wire(kind), self.varied.stiffness
         return replace(
             wire,

@@ -1,4 +1,4 @@
-"""Tables of results in documents: made between two marks from the files of results, and compared with them.
+"""Tables of results in documents: made between two marks from the files of results.
 
 A mark names claims: `<!-- results: random_roadmap -->`, and `<!-- end of results -->` ends its table. One claim gets
 all its figures, several get a row each. `<!-- navigation: ... -->` gives each claim of navigation a row with its
@@ -12,11 +12,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.protocol.claims import Protocol, declared, read_protocol
-from pipeline.protocol.run import inputs
+from pipeline.protocol.claims import read_protocol
 from pipeline.store.atomic_files import read_json, write_text
 from pipeline.store.errors import ConfigurationError
-from pipeline.store.provenance import PROJECT_ROOT, hash_value
+from pipeline.store.provenance import PROJECT_ROOT
 
 _MARKED = re.compile(r"(<!-- (results|navigation|variations): ([\w ]+) -->\n).*?(<!-- end of results -->)", re.DOTALL)
 _WORDS = {
@@ -88,17 +87,6 @@ def render(results: Path, root: Path = PROJECT_ROOT) -> list[Path]:
             write_text(path, new)
             changed.append(path)
     return changed
-
-
-def outdated(result: dict[str, Any], protocol: Protocol) -> str:
-    """Why a result is older than what it depends on; "" if it is not."""
-    name = result["claim"]
-    if name not in protocol.claims:
-        return "the protocol has no such claim any more"
-    claim = protocol.claims[name]
-    if result["made_by"]["claim"] != hash_value(declared(claim, words=False)):
-        return "the protocol's entry is another one"
-    return "" if result["made_by"]["inputs"] == inputs(claim) else "policies or data are others"
 
 
 def _read(path: Path) -> Any:
@@ -186,16 +174,11 @@ def _targets(read: Sequence[dict[str, Any]]) -> str:
 
 def _variations(read: Sequence[dict[str, Any]]) -> str:
     """A row for each variation, with each claim's share of successes."""
-    names = dict.fromkeys(name for result in read for name in result["declared"]["variations"])
-    shares = [
-        [
-            _percent(result["summary"][key]) if (key := f"success_{name}_pct") in result["summary"] else ""
-            for result in read
-        ]
-        for name in names
-    ]
+    rows = []
+    for name in dict.fromkeys(name for result in read for name in result["declared"]["variations"]):
+        key = f"success_{name}_pct"
+        rows.append((name, *(_percent(one["summary"][key]) if key in one["summary"] else "" for one in read)))
     head = ("success, %", *(f"{result['declared']['title']}: {_number(result['summary'])}" for result in read))
-    rows = [(name, *share) for name, share in zip(names, shares, strict=True)]
     return f"{_table(head, rows)}\n\n{_made(read)}\n{_limits(read)}"
 
 

@@ -76,7 +76,7 @@ def measure(
     left = [case for case in wanted if hash_value(case) not in played]
     tell(name, len(wanted) - len(left), len(wanted))
     with journal.open("a", encoding="utf-8") as file:
-        pool = _pool(workers)
+        pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=end_with_parent)
         try:
             futures = {pool.submit(play, claim, case): case for case in left}
             for done, future in enumerate(as_completed(futures), len(wanted) - len(left) + 1):
@@ -166,10 +166,6 @@ def _interval(values: Sequence[tuple[str, float]], digits: int, statistic: str =
     whole = getattr(np, statistic)([value for _, value in values])
     numbers = {"mean": whole, **dict(zip(("low", "high"), np.percentile(found, (2.5, 97.5)), strict=True))}
     return {name: round(float(number), digits) for name, number in numbers.items()}
-
-
-def _pool(workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=end_with_parent)
 
 
 def _end(pool: ProcessPoolExecutor) -> None:

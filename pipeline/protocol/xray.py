@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from pipeline.data.sources import private_data
 from pipeline.protocol.claims import RealXray
+from pipeline.store.atomic_files import read_json
 
 if TYPE_CHECKING:
     from guide3d.geometry.polyline import Array
@@ -59,8 +59,7 @@ def play(claim: RealXray, case: dict[str, Any]) -> dict[str, Any]:
 
 
 def _pairs() -> list[dict[str, Any]]:
-    content = json.loads(private_data("stereo_pairs.json").read_text(encoding="utf-8"))
-    found: list[dict[str, Any]] = content["pairs"]
+    found: list[dict[str, Any]] = read_json(private_data("stereo_pairs.json"))["pairs"]
     return found
 
 

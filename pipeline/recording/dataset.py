@@ -112,7 +112,6 @@ class EpisodeDataset(Dataset[dict[str, torch.Tensor]]):
         return max(0, last // self.stride + 1)
 
     def __len__(self) -> int:
-        """How many windows there are."""
         return int(self._ends[-1])
 
     def __getitem__(self, index: int) -> dict[str, torch.Tensor]:

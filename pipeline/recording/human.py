@@ -12,7 +12,7 @@ import numpy as np
 from cathsim.console.recorder import OPERATION, OPERATOR, OperationTotals, episode_path, write_answers
 from pipeline.episodes import EpisodeOutcome, EpisodeWriter
 from pipeline.episodes.recovery import annotate
-from pipeline.recording.record import describe_episode, log_step, logged_pictures, open_log, phantom_mesh, step_record
+from pipeline.recording.record import describe_episode, logged_pictures, open_log, phantom_mesh, step_record
 
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
@@ -95,7 +95,7 @@ class McapRecorder:
             terminated=terminated, truncated=truncated, further=_operation(info),
         )  # fmt: skip
         try:
-            log_step(self._log, record, environment)
+            self._log.step(record, **logged_pictures(environment))
         except BaseException:
             self._log.abandon()
             raise

@@ -195,11 +195,6 @@ def open_log(
     )
 
 
-def log_step(log: EpisodeWriter, record: StepRecord, environment: NavigateEnv) -> None:
-    """Gives a step with the pictures of every camera to a log."""
-    log.step(record, **logged_pictures(environment))
-
-
 def logged_pictures(environment: NavigateEnv) -> dict[str, Any]:
     """Images and masks of the moment, with a catheter also the mask of each device: arguments of a writer's `step`."""
     fluoroscope, biplane = environment.fluoroscope, environment.biplane
@@ -252,10 +247,7 @@ def record_episode(
     with open_log(environment, path, description, overwrite=True, pictures=pictures) as log:
         while True:
             record = step_record(environment, step, action, reward, info, terminated=terminated, truncated=truncated)
-            if pictures:
-                log_step(log, record, environment)
-            else:
-                log.step(record)
+            log.step(record, **(logged_pictures(environment) if pictures else {}))
             if film is not None:
                 film.add(environment)
             if terminated or truncated:

@@ -6,7 +6,6 @@ python -m pipeline.report.comparison   # writes the tables into docs/thesis.md a
 from __future__ import annotations
 
 import functools
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,8 +13,8 @@ from pathlib import Path
 
 import yaml
 
-from pipeline.report.tables import Column, ReportTable, Row, report_tables
-from pipeline.store.atomic_files import write_text
+from pipeline.report.tables import Column, ReportTable, report_tables
+from pipeline.store.atomic_files import read_json, write_text
 from pipeline.store.provenance import PROJECT_ROOT
 from pipeline.tables import Table, format_cell, mean_of
 
@@ -54,7 +53,7 @@ def comparisons() -> dict[str, Comparison]:
         ValueError: an unknown verdict.
     """
     tables = {table.key: table for table in report_tables({})}
-    runs = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(_RUNS.glob("seed*.json"))]
+    runs = [read_json(path) for path in sorted(_RUNS.glob("seed*.json"))]
     made: dict[str, Comparison] = {}
     for spec in yaml.safe_load(_SPECS.read_text(encoding="utf-8")) if runs else ():
         if spec["verdict"] not in VERDICTS:
@@ -79,11 +78,8 @@ def _row(
 ) -> tuple[str, str, str, str]:
     row = {row.key: row for row in table.rows}[key]
     written, ours = (_words(cell, columns, runs) for cell in cells)
-    return _label(row), _joined([format_cell(row.thesis[one.key], one.decimals) for one in columns]), written, ours
-
-
-def _label(row: Row) -> str:
-    return f"{row.group}, {row.label}" if row.group else row.label
+    label = f"{row.group}, {row.label}" if row.group else row.label
+    return label, _joined([format_cell(row.thesis[one.key], one.decimals) for one in columns]), written, ours
 
 
 def _words(cell: str, columns: Sequence[Column], runs: Sequence[Table]) -> str:

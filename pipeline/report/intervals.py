@@ -91,12 +91,7 @@ def over_seeds(by_seed: Mapping[int, Mapping[str, Table]]) -> dict[CellName, Ove
         for table, rows in tables.items():
             for row, columns in rows.items():
                 for column, cell in columns.items():
-                    if (
-                        column != SAMPLES
-                        and not column.endswith(BOUNDS)
-                        and cell is not None
-                        and not isinstance(cell, str)
-                    ):
+                    if column != SAMPLES and not column.endswith(BOUNDS) and isinstance(cell, int | float | list):
                         collected.setdefault((table, row, column), []).append(mean_of(cell))
     found = {}
     for name, means in collected.items():

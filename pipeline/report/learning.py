@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.evaluations.logs import (
@@ -22,7 +22,7 @@ from pipeline.report.learning_figures import Material, draw_learning
 from pipeline.report.learning_plots import read_curves
 from pipeline.report.tables import join_sweep
 from pipeline.store.atomic_files import read_json
-from pipeline.store.manifest import read_manifest
+from pipeline.store.manifest import Manifest
 from pipeline.tables import Table, read_results, write_figures
 
 _EXPERT, _HUMAN = "expert", "human"
@@ -36,16 +36,18 @@ class LearningSection:
 
     results: list[dict[str, Table]]  # the tables from the logs, then those that each stage folder wrote
     variants: list[str]  # of each: see `join_sweep`
-    # seed -> the same tables, joined, of stages that ran with several seeds alone
-    by_seed: dict[int, dict[str, Table]] = field(default_factory=dict)
-    remarks: dict[str, str] = field(default_factory=dict)  # table -> what is to be said of it
+    by_seed: dict[int, dict[str, Table]]  # seed -> the same tables, joined, of stages that ran with several seeds alone
+    remarks: dict[str, str]  # table -> what is to be said of it
     folder: Path | None = None  # where the figures lie with their list; None where there are none
 
 
-def learning_section(
-    run_path: Path, finished: Collection[str], figures: Path, seeds: Mapping[str, int] | None = None
-) -> LearningSection:
-    """Computes the tables of finished stages' episodes from their logs, over seeds where given, and draws."""
+def learning_section(run_path: Path, finished: Mapping[str, Manifest], figures: Path) -> LearningSection:
+    """Computes the tables of finished stages' episodes from their logs, over seeds where there are several, and draws.
+
+    Args:
+        finished: stage folder to its manifest.
+        figures: folder for the figures.
+    """
     counting = {*finished, *([_HUMAN] if _USER_STUDY in finished else [])}
     folders = [folder for folder in evaluation_folders(run_path) if folder.name in counting]
     found = read_logs(folders, cache=run_path / CACHE)
@@ -53,13 +55,13 @@ def learning_section(
     people = set(read_json(selected)) if selected.is_file() else set()
     evaluations = [one for one in found.evaluations if one.stage != _HUMAN or one.log in people]
     shortest = shortest_paths(found.evaluations)
-    results, variants = _results(run_path, finished, evaluations, shortest), _variants(run_path, finished)
+    results, variants = _results(run_path, finished, evaluations, shortest), _variants(finished.values())
     by_seed = {
         seed: join_sweep(
-            _results(run_path, names, [one for one in evaluations if one.log.split("/", 1)[0] in names], shortest),
-            _variants(run_path, names),
+            _results(run_path, names, [one for one in evaluations if one.folder in names], shortest),
+            _variants(finished[name] for name in names),
         )
-        for seed, names in _repeated(seeds or {}).items()
+        for seed, names in _repeated({name: manifest.seed for name, manifest in finished.items()}).items()
     }
     learnt = [name for name in finished if stage_of(name) in LEARNING_STAGES]
     if not learnt:
@@ -78,10 +80,9 @@ def _results(
     return [tables, *(read_results(run_path / name) for name in folders)]
 
 
-def _variants(run_path: Path, folders: Collection[str]) -> list[str]:
+def _variants(manifests: Iterable[Manifest]) -> list[str]:
     """What a sweep changed in each part of `_results`, but for its seed."""
-    manifests = [read_manifest(run_path / name) for name in folders]
-    changed = [[] if manifest is None else manifest.variant for manifest in manifests]
+    changed = (manifest.variant for manifest in manifests)
     return ["", *(", ".join(word for word in words if not word.startswith("seed=")) for words in changed)]
 
 

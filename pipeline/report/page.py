@@ -53,7 +53,6 @@ class Block:
 
     @property
     def further(self) -> list[ShownFigure]:
-        """The figures that are folded."""
         beside = self.beside
         return [figure for figure in self.figures if figure not in beside]
 
@@ -138,21 +137,8 @@ _STAGES = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class StageRecord:
-    """What the page says about one stage folder, or about a stage that has not run."""
-
-    name: str
-    manifest: Manifest | None
-
-    @property
-    def wall_time(self) -> str:
-        """Its wall time in words."""
-        return wall_time(self.manifest.wall_time_s) if self.manifest else NOT_RUN
-
-
 def render_page(
-    *, run: str, budget: str, seeds: Sequence[int], written: str, records: Sequence[StageRecord],
+    *, run: str, budget: str, seeds: Sequence[int], written: str, records: Mapping[str, Manifest | None],
     tables: Sequence[ReportTable], figures: Sequence[ShownFigure], commit: str, versions: dict[str, str],
     machine: dict[str, str], remarks: Mapping[str, str] | None = None, made: Mapping[str, Sequence[str]] | None = None,
 ) -> str:  # fmt: skip
@@ -161,7 +147,7 @@ def render_page(
     Args:
         budget: of the stages; several are joined by "+".
         written: when, ISO 8601.
-        records: every stage, run or not.
+        records: every stage folder and its manifest; None of a stage that has not run.
         tables: of the thesis, and own ones.
         figures: in the order they are shown.
         commit: of the code that renders.
@@ -174,6 +160,7 @@ def render_page(
     environment.filters["cell"] = format_cell
     environment.filters["over_seeds"] = format_over_seeds
     environment.filters["place"] = place_in_thesis
+    environment.filters["wall_time"] = wall_time
     environment.filters["stage_words"] = lambda stage: row_words(stage.partition("@")[0], _STAGES)
     template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
     compared = headlines(tables)

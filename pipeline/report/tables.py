@@ -77,7 +77,6 @@ class ReportTable:
 
     @property
     def measured_cells(self) -> int:
-        """How many cells have been measured."""
         return sum(row.measured.get(c.key) is not None for row in self.rows for c in self.columns)
 
     @property
@@ -94,7 +93,6 @@ class ReportTable:
 
     @property
     def has_run(self) -> bool:
-        """Whether anything of it has been measured."""
         return self.measured_cells > 0
 
 

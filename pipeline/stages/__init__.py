@@ -49,7 +49,6 @@ class StageContext:
 
     @property
     def path(self) -> Path:
-        """The stage's own folder."""
         return self.folder.path
 
 
@@ -73,7 +72,6 @@ class Stage:
 
     @property
     def name(self) -> str:
-        """The stage's name."""
         return str(self.settings.name)  # type: ignore[attr-defined]
 
 
@@ -83,7 +81,6 @@ def available_stages() -> tuple[str, ...]:
 
 
 def load_stage(name: str) -> Stage:
-    """Imports one stage."""
     stage: Stage = _imported(name, 0)
     return stage
 

@@ -12,7 +12,7 @@ from pipeline.anatomies.settings import settle
 from pipeline.evaluations.tables import log_summary
 from pipeline.jobs.pool import Job
 from pipeline.jobs.worker import Report
-from pipeline.recording.trials import MODES, Origin
+from pipeline.recording.trials import Origin
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.job_memory import policy_gb
 from pipeline.stages.learning.aids import note, of_training
@@ -85,7 +85,8 @@ def follow(job: PathJob, report: Report) -> dict[str, Any]:
         lambda mode: lambda seed: follower.controller(path.points),
         job.folder,
         job.origin,
-        {MODES[0]: job.evaluation_episodes},
+        job.evaluation_episodes,
+        0,
         report.part(_FIT_SHARE, 1.0),
     )
     environment.close()
@@ -96,7 +97,6 @@ SECONDS_AN_EPISODE = 0.3  # of the path follower's; only for the estimate of the
 
 
 def run_baselines(settings: BaselinesSettings, context: StageContext) -> Results:
-    """Trains and evaluates every row of the table."""
     followers = path_followers(settings, context) if settings.path_follower else []
     trainings = plan(settings, context)
     run_trainings(trainings, settings, context, beside=followers)

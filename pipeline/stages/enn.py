@@ -45,14 +45,17 @@ def check_enn(settings: EnnSettings) -> None:
 
 
 def run_enn(settings: EnnSettings, context: StageContext) -> Results:
-    """Trains and evaluates every policy."""
     trainings = plan(settings, context)
     outcomes = run_trainings(trainings, settings, context)
     tables = {
         "training_time_h": training_times(trainings, outcomes),
         "architecture_params": architecture(),
         "sac_hyperparameters": hyperparameters(settings),
-        "task": sizes(settings),
+        # how long is trained and evaluated, beside the thesis's settings
+        "task": {
+            "training_steps": {"value": settings.decisions},
+            "evaluation_episodes": {"value": settings.evaluation_episodes},
+        },
     }
     log_summary(context.path)
     return Results(tables, notes=dict.fromkeys(("ablation", "training_time_h"), note(trainings, of_training)))
@@ -105,12 +108,6 @@ def training_settings(settings: EnnSettings, decisions: int, keys: tuple[str, ..
         preset = replace(preset, evaluation_episodes=EVALUATIONS_OF_TWO_DEVICES)
     sized = preset.sized(decisions, settings.evaluation_episodes, logger=chosen_logger(), keys=keys)
     return with_hyperparameters(sized, settings.training)
-
-
-def sizes(settings: EnnSettings) -> dict[str, dict[str, Any]]:
-    """How long is trained and evaluated, beside the thesis's settings: row to column to cell."""
-    values = {"training_steps": settings.decisions, "evaluation_episodes": settings.evaluation_episodes}
-    return {name: {"value": value} for name, value in values.items()}
 
 
 def training_times(trainings: Sequence[PolicyTrainingJob], outcomes: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -56,18 +56,15 @@ class Trial:
 
     @property
     def label(self) -> str:
-        """Names the episode."""
         kind = f"-{EVALUATION}" if self.evaluation else ""
         return f"{self.phantom}-{self.target}{kind}-{self.episode:03d}"
 
     @property
     def log(self) -> str:
-        """Its log, relative to the stage's folder."""
         return f"{self.task}/{f'{EVALUATION}/' if self.evaluation else ''}{self.episode:03d}.mcap"
 
     @property
     def film(self) -> str:
-        """Its film, relative to the stage's folder."""
         return f"{self.task}/{self.episode:03d}.gif"
 
 
@@ -79,7 +76,6 @@ def check_expert(settings: ExpertSettings) -> None:
 
 
 def run_expert(settings: ExpertSettings, context: StageContext) -> Results:
-    """Records every episode."""
     seeds = {
         False: demonstration_seeds(context.seed, settings.episodes),
         True: held_out_seeds(context.seed, settings.evaluation_episodes),
@@ -147,7 +143,6 @@ def task_settings(settings: ExpertSettings, seed: int) -> dict[str, Any]:
 
 def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list[Figure]:
     """Draws paths and forces of every task and lists them with the films."""
-    from pipeline.episodes import EpisodeReader
     from pipeline.plots.episodes import draw_planned_path, draw_task
 
     shown = []
@@ -155,15 +150,13 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
         phantom_name, target = task.split("/")
         phantom = load_anatomy(settings.anatomy(phantom_name))
         group = f"Sampling expert, {phantom_name}, {target.upper()}"
-        arrays = [
-            EpisodeReader(folder / trial.log).load_arrays(pictures=False) for trial in trials if trial.task == task
-        ]
+        logs = [folder / trial.log for trial in trials if trial.task == task]
         radius = settings.task.success_radius_mm
-        draw_task(phantom, target, arrays, folder / task / "episodes.png", radius_mm=radius)
+        draw_task(phantom, target, logs, folder / task / "episodes.png", radius_mm=radius)
         shown.append(
             Figure(
                 f"{task}: path of the tip and contact force",
-                f"{len(arrays)} episodes, demonstrations among them; the target's sphere of success is dashed.",
+                f"{len(logs)} episodes, demonstrations among them; the target's sphere of success is dashed.",
                 f"{task}/episodes.png",
                 group,
             )

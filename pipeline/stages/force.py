@@ -50,8 +50,7 @@ def check_force(settings: ForceSettings) -> None:
 
 def run_force(settings: ForceSettings, context: StageContext) -> Results:
     """Records disturbed episodes, fits every network and sums them up."""
-    recordings, fits = plan(settings, context)
-    shapes = shape_jobs(settings, context, recordings)
+    recordings, fits, shapes = plan(settings, context)
     outcomes = run_jobs(
         context.folder,
         [*recordings, *fits, *shapes],
@@ -65,8 +64,8 @@ def run_force(settings: ForceSettings, context: StageContext) -> Results:
     return Results(tables(fits, outcomes, shapes), figures(fits, outcomes, context.path), notes)
 
 
-def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], list[Job]]:
-    """The recordings, a target each, and the fits that wait for them."""
+def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], list[Job], list[Job]]:
+    """The recordings, a target each, then the fits and the estimates from the logged shape, which wait for them."""
     from enn.force import force_preset
     from enn.imitation.dagger import DisturbanceSettings
 
@@ -81,6 +80,7 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
         key = f"{task.name}/episodes"
         recording = RecordingJob(context.path / key, disturbance, task, expert, steps + 1, context.seed)
         recordings.append(Job(key, record_disturbed, recording, weight=steps * _SECONDS_A_STEP, gpu_gb=gpu_gb))
+    logs, after = tuple(job.given.folder for job in recordings), tuple(job.key for job in recordings)
     preset = force_preset(settings.variant)
     preset = replace(preset, fit=replace(preset.fit, epochs=settings.epochs or preset.fit.epochs))
     fits = []
@@ -91,33 +91,26 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
         fit = ForceJob(
             folder=context.path / key,
             settings=preset,
-            logs=tuple(job.given.folder for job in recordings),
+            logs=logs,
             expert=recordings[0].given.expert,
             inputs=inputs,
             samples=count,
             test_samples=settings.test_samples,
             seed=context.seed,
         )
-        after = tuple(job.key for job in recordings)
         fits.append(Job(key, learn_force, fit, after=after, weight=count * _SECONDS_A_SAMPLE, gpu_gb=gpu_gb))
-    return recordings, fits
-
-
-def shape_jobs(settings: ForceSettings, context: StageContext, recordings: Sequence[Job]) -> list[Job]:
-    """The estimates from the logged shape on the frames that the networks are tested on, named by their rows."""
-    jobs = []
+    shapes = []
     for row, disturbed in SHAPE_ROWS.items():
         given = ShapeForceJob(
             folder=context.path / row,
             phantom=settings.phantom,
-            logs=tuple(job.given.folder for job in recordings),
+            logs=logs,
             test_samples=settings.test_samples,
             seed=context.seed,
             disturbed=disturbed,
         )
-        after = tuple(job.key for job in recordings)
-        jobs.append(Job(row, forces_from_shape, given, after=after, weight=settings.test_samples * _SECONDS_A_SHAPE))
-    return jobs
+        shapes.append(Job(row, forces_from_shape, given, after=after, weight=settings.test_samples * _SECONDS_A_SHAPE))
+    return recordings, fits, shapes
 
 
 def row_of(samples: int) -> str:
@@ -125,7 +118,7 @@ def row_of(samples: int) -> str:
     return f"fpn_{samples // 1000}k" if samples % 1000 == 0 else f"fpn_{samples}"
 
 
-def tables(fits: Sequence[Job], outcomes: dict[str, Any], shapes: Sequence[Job] = ()) -> dict[str, Any]:
+def tables(fits: Sequence[Job], outcomes: dict[str, Any], shapes: Sequence[Job]) -> dict[str, Any]:
     """The thesis's table, the errors as a share of the variance, and the distribution of the forces."""
     last = outcomes[fits[-1].key]
     mse: dict[str, Any] = {

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import csv
 import functools
-import json
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -40,8 +39,8 @@ from pipeline.stages.learning.expert_episodes import (
 from pipeline.stages.learning.settings import ImitationSettings
 from pipeline.stages.learning.shared_training import CURVE, RECORD
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import both_modes, evaluate
-from pipeline.store.atomic_files import atomic_path, write_json
+from pipeline.stages.learning.training import evaluate
+from pipeline.store.atomic_files import atomic_path, read_json, write_json
 from pipeline.store.errors import stopping_the_stage
 from pipeline.tables import Figure, Results
 from pipeline.task import TASK, require_known_task
@@ -79,7 +78,7 @@ def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:
     record = job.folder / RECORD
     if (job.folder / POLICY).is_file() and record.is_file():
         student = ClonedPolicy.load(job.folder / POLICY, report.device)
-        outcome = json.loads(record.read_text(encoding="utf-8"))
+        outcome = read_json(record)
     else:
         student, outcome = _student(job, report)
     environment = job.task.environment(student.keys)
@@ -89,7 +88,8 @@ def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:
         policies,
         job.folder,
         job.origin,
-        both_modes(job.evaluation_episodes, job.drawn_episodes),
+        job.evaluation_episodes,
+        job.drawn_episodes,
         report.part(_FITTING, 1.0),
     )
     environment.close()
@@ -157,7 +157,6 @@ def check_imitation(settings: ImitationSettings) -> None:
 
 
 def run_imitation(settings: ImitationSettings, context: StageContext) -> Results:
-    """Fits and evaluates every student."""
     jobs = plan(settings, context)
     outcomes = run_jobs(
         context.folder, jobs, workers=settings.workers, label="students", preload=PRELOAD, device=settings.device
@@ -196,7 +195,7 @@ def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
             most = min(settings.episodes[-1], len(logs))
             counts = sorted({min(count, most) for count in settings.episodes})
             rows: list[tuple[str, int, int, DaggerSettings | None]] = [
-                (_row(count, most), count, 0, None) for count in counts
+                (CLONED if count == most else f"{CLONED}_{count}", count, 0, None) for count in counts
             ]
             if settings.disturbed_episodes:
                 rows.append((DISTURBED, most, settings.disturbed_episodes, None))
@@ -218,10 +217,6 @@ def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
                 weight = count + 3.0 * (disturbed + (rounds.rounds + rounds.episodes if rounds else 0))
                 jobs.append(Job(f"{task.name}/{row}", imitate, given, weight=weight, gpu_gb=gpu_gb))
     return jobs
-
-
-def _row(count: int, most: int) -> str:
-    return CLONED if count == most else f"{CLONED}_{count}"
 
 
 def architecture() -> dict[str, dict[str, Any]]:

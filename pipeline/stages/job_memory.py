@@ -42,7 +42,6 @@ _DESK = {
 }  # fmt: skip
 _BYTES_A_WEIGHT = 20  # itself, its gradient, two moments, the best so far
 _SEGMENTATION, _SPLINEFORMER = ("unet", "transunet", "swinunet"), ("published", "ordered")  # keys of both tables
-_MORE = 1.0  # what the allocator cannot use and workspaces of convolutions, beside half of it saved by mixed precision
 
 
 def policy_gb(image_px: int, channels: int, batch: int = 0) -> float:
@@ -56,7 +55,8 @@ def network_gb(network: str, size: str) -> float:
     side, batch = _seen(network, size)
     table = _DESK if size in ("desk", "smoke") else _THESIS
     bytes_a_pixel, weights = table.get(network, table["shape"])
-    return CONTEXT_GB + (_BYTES_A_WEIGHT * weights + _MORE * batch * side**2 * bytes_a_pixel) / _GB
+    # the half of it that mixed precision saves is what the allocator cannot use, and workspaces of convolutions
+    return CONTEXT_GB + (_BYTES_A_WEIGHT * weights + batch * side**2 * bytes_a_pixel) / _GB
 
 
 def _seen(network: str, size: str) -> tuple[int, int]:

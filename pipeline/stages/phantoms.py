@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import zipfile
 from dataclasses import dataclass, field, replace
@@ -16,7 +15,7 @@ from pipeline.anatomies.anatomy_file import AnatomyFile, in_settings
 from pipeline.anatomies.settings import FileSettings, require_known_phantoms
 from pipeline.settings.kinds import UNIQUE, FolderNames, Seed, validated
 from pipeline.stages import Stage, StageContext
-from pipeline.store.atomic_files import atomic_path, write_json
+from pipeline.store.atomic_files import atomic_path, read_json, write_json
 from pipeline.store.errors import ConfigurationError
 from pipeline.tables import Figure, Results
 
@@ -49,7 +48,6 @@ class PhantomsSettings(FileSettings):
     picture: bool = True
 
     def __post_init__(self) -> None:
-        """Checks that there is something to build."""
         super().__post_init__()
         if self.file is None and not self.phantoms and not self.random_seeds:
             raise ConfigurationError("stage.phantoms is empty: name at least one")
@@ -65,7 +63,6 @@ class Anatomy:
 
     @property
     def label(self) -> str:
-        """Its folder's name."""
         return self.phantom if self.seed is None else f"{self.phantom}_{self.seed}"
 
 
@@ -83,7 +80,6 @@ def check_phantoms(settings: PhantomsSettings) -> None:
 
 
 def run_phantoms(settings: PhantomsSettings, context: StageContext) -> Results:
-    """Builds every phantom and writes its files."""
     anatomies = [Anatomy(name) for name in settings.phantoms]
     anatomies += [Anatomy("random", seed) for seed in settings.random_seeds]
     if (file := settings.anatomy_file) is not None:
@@ -105,7 +101,10 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> Results:
     measured = {a.label: context.folder.result_of(a.label) for a in anatomies}
     models = {a.label: {"convex_hulls": "none", "source": "file" if a.file else "parametric"} for a in anatomies}
     figures = [_figure(a, measured[a.label] or {}) for a in anatomies]
-    figures += [_radiograph_figure(a) for a in anatomies if a.file and a.file.ct]
+    caption = "Contrast run in the patient's CT, from the front and from the side."
+    figures += [
+        Figure(f"X-ray of {a.label}", caption, f"{a.label}/{RADIOGRAPH}") for a in anatomies if a.file and a.file.ct
+    ]
     for anatomy in anatomies:
         _tell(anatomy.label, context.path / anatomy.label)
     return Results({"phantoms": measured, "aortas": models}, figures if settings.picture else None)
@@ -114,7 +113,7 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> Results:
 def _tell(label: str, folder: Path) -> None:
     """Says what an import left out, assumed or changed, and where the picture is."""
     if (folder / IMPORT).is_file():
-        report = json.loads((folder / IMPORT).read_text(encoding="utf-8"))
+        report = read_json(folder / IMPORT)
         _LOGGER.info(
             "%s: unit %s (%s); targets %s",
             label,
@@ -199,14 +198,6 @@ def _figure(anatomy: Anatomy, measured: dict[str, Any]) -> Figure:
         caption=f"{measured.get('branches', 0)} branches, lumen {measured.get('lumen_volume_ml', 0)} mL, aorta "
         f"{measured.get('aorta_length_mm', 0)} mm long.",
         file=f"{anatomy.label}/{PICTURE}",
-    )
-
-
-def _radiograph_figure(anatomy: Anatomy) -> Figure:
-    return Figure(
-        title=f"X-ray of {anatomy.label}",
-        caption="Contrast run in the patient's CT, from the front and from the side.",
-        file=f"{anatomy.label}/{RADIOGRAPH}",
     )
 
 

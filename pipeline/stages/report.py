@@ -15,7 +15,7 @@ from pipeline.evaluations.tables import OWN_TABLES
 from pipeline.report.figures import ShownFigure, gather_figures
 from pipeline.report.intervals import over_seeds
 from pipeline.report.learning import LearningSection, learning_section
-from pipeline.report.page import PAGE, StageRecord, render_page
+from pipeline.report.page import PAGE, render_page
 from pipeline.report.tables import as_csv, as_latex, join_sweep, metrics, report_tables
 from pipeline.settings.kinds import validated
 from pipeline.stages import Stage, StageContext, available_stages, settings_of
@@ -53,10 +53,8 @@ def finished_stages(run_path: Path) -> dict[str, Manifest]:
 
 
 def run_report(settings: ReportSettings, context: StageContext) -> None:
-    """Writes the tables, the metrics and the page."""
     finished = finished_stages(context.run_path)
-    seeds = {name: manifest.seed for name, manifest in finished.items()}
-    learning = learning_section(context.run_path, finished, context.path / LEARNING_FOLDER, seeds)
+    learning = learning_section(context.run_path, finished, context.path / LEARNING_FOLDER)
     measured = join_sweep([*learning.results, {"environment": _environment()}], learning.variants)
     tables = report_tables(measured, over_seeds(learning.by_seed))
     for table in tables:
@@ -64,21 +62,20 @@ def run_report(settings: ReportSettings, context: StageContext) -> None:
         write_text(context.path / TABLES_FOLDER / f"{table.key}.tex", as_latex(table))
     write_json(context.path / METRICS, metrics(tables))
     figures = _figures(finished, learning, settings, context)
-    records = [StageRecord(name, manifest) for name, manifest in finished.items()]
     have_run = {manifest.stage for manifest in finished.values()}
     made = notes_of(context.run_path, finished)
     for name, text in mixed_seeds(finished).items():
         _LOGGER.warning("%s", text)
         for key in {*read_results(context.run_path / name), OWN_TABLES.get(finished[name].stage, "")}:
             made.setdefault(key, []).append(text)
-    records += [StageRecord(name, None) for name in available_stages() if name not in {*have_run, "report"}]
+    not_run = [name for name in available_stages() if name not in {*have_run, "report"}]
     page = render_page(
         run=context.run_path.name,
         budget="+".join(dict.fromkeys(m.budget for m in finished.values())) or context.budget,
         seeds=sorted({m.seed for m in finished.values()}) or [context.seed],
         written=datetime.now(UTC).isoformat(timespec="minutes"),
-        records=records, tables=tables, figures=figures, remarks=learning.remarks, commit=present_commit(),
-        made=made, versions=software_versions(), machine=machine(),
+        records={**finished, **dict.fromkeys(not_run)}, tables=tables, figures=figures, remarks=learning.remarks,
+        commit=present_commit(), made=made, versions=software_versions(), machine=machine(),
     )  # fmt: skip
     write_text(context.path / PAGE, page)
     _LOGGER.info("report: %s", context.path / PAGE)

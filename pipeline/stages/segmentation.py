@@ -8,7 +8,7 @@ from pipeline.jobs.pool import Job
 from pipeline.plots.networks import draw_examples, draw_kinds, draw_training
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.settings import SegmentationSettings
-from pipeline.stages.networks.training import PRELOAD, cost_cells, learn_segmentation, train_and_compare, training_job
+from pipeline.stages.networks.training import PRELOAD, cost_cells, learn, train_and_compare, training_job
 from pipeline.tables import Figure, Results
 
 GROUP = "Segmentation"
@@ -16,14 +16,14 @@ LABELS = {"unet": "UNet", "transunet": "TransUnet", "swinunet": "SwinUnet"}
 
 
 def run_segmentation(settings: SegmentationSettings, context: StageContext) -> Results:
-    """Trains every network and compares them."""
     jobs = plan(settings, context)
-    return train_and_compare(settings, context, jobs, tables, figures, label="segmenters", preload=PRELOAD)
+    return train_and_compare(
+        settings, context, jobs, tables, figures, label="segmenters", preload=PRELOAD, labels=LABELS
+    )
 
 
 def plan(settings: SegmentationSettings, context: StageContext) -> list[Job]:
-    """A training a row."""
-    return [training_job(row, learn_segmentation, settings, context) for row in settings.rows]
+    return [training_job(row, learn, settings, context) for row in settings.rows]
 
 
 def tables(settings: SegmentationSettings, outcomes: dict[str, Any]) -> dict[str, Any]:
@@ -43,14 +43,13 @@ def tables(settings: SegmentationSettings, outcomes: dict[str, Any]) -> dict[str
 
 
 def figures(settings: SegmentationSettings, outcomes: dict[str, Any], context: StageContext) -> list[Figure]:
-    """Draws examples, Dice by kind of image, and the trainings."""
     folder = context.path
     named = {LABELS[row]: outcomes[row] for row in settings.rows}
     outcome = outcomes[settings.rows[0]]
     unseen = f"{outcome['images']} images of {outcome['acquisitions']} acquisitions that no network has seen"
     draw_examples({LABELS[row]: folder / row for row in settings.rows}, folder / "examples.png")
     draw_kinds(named, folder / "kinds.png")
-    draw_training(named, folder / "training.png", "loss")
+    draw_training(named, folder / "training.png")
     return [
         Figure(
             "Segmentation examples",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from guide3d.reconstruction.evaluation import METRICS
@@ -10,8 +9,14 @@ from pipeline.jobs.pool import Job
 from pipeline.plots.networks import draw_along, draw_in_space, draw_reprojections, draw_training
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.settings import ShapeSettings
-from pipeline.stages.networks.shipped import noted, shipped_rows
-from pipeline.stages.networks.training import PRELOAD, cost_cells, learn_shape, train_and_compare, training_job
+from pipeline.stages.networks.training import (
+    PRELOAD,
+    cost_cells,
+    learn,
+    shipped_rows,
+    train_and_compare,
+    training_job,
+)
 from pipeline.tables import Figure, Results
 
 GROUP = "Shape prediction"
@@ -25,19 +30,18 @@ LABELS = {
 
 
 def run_shape(settings: ShapeSettings, context: StageContext) -> Results:
-    """Trains every network and compares them."""
-    jobs = plan(settings, context)
-    results = train_and_compare(settings, context, jobs, tables, figures, label="shape networks", preload=PRELOAD)
-    labels = {row: LABELS[row].capitalize() for row in settings.rows}
-    return replace(results, notes=noted(results, shipped_rows(settings, context), labels, "guide3d"))
+    jobs, labels = plan(settings, context), {row: LABELS[row].capitalize() for row in settings.rows}
+    return train_and_compare(
+        settings, context, jobs, tables, figures, label="shape networks", preload=PRELOAD, labels=labels
+    )
 
 
 def plan(settings: ShapeSettings, context: StageContext) -> list[Job]:
-    """A training a row."""
     taken = shipped_rows(settings, context)
-    jobs = (training_job(row, learn_shape, settings, context, weight=0.2 if row == "fgrn" else 1.0)
-            for row in settings.rows)  # fmt: skip
-    return [replace(job, given=replace(job.given, shipped=taken.get(job.key))) for job in jobs]
+    return [
+        training_job(row, learn, settings, context, 0.2 if row == "fgrn" else 1.0, taken.get(row))
+        for row in settings.rows
+    ]
 
 
 def tables(settings: ShapeSettings, outcomes: dict[str, Any]) -> dict[str, Any]:
@@ -63,7 +67,7 @@ def figures(settings: ShapeSettings, outcomes: dict[str, Any], context: StageCon
     unseen = f"{outcome['frames']} frames of {outcome['acquisitions']} acquisitions that no network has seen"
     drawn = []
     for row in settings.rows:
-        if row not in ("spherical", "cartesian"):
+        if row not in THESIS_ROWS:
             continue
         draw_in_space(folder / row, folder / f"{row}_space.png")
         draw_reprojections(folder / row, context.inputs["guide3d"], folder / f"{row}_reprojection.png")
@@ -82,7 +86,7 @@ def figures(settings: ShapeSettings, outcomes: dict[str, Any], context: StageCon
             ),
         ]
     draw_along(named, folder / "error_along.png")
-    draw_training(named, folder / "training.png", "loss")
+    draw_training(named, folder / "training.png")
     return [
         *drawn,
         Figure(

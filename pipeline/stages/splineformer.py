@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,16 +14,16 @@ from pipeline.plots.networks import draw_attention, draw_comparison, draw_errors
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.guide3d.folder import open_dataset
 from pipeline.stages.networks.settings import SplineformerSettings
-from pipeline.stages.networks.shipped import noted, shipped_rows
 from pipeline.stages.networks.training import (
     PREDICTOR,
     TrainingJob,
+    shipped_rows,
     train,
     train_and_compare,
     training_figures,
     training_job,
 )
-from pipeline.store.atomic_files import atomic_path, write_json
+from pipeline.store.atomic_files import atomic_path, read_json, write_json
 from pipeline.store.errors import StageError
 from pipeline.tables import Figure, Results
 
@@ -48,7 +47,7 @@ def learn_variant(job: TrainingJob, report: Report) -> dict[str, Any]:
     """Trains a variant and measures its size, cost, speed, losses, round trips of tokens, and kinds it recognises."""
     file = job.folder / RECORD
     if file.is_file():
-        return dict(json.loads(file.read_text(encoding="utf-8")))
+        return dict(read_json(file))
     training = train(
         "splineformer.learning.training_command", job, ["--variant", job.network], ("images", "calibration"), report
     )
@@ -114,7 +113,7 @@ def compare(job: ComparisonJob, report: Report) -> dict[str, Any]:
 
             items = plain if kind == "none" else disturbed
             write_json(file, evaluate_readers(readers, data, items, kind, job.seed, progress))
-        outcome[kind] = json.loads(file.read_text(encoding="utf-8"))
+        outcome[kind] = read_json(file)
     if not (job.folder / EXAMPLES).is_file():
         chosen = examples_of(outcome["none"][settings.rival], plain, disturbed, settings.disturbances)
         networks = {name: Predictor.load(folder / PREDICTOR) for name, folder in job.variants.items()}
@@ -159,18 +158,18 @@ _ALONE = (
 def run_splineformer(settings: SplineformerSettings, context: StageContext) -> Results:
     """Trains the variants and compares them with the segmentation."""
     jobs = plan(settings, context)
-    results = train_and_compare(settings, context, jobs, tables, figures, label="splineformers", preload=PRELOAD)
-    labels = {variant: LABELS[variant] for variant in settings.variants}
-    return replace(results, notes=noted(results, shipped_rows(settings, context), labels, "splineformer"))
+    return train_and_compare(
+        settings, context, jobs, tables, figures, label="splineformers", preload=PRELOAD, labels=LABELS
+    )
 
 
 def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:
     """A training a variant, then the comparison."""
     taken = shipped_rows(settings, context)
-    jobs = []
-    for variant in settings.variants:
-        job = training_job(variant, learn_variant, settings, context, weight=4.0)
-        jobs.append(replace(job, given=replace(job.given, shipped=taken.get(variant))))
+    jobs = [
+        training_job(variant, learn_variant, settings, context, 4.0, taken.get(variant))
+        for variant in settings.variants
+    ]
     given = ComparisonJob(
         folder=context.path / COMPARISON,
         guide3d=context.inputs["guide3d"],
@@ -204,13 +203,12 @@ def tables(settings: SplineformerSettings, outcomes: dict[str, Any]) -> dict[str
 
 
 def figures(settings: SplineformerSettings, outcomes: dict[str, Any], context: StageContext) -> list[Figure]:
-    """Draws examples, errors, attention and trainings."""
     folder, variants = context.path, settings.variants
     examples = folder / COMPARISON / EXAMPLES
     draw_comparison(examples, settings.rival, variants, LABELS, folder / "comparison.png")
     draw_errors(outcomes[COMPARISON], LABELS, folder / "errors.png")
     draw_attention(examples, variants, LABELS, folder / "attention.png")
-    draw_training({LABELS[variant]: outcomes[variant] for variant in variants}, folder / "training.png", "loss")
+    draw_training({LABELS[variant]: outcomes[variant] for variant in variants}, folder / "training.png")
     count = outcomes[COMPARISON]["none"][settings.rival]["n"]
     return [
         Figure(

@@ -63,12 +63,9 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
         try:
             info, finished, answered = _read(path)
             radius_mm = _MM * float(info.configuration.get("success_radius", 0.0))
-        except EpisodeReadError as error:
-            _LOGGER.warning("left out: %s", error)
-            study.unreadable += 1
-            continue
-        except (TypeError, ValueError, OverflowError) as error:
-            _LOGGER.warning("left out: %s says what cannot be used (%s)", path, error)
+        except (EpisodeReadError, TypeError, ValueError, OverflowError) as error:
+            reason = error if isinstance(error, EpisodeReadError) else f"{path} says what cannot be used ({error})"
+            _LOGGER.warning("left out: %s", reason)
             study.unreadable += 1
             continue
         if answered is not None:
@@ -132,7 +129,6 @@ def tables(study: Study) -> dict[str, Any]:
 
 
 def run_user_study(settings: UserStudySettings, context: StageContext) -> Results:
-    """Sums the recordings up."""
     logs = logs_of(context.run_path)
     if not logs:
         _LOGGER.info("no human episodes yet: `%s --name %s` records them", written("console"), context.run_path.name)
@@ -145,7 +141,7 @@ def run_user_study(settings: UserStudySettings, context: StageContext) -> Result
 def figures(study: Study, folder: Path, settings: UserStudySettings) -> list[Figure]:
     """Draws the tip's paths and the forces of every task."""
     from cathsim import PHANTOMS, load_phantom
-    from pipeline.episodes import EpisodeReader, EpisodeReadError
+    from pipeline.episodes import EpisodeReadError
     from pipeline.plots.episodes import draw_task
 
     drawn = []
@@ -153,24 +149,22 @@ def figures(study: Study, folder: Path, settings: UserStudySettings) -> list[Fig
         name, target = task.split("/")
         if name not in PHANTOMS:
             continue  # one of the user's own: its vessel is not known here
-        file, arrays = f"{name}/{target}.png", []
+        file = f"{name}/{target}.png"
         try:
-            for path in logs:
-                with EpisodeReader(path) as log:
-                    arrays.append(log.load_arrays(pictures=False))
-            draw_task(load_phantom(name), target, arrays, folder / file, radius_mm=settings.success_radius_mm)
+            draw_task(load_phantom(name), target, logs, folder / file, radius_mm=settings.success_radius_mm)
         except (EpisodeReadError, ValueError) as error:
             _LOGGER.warning("%s is not drawn: %s", task, error)
             continue
-        caption = f"{len(arrays)} procedures at the console; the target's sphere of success is dashed."
+        caption = f"{len(logs)} procedures at the console; the target's sphere of success is dashed."
         drawn.append(
             Figure(f"Human, {name}, {target.upper()}: path of the tip and contact force", caption, file, "Human")
         )
     return drawn
 
 
-def _recordings(run_path: Path) -> dict[str, str]:
+def recordings(run_path: Path) -> dict[str, str]:
+    """Hashes of the human's logs of a run."""
     return {f"human/{path.relative_to(run_path).as_posix()}": hash_file(path) for path in logs_of(run_path)}
 
 
-STAGE = Stage(settings=UserStudySettings, run=run_user_study, seeded=False, further_inputs=_recordings)
+STAGE = Stage(settings=UserStudySettings, run=run_user_study, seeded=False, further_inputs=recordings)

@@ -72,12 +72,11 @@ def read_json(path: Path) -> Any:
         raise ValueError(f"{path} is nested too deeply") from error
 
 
-def remove_unfinished(folder: Path) -> int:
+def remove_unfinished(folder: Path) -> None:
     """Removes what a killed writer left in a folder and below it; call it only while holding the folder's lock."""
-    leftovers = [path for path in folder.rglob(f"{TEMPORARY_PREFIX}*") if path.is_symlink() or not path.is_dir()]
-    for leftover in leftovers:
-        leftover.unlink(missing_ok=True)
-    return len(leftovers)
+    for path in list(folder.rglob(f"{TEMPORARY_PREFIX}*")):
+        if path.is_symlink() or not path.is_dir():
+            path.unlink(missing_ok=True)
 
 
 def _flush_to_disk(path: Path) -> None:

@@ -15,7 +15,7 @@ import contextlib
 import logging
 import os
 import re
-from collections.abc import Iterator, Set
+from collections.abc import Set
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -62,11 +62,9 @@ class FinishedItems:
             self._results[key] = item.result
         return self._results.get(key)
 
-    @contextlib.contextmanager
-    def noted(self, key: str) -> Iterator[None]:
+    def noted(self, key: str) -> contextlib.AbstractContextManager[None]:
         """Notes the files that this process writes while the body runs as an item's."""
-        with noted(self.path, self.journal(key)):
-            yield
+        return noted(self.path, self.journal(key))
 
     def journal(self, key: str) -> Path:
         """Where another process that works on an item notes its files: see `pipeline.store.atomic_files.noted`."""

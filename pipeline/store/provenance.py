@@ -87,13 +87,9 @@ def _git(*arguments: str) -> str | None:
     return done.stdout.strip() if done.returncode == 0 else None
 
 
+@functools.cache  # reading them takes as long as some twenty steps of the simulator
 def software_versions() -> dict[str, str]:
     """Lists the versions of Python and of the installed distributions that results depend on."""
-    return dict(_installed_versions())
-
-
-@functools.cache  # reading them takes as long as some twenty steps of the simulator
-def _installed_versions() -> dict[str, str]:
     versions = {"python": platform.python_version()}
     for name in _REPORTED_DISTRIBUTIONS:
         try:

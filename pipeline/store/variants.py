@@ -74,9 +74,8 @@ class RunRequest:
         return stated, stated - len(wanted)
 
 
-def require_input(run_path: Path, stage: str, reader: str, request: RunRequest | None = None) -> tuple[Path, Manifest]:
+def require_input(run_path: Path, stage: str, reader: str, request: RunRequest) -> tuple[Path, Manifest]:
     """Finds the finished results of an earlier stage and checks that they are as it left them."""
-    request = request or RunRequest()
     found = _variants(run_path, stage)
     fits = {folder: fit for folder, manifest in found.items() if (fit := request.fit(manifest.variant)) is not None}
     plain = run_path / stage

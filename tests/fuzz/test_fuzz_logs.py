@@ -2,7 +2,7 @@
 
 import json
 import random
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,8 @@ import pytest
 from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError
 from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.container import McapFile
-from pipeline.episodes.encoding.schema import topic_messages
 from pipeline.episodes.recovery import recover
-from pipeline.episodes.writer import schema_data
+from pipeline.episodes.writer import register_topics
 from tests.fuzz.mutations import altered, damaged, text_of
 from tests.fuzz.promise import BrokenPromiseError, fuzz, refused
 from tests.pipeline.episodes.conftest import draw_episode
@@ -104,13 +103,10 @@ def recovered(path: Path) -> Path | None:
 def forge(path: Path, sample: Sample, rng: random.Random) -> None:
     """Writes a log with right checksums in which one thing is wrong."""
     path.unlink(missing_ok=True)
-    out = McapFile(path, "endonav")
-    ids = {
-        topic: out.register(topic, message.DESCRIPTOR.full_name, schema_data(message))
-        for topic, message in topic_messages(tuple(sample.episode.cameras)).items()
-    }
+    out = McapFile(path)
+    ids = register_topics(out, sample.episode.cameras, devices=False)
     cameras = [{"name": name, **camera.to_json()} for name, camera in sample.episode.cameras.items()]
-    info = {"info": sample.episode.info.to_json(), "cameras": cameras}
+    info = {"info": asdict(sample.episode.info), "cameras": cameras}
     victim = rng.choice(["info", "outcome", *sample.messages])
     text = text_of(altered(info, rng), rng) if victim == "info" else json.dumps(info)
     out.add_metadata("endonav.episode", sealed(without_surrogates(text)))
@@ -121,7 +117,7 @@ def forge(path: Path, sample: Sample, rng: random.Random) -> None:
             late = rng.choice((0, 1, 10**8, 2**62)) if wrong and rng.random() < 0.2 else 0
             out.add(ids[topic], time_ns + late, index, damaged(payload, rng) if wrong else payload)
     out.flush()
-    outcome = sample.episode.outcome.to_json()
+    outcome = asdict(sample.episode.outcome)
     text = text_of(altered(outcome, rng), rng) if victim == "outcome" else json.dumps(outcome)
     out.add_metadata("endonav.outcome", sealed(without_surrogates(text)))
     out.close_with_index()

@@ -34,6 +34,8 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
+from pipeline.episodes.encoding.schema import PROFILE
+
 MAX_CHUNK_BYTES = 256 * 1024
 """A chunk is closed before it grows beyond this (a single message that is larger gets a chunk of its own)."""
 
@@ -55,8 +57,8 @@ def record_bytes(record: McapRecord) -> bytes:
 class McapFile:
     """An MCAP file being written: channels and metadata, chunks of messages, and at the end the index."""
 
-    def __init__(self, path: Path, profile: str) -> None:
-        """Create the file, which must not exist, with the MCAP profile in its header."""
+    def __init__(self, path: Path) -> None:
+        """Create the file, which must not exist."""
         self.path = path
         self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
         self._end = 0
@@ -67,7 +69,7 @@ class McapFile:
         self._chunk_indexes: list[ChunkIndex] = []
         self._metadata_indexes: list[MetadataIndex] = []
         self._counts: dict[int, int] = defaultdict(int)
-        self._preamble = MCAP0_MAGIC + record_bytes(Header(profile=profile, library=_LIBRARY))
+        self._preamble = MCAP0_MAGIC + record_bytes(Header(profile=PROFILE, library=_LIBRARY))
         self._start_chunk()
 
     def _start_chunk(self) -> None:
@@ -221,12 +223,12 @@ class McapFile:
 
 
 @contextlib.contextmanager
-def replacing(destination: Path, profile: str, suffix: str) -> Iterator[McapFile]:
+def replacing(destination: Path, suffix: str) -> Iterator[McapFile]:
     """Lend a file beside the destination that takes its place in one instant when the body has written it."""
     temporary = destination.with_name(destination.name + suffix)
     destination.parent.mkdir(parents=True, exist_ok=True)
     temporary.unlink(missing_ok=True)
-    out = McapFile(temporary, profile)
+    out = McapFile(temporary)
     try:
         yield out
         out.close_with_index()

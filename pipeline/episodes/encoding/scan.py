@@ -54,7 +54,6 @@ class MessageSpan(NamedTuple):
 class Summary:
     """The index at the end of a file."""
 
-    start: int = 0
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     chunk_indexes: list[ChunkIndex] = field(default_factory=list)
@@ -111,7 +110,7 @@ def read_summary(fd: int) -> Summary:
     content = os.pread(fd, size - tail - start, start)
     if zlib.crc32(ending[: _FOOTER.size - 4], zlib.crc32(content)) != crc:
         raise ContainerError("the checksum of its index does not match")
-    summary = Summary(start=start)
+    summary = Summary()
     for opcode, begin, end in walk(content):
         if opcode == Opcode.SCHEMA:
             schema = parse_record(Schema, content[begin:end])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pipeline.episodes.encoding.schema import DEVICE_FIELDS, EXTRA_FIELD_NUMBER, STEP_FIELDS, Devices, Step, StepField
 from pipeline.episodes.records import DeviceRecord, StepRecord
 
-VARINT, FIXED64, DELIMITED, FIXED32 = 0, 1, 2, 5
+VARINT, FIXED64, DELIMITED = 0, 1, 2
 
 
 @lru_cache(maxsize=4096)  # the lengths in a log repeat from step to step

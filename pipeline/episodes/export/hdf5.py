@@ -16,18 +16,16 @@ The action of row t leads from observation t to observation t + 1.
 from __future__ import annotations
 
 import json
-import os
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 
 from pipeline.episodes.export.layout import ExportEpisode, ExportError, Field, Layout
 from pipeline.episodes.records import as_json
+from pipeline.jobs.engines.local import variables_set
 
 FORMAT = "endonav-hdf5-1"
 FILE = "episodes.hdf5"
@@ -50,7 +48,6 @@ class Hdf5Writer:
         self._episodes = self._steps = 0
 
     def add(self, episode: ExportEpisode) -> None:
-        """Write an episode."""
         group = self._data.create_group(f"demo_{self._episodes}")
         group.attrs["num_samples"] = episode.steps
         group.attrs["task"] = episode.task
@@ -100,9 +97,7 @@ class Hdf5Writer:
     def __enter__(self) -> Hdf5Writer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *unused: object) -> None:
         self._file.close()
 
 
@@ -121,9 +116,6 @@ def _blocks(pictures: Iterator[np.ndarray], rows: int) -> Iterator[np.ndarray]:
         yield np.stack(block)
 
 
-_FOLDER_VARIABLE = "MINARI_DATASETS_PATH"
-
-
 class MinariWriter:
     """Writes episodes as the Minari data set `<name>-v0` below a folder, one after the other."""
 
@@ -139,7 +131,6 @@ class MinariWriter:
         self._described: list[dict[str, Any]] = []
 
     def add(self, episode: ExportEpisode) -> None:
-        """Write an episode."""
         from minari.data_collector import EpisodeBuffer
 
         observations: dict[str, np.ndarray] = dict(episode.observations)
@@ -157,7 +148,7 @@ class MinariWriter:
             truncations=episode.truncated,
             infos=infos,
         )
-        with _datasets_in(self._folder):
+        with variables_set({"MINARI_DATASETS_PATH": str(self._folder)}):  # where Minari writes
             if self._dataset is None:
                 self._dataset = self._create(buffer)
             else:
@@ -197,21 +188,5 @@ class MinariWriter:
     def __enter__(self) -> MinariWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        return None
-
-
-@contextmanager
-def _datasets_in(folder: Path) -> Iterator[None]:
-    """Lets Minari, which knows its folder by a variable of the environment, write below another folder."""
-    before = os.environ.get(_FOLDER_VARIABLE)
-    os.environ[_FOLDER_VARIABLE] = str(folder)
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[_FOLDER_VARIABLE]
-        else:
-            os.environ[_FOLDER_VARIABLE] = before
+    def __exit__(self, *unused: object) -> None:
+        """Every episode is on the disk already."""

@@ -206,7 +206,6 @@ class ExportEpisode:
     """An episode of n actions; observations and infos have n + 1 rows, the first that after reset."""
 
     log: EpisodeReader
-    layout: Layout
     # everything of the log, as `EpisodeReader.load_arrays` gives it without pictures
     arrays: Mapping[str, NDArray[Any]]
     observations: Mapping[str, NDArray[np.float64]]
@@ -281,7 +280,7 @@ def open_episode(path: Path, layout: Layout) -> Iterator[ExportEpisode]:
         terminated = arrays["terminated"][1:].astype(bool)
         truncated = arrays["truncated"][1:].astype(bool)
         truncated[-1] |= not terminated[-1]  # an interrupted episode was cut off there
-        yield ExportEpisode(log, layout, arrays, observations, infos, actions, rewards, terminated, truncated)
+        yield ExportEpisode(log, arrays, observations, infos, actions, rewards, terminated, truncated)
 
 
 def observation_values(

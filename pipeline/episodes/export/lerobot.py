@@ -19,14 +19,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 
 from pipeline.episodes.export import statistics
 from pipeline.episodes.export.layout import ExportEpisode, ExportError, Layout
-from pipeline.episodes.export.statistics import CODEC, GreyVideo, Statistics
+from pipeline.episodes.export.statistics import CODEC, GreyVideo, Statistics, pixel_format
 from pipeline.episodes.records import as_json
 
 VERSION = "v3.0"
@@ -61,7 +60,6 @@ class LeRobotWriter:
         self._film_files = dict.fromkeys(layout.pictures, 0)
 
     def add(self, episode: ExportEpisode) -> None:
-        """Write an episode."""
         index, steps = len(self._rows), episode.steps
         task = self._tasks.setdefault(episode.task, len(self._tasks))
         columns = _columns(episode)
@@ -187,9 +185,7 @@ class LeRobotWriter:
     def __enter__(self) -> LeRobotWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *unused: object) -> None:
         self._close()
 
 
@@ -218,7 +214,7 @@ def _features(layout: Layout) -> dict[str, dict[str, Any]]:
                 "video.height": height,
                 "video.width": width,
                 "video.codec": CODEC,
-                "video.pix_fmt": "yuv444p" if height % 2 or width % 2 else "yuv420p",
+                "video.pix_fmt": pixel_format(field.shape),
                 "video.is_depth_map": False,
                 "video.fps": layout.fps,
                 "video.channels": 3,

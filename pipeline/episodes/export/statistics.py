@@ -99,13 +99,18 @@ _WHOLE_EVERY = 2  # frames: a reader that looks for one frame decodes at most tw
 _CONSTANT_RATE_FACTOR = 4  # of libx264: grey values within a few of 255
 
 
+def pixel_format(size: Sequence[int]) -> str:
+    """How pixels of pictures of a size (height, width) are stored."""
+    return "yuv444p" if size[0] % 2 or size[1] % 2 else "yuv420p"
+
+
 class GreyVideo:
     """Writes pictures of one size (height, width, px) into an mp4 file."""
 
     def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
         import imageio_ffmpeg
 
-        self.path, self.frames, self._size = path, 0, size
+        self.path, self.frames = path, 0
         path.parent.mkdir(parents=True, exist_ok=True)
         options = ["-crf", str(_CONSTANT_RATE_FACTOR), "-g", str(_WHOLE_EVERY), "-bf", "0", "-preset", "veryfast"]
         self._ffmpeg: Any = imageio_ffmpeg.write_frames(
@@ -114,18 +119,13 @@ class GreyVideo:
             fps=fps,
             codec=_ENCODER,
             pix_fmt_in="gray",
-            pix_fmt_out=self.pixel_format,
+            pix_fmt_out=pixel_format(size),
             macro_block_size=1,
             quality=None,
             ffmpeg_log_level="error",
             output_params=[*options, "-movflags", "+faststart"],
         )
         self._ffmpeg.send(None)
-
-    @property
-    def pixel_format(self) -> str:
-        """How pixels are stored."""
-        return "yuv444p" if self._size[0] % 2 or self._size[1] % 2 else "yuv420p"
 
     @property
     def written_bytes(self) -> int:

@@ -156,16 +156,15 @@ _CARRIED = ("CATHSIM_", "ENDONAV_FILMS", "ENN_LOGGER", "MUJOCO_GL", "PYTHONPATH"
 
 @dataclass(frozen=True)
 class Needs:
-    """What a job needs of a machine."""
+    """What a job needs of a machine, beside one CPU."""
 
-    cpus: int
     gpus: int
     memory_gb: float
 
     def __str__(self) -> str:
         """For example ``1 CPU, 1 GPU and 4.0 GB of memory``."""
         gpus = f", {self.gpus} GPU{'s' if self.gpus > 1 else ''}" if self.gpus else ""
-        return f"{self.cpus} CPU{'s' if self.cpus > 1 else ''}{gpus} and {self.memory_gb:.1f} GB of memory"
+        return f"1 CPU{gpus} and {self.memory_gb:.1f} GB of memory"
 
 
 class Executor(ABC):
@@ -242,7 +241,7 @@ class ClusterEngine:
 
     def _needs(self, job: Job) -> Needs:
         gpus = job.gpus if self._on_gpus and job.gpu_gb else 0
-        return Needs(job.cpus, gpus, max(job.memory_gb, self._settings.memory_gb))
+        return Needs(gpus, max(job.memory_gb, self._settings.memory_gb))
 
     def submit(self, job: Job) -> bool:
         """Queues a job; the cluster starts it when it has room."""

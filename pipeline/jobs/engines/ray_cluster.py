@@ -65,7 +65,7 @@ class RayExecutor(Executor):
     def fits(self, needs: Needs) -> bool:
         """Whether a machine has so much in all."""
         return any(
-            node["Resources"].get("CPU", 0) >= needs.cpus
+            node["Resources"].get("CPU", 0) >= 1
             and node["Resources"].get("GPU", 0) >= needs.gpus
             and node["Resources"].get("memory", 0) >= needs.memory_gb * _GB
             for node in self._ray.nodes()
@@ -75,7 +75,7 @@ class RayExecutor(Executor):
     def submit(self, name: str, task: Task, needs: Needs) -> Any:
         """Submits a task; Ray starts it when a machine has room for it."""
         memory = int(needs.memory_gb * _GB)
-        return self._run.options(name=name, num_cpus=needs.cpus, num_gpus=needs.gpus, memory=memory).remote(task)
+        return self._run.options(name=name, num_cpus=1, num_gpus=needs.gpus, memory=memory).remote(task)
 
     def result(self, handle: Any) -> str | None:
         """How a task has ended; Ray says so of one whose machine or process is gone, too."""

@@ -38,7 +38,7 @@ class SlurmExecutor(Executor):
         common = {
             "name": "".join(letter if letter.isalnum() else "_" for letter in name),
             "timeout_min": max(int(self._settings.hours * _MINUTES_AN_HOUR), 1),
-            "cpus_per_task": needs.cpus,
+            "cpus_per_task": 1,
             "gpus_per_node": needs.gpus,
             "mem_gb": needs.memory_gb,
         }
@@ -51,7 +51,6 @@ class SlurmExecutor(Executor):
         }  # fmt: skip
 
     def submit(self, name: str, task: Task, needs: Needs) -> Any:
-        """Submits a job."""
         self._executor.update_parameters(**self.parameters(name, needs))
         try:
             return self._executor.submit(run_task, task)
@@ -70,7 +69,6 @@ class SlurmExecutor(Executor):
             return f"Slurm's job {handle.job_id} is {handle.state}: {lines[0] if lines else type(error).__name__}"
 
     def cancel(self, handle: Any) -> None:
-        """Takes a job out of the queue, or ends it."""
         with contextlib.suppress(Exception):
             handle.cancel()
 

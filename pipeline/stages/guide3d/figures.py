@@ -96,24 +96,13 @@ def sample_figure(data: Dataset, folder: Path) -> Figure | None:
 
 
 def reconstruction_figures(data: Dataset, records: Sequence[Record], folder: Path) -> list[Figure]:
-    """Draws what is known of the reconstructions."""
     by_way = {way: accepted([record for record in records if record["way"] == way]) for way in WAYS}
     ours, greedy = by_way[WAYS[0]], by_way[WAYS[1]]
     if not ours:
         return []
     errors = {f"camera {view.upper()}": np.array([record[f"along_{view}_px"] for record in ours]) for view in VIEWS}
-    draw_along(
-        errors, folder / "reprojection.png", x_label="place along the wire, from the tip", y_label="reprojection, px"
-    )
-    figures = [
-        Figure(
-            "Reprojection error along the wire",
-            f"Mean and standard deviation over {len(ours)} reconstructed pairs, at places equally far apart in space.",
-            "reprojection.png",
-            GROUP,
-        )
-    ]
-    figures.append(_segments(by_way, folder))
+    draw_along(errors, folder / "reprojection.png")
+    segments = _segments(by_way, folder)
     by_index = {record["index"]: record for record in ours}
     # where the thesis's way does well, and where it does not: ours hardly tells pairs apart
     chosen = [by_index[record["index"]] for record in _chosen(greedy or ours) if record["index"] in by_index]
@@ -121,7 +110,13 @@ def reconstruction_figures(data: Dataset, records: Sequence[Record], folder: Pat
     draw_in_space([_wires(data, record) for record in chosen], folder / "space.png")
     shares = ", ".join(f"{share:.0%}" for share in _SHOWN)
     return [
-        *figures,
+        Figure(
+            "Reprojection error along the wire",
+            f"Mean and standard deviation over {len(ours)} reconstructed pairs, at places equally far apart in space.",
+            "reprojection.png",
+            GROUP,
+        ),
+        segments,
         Figure(
             "Reconstructed wires over their images",
             f"Pairs at {shares} of the greedy way's reprojection error: annotation, and curves in space drawn back. "

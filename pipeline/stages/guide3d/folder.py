@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from guide3d.dataset.dataset import Dataset
 from guide3d.dataset.true_curves import VIEWS
 from guide3d.geometry.camera import write_opencv_yaml
 from pipeline.stages.guide3d.settings import Guide3dSettings
-from pipeline.store.atomic_files import write_json
+from pipeline.store.atomic_files import read_json, write_json
 from pipeline.store.errors import StageError
 
 SOURCE, RECONSTRUCTIONS = "source.json", "sphere.json"
@@ -31,7 +30,6 @@ class Source:
     undistorted: bool | None = None
 
     def write(self, folder: Path) -> None:
-        """Writes source.json into the stage's folder."""
         write_json(folder / SOURCE, asdict(self))
 
     def place(self, folder: Path, name: str) -> Path | None:
@@ -42,7 +40,6 @@ class Source:
         return None if path is None else folder / path
 
     def open(self, folder: Path) -> Dataset:
-        """Opens the data set."""
         try:
             return Dataset.open(
                 folder / self.root,
@@ -65,7 +62,7 @@ def read_source(folder: Path) -> Source:
     path = folder / SOURCE
     if not path.is_file():
         raise StageError(f"{folder} holds no data set: run stage=guide3d again")
-    return Source(**json.loads(path.read_text(encoding="utf-8")))
+    return Source(**read_json(path))
 
 
 CALIBRATION = "calibration"

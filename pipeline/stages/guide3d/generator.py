@@ -23,7 +23,7 @@ from guide3d.image_file import encode_png
 from pipeline.jobs.worker import Report
 from pipeline.seeds import acquisition_seed
 from pipeline.stages.guide3d.settings import Guide3dSettings
-from pipeline.store.atomic_files import write_json, write_text
+from pipeline.store.atomic_files import read_json, write_json, write_text
 
 if TYPE_CHECKING:
     from cathsim.fluoroscopy import BiplaneFluoroscope, XRayCamera
@@ -65,7 +65,7 @@ def generate(job: GenerationJob, report: Report) -> dict[str, Any]:
         if not record.exists():
             take = _film(acquisition, job, report.part(pairs / total, 1.0))
             write_text(record, json.dumps(take))  # last: what has no record is made again
-        motion = json.loads(record.read_text(encoding="utf-8"))["motion"]
+        motion = read_json(record)["motion"]
         motions[motion] = motions.get(motion, 0) + 1
         pairs += acquisition.pairs
         report(pairs / total, f"{pairs} of {total} pairs")
@@ -153,7 +153,7 @@ def assemble(
     truths: dict[tuple[str, int], TrueCurve] = {}
     kinds: dict[str, dict[str, str]] = {}
     for acquisition in acquisitions:
-        take = json.loads(_take_path(folder, acquisition).read_text(encoding="utf-8"))
+        take = read_json(_take_path(folder, acquisition))
         kinds[acquisition.name] = {"phantom": acquisition.phantom, "motion": take["motion"]}
         for frame in take["frames"]:
             key = acquisition.name, int(frame["number"])

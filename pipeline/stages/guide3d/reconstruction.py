@@ -28,7 +28,7 @@ from guide3d.reconstruction.reconstruction import reconstruct
 from pipeline.jobs.worker import Report
 from pipeline.stages.guide3d.folder import RECONSTRUCTIONS, Source
 from pipeline.stages.guide3d.settings import Guide3dSettings
-from pipeline.store.atomic_files import write_text
+from pipeline.store.atomic_files import read_json, write_text
 
 PARTS, RECORDS = ".parts", "reconstructions.json"  # the former until the stage is done
 ON_ANNOTATION, ON_CLICKS = ("global", "greedy"), ("global, clicks", "greedy, clicks")
@@ -103,10 +103,10 @@ def gather(folder: Path, source: Source, parts: Sequence[int]) -> list[Record]:
     """Joins what the jobs left: accepted curves in the public layout, then the records, without curves, in one file."""
     gathered = folder / RECORDS
     if gathered.exists():
-        return list(json.loads(gathered.read_text(encoding="utf-8")))
+        return list(read_json(gathered))
     records: list[Record] = []
     for part in parts:
-        records += json.loads(part_file(folder, part).read_text(encoding="utf-8"))
+        records += read_json(part_file(folder, part))
     data = source.open(folder)
     curves: dict[tuple[str, int], Views] = {}
     for record in records:

@@ -126,8 +126,4 @@ def _reconstructions(settings: Guide3dSettings, context: StageContext, source: S
     ]
 
 
-STAGE = Stage(
-    settings=Guide3dSettings,
-    run=run_guide3d,
-    check=check_guide3d,
-)  # fmt: skip
+STAGE = Stage(settings=Guide3dSettings, run=run_guide3d, check=check_guide3d)

@@ -6,7 +6,6 @@ Each is kept as ``encoders/<phantom>/<observations>.pt``, with its report beside
 from __future__ import annotations
 
 import itertools
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,7 +18,7 @@ from enn.curves import Curves
 from pipeline.jobs.worker import Report
 from pipeline.stages.learning.expert_episodes import repeat
 from pipeline.stages.learning.task import LearningTask
-from pipeline.store.atomic_files import write_json
+from pipeline.store.atomic_files import read_json, write_json
 
 if TYPE_CHECKING:
     from enn.encoder import EncoderSettings, Samples
@@ -52,14 +51,15 @@ def fit_encoders(job: EncodersJob, report: Report) -> dict[str, dict[str, Any]]:
     """Fits the encoders of an anatomy that lack; file's stem to report, with ``wall_s``, roll-outs included."""
     from enn.encoder import fit_encoder
 
-    missing = [keys for keys in job.sets if not _fitted(job, keys)]
+    files = {keys: encoder_file(job.folder, keys) for keys in job.sets}
+    missing = [keys for keys, file in files.items() if not (file.is_file() and file.with_suffix(".json").is_file())]
     if missing:
         began = time.monotonic()
         share = _SAMPLES_SHARE / (_SAMPLES_SHARE + (1.0 - _SAMPLES_SHARE) * len(missing))
         samples = _samples(job, missing, report.part(0.0, share, "samples"))
         sampled_s = time.monotonic() - began
         for number, keys in enumerate(missing):
-            began, file = time.monotonic(), encoder_file(job.folder, keys)
+            began, file = time.monotonic(), files[keys]
             ends = [share + (1.0 - share) * (number + k) / len(missing) for k in range(2)]
             part = report.part(ends[0], ends[1], f"fit of {file.stem}")
             with Curves(job.folder / file.stem) as curves:
@@ -67,8 +67,7 @@ def fit_encoders(job: EncodersJob, report: Report) -> dict[str, dict[str, Any]]:
                 encoder, fitted = fit_encoder(samples, keys, job.settings, told, device=report.device)
             encoder.save(file)
             write_json(file.with_suffix(".json"), {**fitted, "wall_s": sampled_s + time.monotonic() - began})
-    files = [encoder_file(job.folder, keys) for keys in job.sets]
-    return {file.stem: json.loads(file.with_suffix(".json").read_text(encoding="utf-8")) for file in files}
+    return {file.stem: read_json(file.with_suffix(".json")) for file in files.values()}
 
 
 def _progress(part: Callable[[float, str], None], curves: Curves) -> Callable[[float, dict[str, float]], None]:
@@ -79,11 +78,6 @@ def _progress(part: Callable[[float, str], None], curves: Curves) -> Callable[[f
         part(done, "")
 
     return tell
-
-
-def _fitted(job: EncodersJob, keys: tuple[str, ...]) -> bool:
-    file = encoder_file(job.folder, keys)
-    return file.is_file() and file.with_suffix(".json").is_file()
 
 
 def _samples(job: EncodersJob, sets: list[tuple[str, ...]], report: Callable[[float, str], None]) -> Samples:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import time
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from pipeline.recording.trials import recorded
 from pipeline.seeds import force_seed
 from pipeline.stages.learning.expert_episodes import load_expert, read_episodes
 from pipeline.stages.learning.task import LearningTask
-from pipeline.store.atomic_files import write_json
+from pipeline.store.atomic_files import read_json, write_json
 from pipeline.store.errors import stopping_the_stage
 
 if TYPE_CHECKING:
@@ -100,7 +99,7 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
 
     record = job.folder / RECORD
     if record.is_file() and (job.folder / PREDICTOR).is_file():
-        return dict(json.loads(record.read_text(encoding="utf-8")))
+        return dict(read_json(record))
     began, worked = time.monotonic(), time.process_time()
     training, test = samples_of(job, report.device)
 
@@ -161,9 +160,9 @@ def forces_from_shape(job: ShapeForceJob, report: Report) -> dict[str, Any]:
 
     record = job.folder / RECORD
     if record.is_file():
-        return dict(json.loads(record.read_text(encoding="utf-8")))
+        return dict(read_json(record))
     worked = time.process_time()
-    estimated, true, refused = test_frames(job, report)
+    estimated, true, refused = estimated_and_true(job, report)
     result = score(estimated, true)
     outcome = {
         "test_samples": result.samples,
@@ -178,7 +177,7 @@ def forces_from_shape(job: ShapeForceJob, report: Report) -> dict[str, Any]:
     return outcome
 
 
-def test_frames(job: ShapeForceJob, report: Report) -> tuple[NDArray[np.float64], NDArray[np.float32], int]:
+def estimated_and_true(job: ShapeForceJob, report: Report) -> tuple[NDArray[np.float64], NDArray[np.float32], int]:
     """Estimated and true forces, (N,) N, of the test frames in the order of `samples_of`, and how many were refused."""
     from cathsim import load_phantom
     from cathsim.statics.shape_series import forces_of_shapes
@@ -200,9 +199,6 @@ def test_frames(job: ShapeForceJob, report: Report) -> tuple[NDArray[np.float64]
     true = np.concatenate([episode.forces for episode in episodes]).astype(np.float32)
     drawn = np.random.default_rng(job.seed).permutation(len(true))[: job.test_samples]
     return estimated[drawn], true[drawn], refused
-
-
-test_frames.__test__ = False  # type: ignore[attr-defined]  # no test, for pytest
 
 
 def _feeders(episode: Trajectory) -> NDArray[np.float64]:

@@ -146,7 +146,6 @@ class StartingPolicySettings:
     policy_sha256: str | None = None  # filled in
 
     def __post_init__(self) -> None:
-        """Reads the file."""
         self.policy_sha256 = None
         if self.policy is not None:
             if not Path(self.policy).is_file():

@@ -6,7 +6,6 @@ defined by decides, code and versions included; where it is not known, each stag
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.recording.trials import POLICY
-from pipeline.store.atomic_files import write_json, write_text
+from pipeline.store.atomic_files import read_json, write_json, write_text
 from pipeline.store.file_cache import CACHE
 from pipeline.store.provenance import (
     hash_file,
@@ -41,11 +40,11 @@ class SharedTraining:
         from enn.policy import Policy
 
         try:
-            found = json.loads(self.note.read_text(encoding="utf-8"))
+            found = read_json(self.note)
             source = self.run / found["folder"]
             if source == folder or hash_file(source / POLICY) != found["policy"]:
                 return False
-            record, curve = (json.loads((source / RECORD).read_text("utf-8")), (source / CURVE).read_text("utf-8"))
+            record, curve = read_json(source / RECORD), (source / CURVE).read_text("utf-8")
             changed = {**record["metadata"], **metadata, TAKEN_FROM: found["folder"]}
             policy = Policy.load(source / POLICY)
             policy.metadata = {**policy.metadata, **changed}

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,14 +48,21 @@ def evaluate(
     controllers: Callable[[str], Callable[[int], Controller]],
     folder: Path,
     origin: Origin,
-    episodes: Mapping[str, int],
+    best: int,
+    drawn: int,
     report: Callable[[float, str], None],
 ) -> dict[str, Any]:
-    """Records held-out episodes that lack, so many a mode, in ``evaluation/<mode>``; mode to the summary of them."""
+    """Records held-out episodes that lack, by the best action and by drawn ones, in ``evaluation/<mode>``.
+
+    Returns:
+        Mode to the summary of its episodes, where there are any.
+    """
     outcome = {}
-    total = sum(episodes.values())
+    total = best + drawn
     begun = 0
-    for mode, count in episodes.items():
+    for mode, count in zip(MODES, (best, drawn), strict=True):
+        if not count:
+            continue
 
         def tell(share: float, text: str, begun: int = begun, count: int = count, mode: str = mode) -> None:
             report((begun + share * count) / total, f"{mode} {text}")
@@ -72,11 +79,6 @@ def evaluate(
         outcome[mode] = summary(metrics)
         begun += count
     return outcome
-
-
-def both_modes(best: int, drawn: int) -> dict[str, int]:
-    """Mode to number of episodes: by the best action, and, where there are any, by drawn ones."""
-    return {mode: count for mode, count in zip(MODES, (best, drawn), strict=True) if count}
 
 
 # What every job imports: once, before the jobs' processes are forked.
@@ -161,7 +163,8 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
         policies,
         job.folder,
         job.origin,
-        both_modes(job.evaluation_episodes, job.drawn_episodes),
+        job.evaluation_episodes,
+        job.drawn_episodes,
         report.part(trained, evaluated),
     )
     if job.expert_episodes:
@@ -314,9 +317,12 @@ def run_trainings(
         preload=PRELOAD,
         device=settings.device,
     )
-    return {
-        training.name: {**results[training.name], "encoder_s": _encoder_s(training, results)} for training in trainings
-    }
+    outcomes = {}
+    for training in trainings:
+        encoder = training.encoder
+        spent = 0.0 if encoder is None else float(results[_encoders_key(training)][encoder.stem]["wall_s"])
+        outcomes[training.name] = {**results[training.name], "encoder_s": spent}
+    return outcomes
 
 
 def _check_demonstrations(trainings: Sequence[PolicyTrainingJob], settings: LearningSettings) -> None:
@@ -335,13 +341,6 @@ def _check_demonstrations(trainings: Sequence[PolicyTrainingJob], settings: Lear
 
 def _encoders_key(training: PolicyTrainingJob) -> str:
     return f"{ENCODERS}/{training.task.phantom}"
-
-
-def _encoder_s(training: PolicyTrainingJob, results: Mapping[str, Any]) -> float:
-    """Seconds that the encoder of a training took."""
-    if training.encoder is None:
-        return 0.0
-    return float(results[_encoders_key(training)][training.encoder.stem]["wall_s"])
 
 
 def _encoders(

@@ -9,7 +9,6 @@ A navigator's folder, ``<row>/``, draws as::
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
@@ -33,11 +32,10 @@ from pipeline.stages.navigation.scene import (
     episode_of_log,
     episode_starts,
     in_view,
-    room_for,
     run_tests,
 )
 from pipeline.stages.navigation.settings import NavigationSettings
-from pipeline.store.atomic_files import write_json
+from pipeline.store.atomic_files import read_json, write_json
 from pipeline.store.errors import StageError
 from pipeline.task import Task
 
@@ -112,7 +110,6 @@ class NavigatorJob:
 
     @property
     def own_folder(self) -> Path:
-        """Of the navigator."""
         return self.folder / self.origin.row
 
 
@@ -189,7 +186,7 @@ def navigate(job: NavigatorJob, report: Report) -> dict[str, Any]:
     network = load_perception(job.folder, report.device)
     record, file = job.own_folder / RECORD, job.own_folder / NAVIGATOR
     if record.is_file():
-        outcome = json.loads(record.read_text(encoding="utf-8"))
+        outcome = read_json(record)
         policy, perception = load_navigator(file, network)
     else:
         perception = perception_of(network, job.settings)
@@ -206,6 +203,7 @@ def navigate(job: NavigatorJob, report: Report) -> dict[str, Any]:
 
 def train(job: NavigatorJob, perception: NavigatorPerception, report: Tell) -> tuple[RecurrentPolicy, dict[str, Any]]:
     """Clones the experts' episodes, then teaches round by round, going on after the last finished one."""
+    from cathsim.many_anatomies import SHELF
     from enn.imitation.recurrent_policy import RecurrentPolicy
     from enn.imitation.sequence_cloning import SequenceCloningSettings, clone_sequences
     from enn.policy import Policy
@@ -213,7 +211,8 @@ def train(job: NavigatorJob, perception: NavigatorPerception, report: Tell) -> t
     began, worked = time.monotonic(), time.process_time()
     device, seed = perception.network.predictor.device, job.origin.training_seed
     teachers = [Policy.load(course.teacher, str(device)) for course in job.courses]
-    room_for([anatomy for course in job.courses for anatomy in course.anatomies])
+    anatomies = {anatomy for course in job.courses for anatomy in course.anatomies}
+    SHELF.capacity = max(SHELF.capacity, len(anatomies))  # all take turns
     hints = max((_hints(course, teacher) for course, teacher in zip(job.courses, teachers, strict=True)), default=0)
     episodes = [one for file in job.logs for one in read_episodes(file)[: job.episodes]]
     cloned = 1 / (1 + job.rounds) if episodes else 0.0  # of the time

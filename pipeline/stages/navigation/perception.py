@@ -10,7 +10,6 @@ every navigator. The folder holds::
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,7 +24,7 @@ from pipeline.anatomies.settings import TARGETS
 from pipeline.jobs.worker import Report
 from pipeline.stages.navigation.scene import NAMED, Anatomy, among_clutter, phantom_of, scene_of
 from pipeline.stages.navigation.settings import NavigationSettings
-from pipeline.store.atomic_files import write_arrays, write_json
+from pipeline.store.atomic_files import read_json, write_arrays, write_json
 from pipeline.store.errors import StageError
 from pipeline.task import DESCENDING
 
@@ -46,19 +45,6 @@ _CURVE_M = 0.5e-3  # between the points of a true curve
 Frame = tuple[np.ndarray, np.ndarray]  # pictures, and curves
 
 
-@dataclass(frozen=True)
-class _Rooms:
-    """Which wires are among clutter, each among its own."""
-
-    clutter: float
-    every: int
-    generator: np.random.Generator
-
-    def arms(self, arms: CArms, number: int) -> CArms:
-        """The C-arms for the wire of a number."""
-        return among_clutter(arms, self.clutter * (number % self.every == self.every - 1), self.generator)
-
-
 def frames_in(
     anatomy: Anatomy,
     settings: NavigationSettings,
@@ -66,18 +52,19 @@ def frames_in(
     teacher: Path | None,
     size_px: int,
     device: str = "cpu",
-    *,
-    between: int = BETWEEN,
-    cluttered: int = CLUTTERED,
 ) -> list[Frame]:
     """(cameras, size, size) pictures and (cameras, 240, 2) curves, shares of sides, of laid, then steered wires."""
     generator = np.random.default_rng((seed, int(phantom_of(anatomy).hash[:8], 16)))
     steered = 0 if teacher is None else round(_STEERED * settings.perception_frames)
-    rooms = _Rooms(settings.clutter, cluttered, generator)
-    found = _laid(anatomy, settings, size_px, settings.perception_frames - steered, generator, rooms)
+    found = _laid(anatomy, settings, size_px, settings.perception_frames - steered, generator)
     if teacher is not None and steered:
-        found += _steered(anatomy, settings, size_px, steered, generator, teacher, device, between, rooms)
+        found += _steered(anatomy, settings, size_px, steered, generator, teacher, device)
     return found
+
+
+def _arms(arms: CArms, settings: NavigationSettings, number: int, generator: np.random.Generator) -> CArms:
+    """The C-arms for the wire of a number, which may be among clutter of its own."""
+    return among_clutter(arms, settings.clutter * (number % CLUTTERED == CLUTTERED - 1), generator)
 
 
 def _steered(
@@ -88,8 +75,6 @@ def _steered(
     generator: np.random.Generator,
     teacher: Path,
     device: str,
-    between: int,
-    rooms: _Rooms,
 ) -> list[Frame]:
     """Pictures of episodes that a teacher steers, each with a share of noise in its actions, from none to all."""
     from cathsim.observations.c_arm_view import with_shaft
@@ -109,13 +94,13 @@ def _steered(
         scene = scene_of(task, anatomy, target, settings.arms, policy.keys)
         environment = scene.environment
         observation, _ = environment.reset(seed=int(generator.integers(2**31)))
-        arms = rooms.arms(scene.arms, number)
+        arms = _arms(scene.arms, settings, number, generator)
         steer = PerturbedController(policy, generator)
         over, step = False, 0
         while not over and len(found) < count:
             observation, _, terminated, truncated, _ = environment.step(steer(observation))
             over, step = terminated or truncated, step + 1
-            if step % between == 0 and not over:
+            if step % BETWEEN == 0 and not over:
                 simulation = environment.simulation
                 nodes = with_shaft(simulation.wire_points(), simulation.vessel.direction)
                 frame = _frame(phantom, arms, nodes, size_px, int(generator.integers(2**31)))
@@ -131,7 +116,6 @@ def _laid(
     size_px: int,
     count: int,
     generator: np.random.Generator,
-    rooms: _Rooms,
 ) -> list[Frame]:
     """Pictures of wires that are laid along ways and moved on from there."""
     from cathsim import ACCURACY, Simulation
@@ -148,7 +132,7 @@ def _laid(
     for number in range(4 * count):
         if len(found) >= count or not ways:
             break
-        arms = rooms.arms(settings.arms_for(task), number)
+        arms = _arms(settings.arms_for(task), settings, number, generator)
         way = ways[int(generator.integers(len(ways)))]
         try:
             shapes = pushed_shapes(simulation, way, generator)
@@ -222,7 +206,7 @@ def fine_tune_perception(job: PerceptionJob, report: Report) -> dict[str, Any]:
     from splineformer.predictor import Predictor
 
     if (job.folder / RECORD).is_file():
-        return dict(json.loads((job.folder / RECORD).read_text(encoding="utf-8")))
+        return dict(read_json(job.folder / RECORD))
     try:
         predictor = Predictor.load(job.splineformer, device=report.device)
     except (FileNotFoundError, ValueError) as error:

@@ -69,13 +69,6 @@ def phantom_of(anatomy: Anatomy) -> Phantom:
     return SHELF.take(kind if seed < 0 else (kind, seed), RESOLUTION)
 
 
-def room_for(anatomies: Sequence[Anatomy]) -> None:
-    """Lets this process keep so many anatomies, since all take turns."""
-    from cathsim.many_anatomies import SHELF
-
-    SHELF.capacity = max(SHELF.capacity, len(set(anatomies)))
-
-
 def among_clutter(arms: CArms, amount: float, generator: np.random.Generator) -> CArms:
     """The C-arms with so much clutter (`pipeline.clutter.clutter_of`) in the way, or as they are without."""
     draw = clutter_of(amount)
@@ -159,7 +152,6 @@ class Scene:
 
     @property
     def target(self) -> str:
-        """Name of the episode's target."""
         return self.environment.task.target_name
 
     def images(self) -> list[np.ndarray]:
@@ -171,7 +163,6 @@ class Scene:
 
     @property
     def marks(self) -> dict[str, np.ndarray]:
-        """The target's mark in each camera."""
         return marks_of(self.environment.phantom, self.target, self.arms)
 
     def view(self, settings: NavigatorPerceptionSettings) -> EpisodeView:

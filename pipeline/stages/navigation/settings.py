@@ -34,9 +34,8 @@ class NavigationSettings(ChosenAnatomies, kinds.JobSettings):
     phantoms: kinds.FolderNames = field(default_factory=lambda: ["type_1"])  # whose experts are cloned
     # navigated in without having been learnt in
     transfer_phantoms: kinds.FolderNames = field(default_factory=lambda: ["type_2"])
-    expert: kinds.FolderName = (
-        EnnSettings.expert
-    )  # row of the stage enn whose episodes are cloned, and which gives advice
+    # row of the stage enn whose episodes are cloned, and which gives advice
+    expert: kinds.FolderName = EnnSettings.expert
     # trials of the expert a target: a navigator each; that of 100 reaches every target
     episodes: kinds.RisingEpisodes = field(default_factory=lambda: [20, 100])
     epochs: kinds.Count = 60  # of cloning
@@ -68,7 +67,6 @@ class NavigationSettings(ChosenAnatomies, kinds.JobSettings):
 
     @property
     def arms(self) -> CArms:
-        """The C-arms that take the images."""
         from cathsim.observations.c_arm_view import CArms
 
         return CArms(tuple(self.cameras), self.image_size_px, subtracted=self.subtracted)

@@ -7,8 +7,6 @@ from typing import Any
 
 from pipeline.anatomies.settings import check_anatomies, require_known_phantoms, require_known_targets, settle
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.recording.human import FOLDER as HUMAN
-from pipeline.recording.human import SUFFIX
 from pipeline.recording.trials import POLICY, Origin
 from pipeline.seeds import perception_arches, training_arches, unseen_arches
 from pipeline.stages import Stage, StageContext
@@ -40,8 +38,8 @@ from pipeline.stages.navigation.tables import (
 )
 from pipeline.stages.networks.training import PREDICTOR
 from pipeline.stages.unseen.task import TEST_PHANTOM, training_arch
+from pipeline.stages.user_study import recordings
 from pipeline.store.errors import ConfigurationError, StageError
-from pipeline.store.provenance import hash_file
 from pipeline.tables import Results
 from pipeline.task import MOTION, TASK, require_feeder, require_known_task, require_same_task, task_from
 
@@ -69,7 +67,6 @@ def check_navigation(settings: NavigationSettings) -> None:
 
 
 def run_navigation(settings: NavigationSettings, context: StageContext) -> Results:
-    """Trains and tests every navigator and sums them up."""
     jobs = plan(settings, context)
     outcomes = run_jobs(
         context.folder, jobs, workers=settings.workers, label="navigators", preload=PRELOAD, device=settings.device
@@ -215,17 +212,12 @@ def _unseen(settings: NavigationSettings) -> tuple[Anatomy, ...]:
     return tuple((TEST_PHANTOM, arch) for arch in unseen_arches(settings.test_arches))
 
 
-def _recordings(run_path: Path) -> dict[str, str]:
-    logs = sorted((run_path / HUMAN).rglob(f"*{SUFFIX}"))
-    return {f"{HUMAN}/{path.relative_to(run_path).as_posix()}": hash_file(path) for path in logs}
-
-
 STAGE = Stage(
     settings=NavigationSettings,
     run=run_navigation,
     reads=("expert", "enn", "unseen", "splineformer"),
     prepare=settle,
     check=check_navigation,
-    further_inputs=_recordings,
+    further_inputs=recordings,
     repeated=True,
 )

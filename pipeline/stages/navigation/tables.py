@@ -15,14 +15,13 @@ from pipeline.episodes import EpisodeReader
 from pipeline.episodes.records import EpisodeReadError
 from pipeline.jobs.worker import Report
 from pipeline.plots.episodes import draw_failures, draw_success
-from pipeline.recording.human import FOLDER as HUMAN
-from pipeline.recording.human import SUFFIX
 from pipeline.recording.trials import MODES, Origin
 from pipeline.stages import StageContext
 from pipeline.stages.learning.expert_episodes import expert_folder
 from pipeline.stages.navigation.perception import PERCEPTION, load_perception
 from pipeline.stages.navigation.scene import EVALUATION, Scene, TrialSet, controllers, phantom_of, scene_of
 from pipeline.stages.navigation.settings import NavigationSettings
+from pipeline.stages.user_study import logs_of
 from pipeline.store.atomic_files import atomic_path
 from pipeline.tables import Figure
 
@@ -47,7 +46,7 @@ def tables(settings: NavigationSettings, context: StageContext, outcomes: dict[s
     rows = navigator_rows(outcomes)
     main: dict[str, dict[str, Any]] = {}
     for operator, row, logs in (
-        ("human", "expert_teleoperation", (context.run_path / HUMAN).rglob(f"*{SUFFIX}")),
+        ("human", "expert_teleoperation", logs_of(context.run_path)),
         ("sampling_expert", "sampling_expert", context.inputs["expert"].rglob("evaluation/*.mcap")),
         ("policy", "enn_expert", _expert_logs(settings, context)),
     ):
@@ -227,7 +226,6 @@ class NavigationFilm(Film):
         self._count += 1
 
     def write(self, path: Path) -> None:
-        """Writes the film as a GIF."""
         from PIL import Image
 
         from splineformer.navigation.picture import SIDE_PX

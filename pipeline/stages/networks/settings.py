@@ -54,7 +54,6 @@ class ShippedSettings(TrainingSettings):
     shipped_sha256: str | None = None  # of that, filled in
 
     def __post_init__(self) -> None:
-        """Reads the network's file."""
         self.shipped_sha256 = None
         if self.shipped:
             package, _, network = SHIPPED[self.name]

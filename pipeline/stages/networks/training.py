@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,12 +20,15 @@ import numpy as np
 from enn.curves import Curves
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import OPTIMISER, Report
+from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages import StageContext
 from pipeline.stages.guide3d.folder import open_dataset, read_source
+from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.stages.job_memory import network_gb
-from pipeline.stages.networks.settings import SHIPPED, TrainingSettings
-from pipeline.store.atomic_files import atomic_path, write_json
+from pipeline.stages.networks.settings import SEGMENTATION_ROWS, SHIPPED, ShippedSettings, TrainingSettings
+from pipeline.store.atomic_files import atomic_path, read_json, write_json
 from pipeline.store.errors import StageError
+from pipeline.store.manifest import read_manifest
 from pipeline.store.written_files import note
 from pipeline.tables import Figure, Results
 
@@ -84,7 +87,7 @@ def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[
     if job.shipped is not None and not table.is_file():
         _take(job, job.shipped)
     if table.is_file() and (job.folder / PREDICTOR).is_file():
-        return dict(json.loads(table.read_text(encoding="utf-8")))
+        return dict(read_json(table))
     settings = job.settings
     source = read_source(job.guide3d)
     words = [
@@ -101,7 +104,7 @@ def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[
     if settings.processes > 1:
         train_together(module, words, settings.processes, report)
         note(*(file for file in job.folder.rglob("*") if file.is_file()))
-        trained = dict(json.loads(table.read_text(encoding="utf-8")))
+        trained = dict(read_json(table))
         with Curves(job.folder) as curves:
             curves.add_epochs(trained["rows"])
         return trained
@@ -141,8 +144,16 @@ def training_figures(training: dict[str, Any], predictor: Any) -> dict[str, Any]
 
 PICTURES = ".cache/pictures"  # made again from the data set when needed
 
-Tables = Callable[[Any, dict[str, Any]], dict[str, Any]]
-Figures = Callable[[Any, dict[str, Any], StageContext], list[Figure]]
+
+def shipped_rows(settings: ShippedSettings, context: StageContext) -> dict[str, str]:
+    """Row to shipped network, of those that a training here would repeat: data set, size, split and seed agree."""
+    data = read_manifest(context.inputs["guide3d"])
+    same = (settings.size, settings.epochs, settings.split_seed, context.seed) == ("desk", 0, 0, 0)
+    if not (settings.shipped and same and data is not None):
+        return {}
+    _, row, name = SHIPPED[settings.name]
+    usual = settings_that_matter(Guide3dSettings())
+    return {row: name} if {key: data.config.get(key) for key in usual} == usual else {}
 
 
 def training_job(
@@ -151,6 +162,7 @@ def training_job(
     settings: TrainingSettings,
     context: StageContext,
     weight: float = 1.0,
+    shipped: str | None = None,
 ) -> Job:
     """The job that trains one network, named and with a folder after it, with a GPU for each of its processes."""
     given = TrainingJob(
@@ -160,6 +172,7 @@ def training_job(
         network=network,
         settings=settings,
         seed=context.seed,
+        shipped=shipped,
     )
     gpu_gb = network_gb(network, settings.size)
     return Job(network, learn, given, weight=weight, gpu_gb=gpu_gb, gpus=settings.processes)
@@ -174,52 +187,51 @@ def train_and_compare(
     settings: TrainingSettings,
     context: StageContext,
     jobs: Sequence[Job],
-    tables: Tables,
-    figures: Figures,
+    tables: Callable[[Any, dict[str, Any]], dict[str, Any]],
+    figures: Callable[[Any, dict[str, Any], StageContext], list[Figure]],
     *,
     label: str,
     preload: Sequence[str],
+    labels: Mapping[str, str],
 ) -> Results:
-    """Trains every network and makes tables and figures of settings and outcomes."""
+    """Trains every network, makes tables and figures of settings and outcomes, and notes which rows were shipped."""
     outcomes = run_jobs(
         context.folder, list(jobs), workers=settings.workers, label=label, preload=preload, device=settings.device
     )
-    return Results(tables(settings, outcomes), figures(settings, outcomes, context))
+    measured = tables(settings, outcomes)
+    text = " ".join(
+        f"{labels[job.key]}: `{job.given.shipped}`, shipped with the package, its training not repeated here. Its "
+        f"card (`{SHIPPED[job.given.settings.name][0]}.card`) has the command of the training; `make all PRETRAINED=0` "
+        "trains."
+        for job in jobs
+        if isinstance(job.given, TrainingJob) and job.given.shipped is not None
+    )
+    notes = dict.fromkeys(measured, text) if text else {}
+    return Results(measured, figures(settings, outcomes, context), notes)
 
 
 PRELOAD = ("guide3d.train", "guide3d.learning.evaluation", OPTIMISER)
 EXAMPLES = "examples.npz"
 
-# predictor, figures and examples of a trained network, from its job, the data set and the test acquisitions
-_Evaluate = Callable[[TrainingJob, "Dataset", tuple[str, ...], Report], tuple[Any, dict[str, Any], dict[str, Any]]]
 
-
-def learn_shape(job: TrainingJob, report: Report) -> dict[str, Any]:
-    """Trains a network of the shape and compares its curves with the true ones; see `evaluate_shape`."""
-    return _learn(job, report, job.folder / "shape.json", _evaluate_shape, np.savez)
-
-
-def learn_segmentation(job: TrainingJob, report: Report) -> dict[str, Any]:
-    """Trains a segmentation network and compares its masks with the annotated ones; see `evaluate_segmentation`."""
-    return _learn(job, report, job.folder / "segmentation.json", _evaluate_segmentation, np.savez_compressed)
-
-
-def _learn(
-    job: TrainingJob, report: Report, file: Path, evaluate: _Evaluate, save: Callable[..., None]
-) -> dict[str, Any]:
+def learn(job: TrainingJob, report: Report) -> dict[str, Any]:
+    """Trains a network and compares its curves, or masks, with the true ones; see `guide3d.learning.evaluation`."""
+    segments = job.network in SEGMENTATION_ROWS
+    file = job.folder / ("segmentation.json" if segments else "shape.json")
     if not file.is_file():
         from guide3d.dataset.dataset import split
 
         training = train_network(job, report)
         data = open_dataset(job.guide3d)
         test = split(data, seed=job.settings.split_seed).test
+        evaluate = _evaluate_segmentation if segments else _evaluate_shape
         predictor, figures, examples = evaluate(job, data, test, report)
         with atomic_path(job.folder / EXAMPLES) as temporary:
-            save(temporary, **examples)
+            (np.savez_compressed if segments else np.savez)(temporary, **examples)
         trained_with = {name: int(n) for name, n in predictor.metadata.items() if name.startswith("training_")}
         figures |= training_figures(training, predictor) | trained_with | {"acquisitions": len(test)}
         write_json(file, figures)
-    return dict(json.loads(file.read_text(encoding="utf-8")))
+    return dict(read_json(file))
 
 
 def train_network(job: TrainingJob, report: Report) -> dict[str, Any]:

@@ -48,7 +48,6 @@ class RehearsalJob:
     shown_by: tuple[Path, ...] = ()
     part: int = 0  # of demonstrations and trials: its number among those that are made beside each other
     turn: int = 0  # of demonstrations: its number (`pipeline.stages.rehearsal.training`)
-    force_price: float | None = None  # of the training's reward, 1/N; None: what the settings say without trials
     tried: Tried | None = None  # how the policy to start from fared in trials of its devices; None: there were none
 
     @property
@@ -65,7 +64,6 @@ class RehearsalJob:
 
     @property
     def own_folder(self) -> Path:
-        """Of the training."""
         return self.folder / f"seed{self.origin.training_seed}"
 
 
@@ -92,7 +90,7 @@ def copies_environment(
         period=settings.breath_s,
     )
     shaped: dict[str, Any] = {
-        "force_penalty": settings.price_of_force(job.task) if job.force_price is None else job.force_price,
+        "force_penalty": settings.price_of_force(job.task, job.tried),
         "force_threshold": settings.force_threshold_n,
         "path_penalty": settings.path_penalty,
     }

@@ -61,11 +61,6 @@ def play(job: RehearsalJob, report: Report) -> dict[str, Any]:
 _USUAL_STEPS = 300  # of an episode, whose film has every second step; that of one twice as long every fourth
 
 
-def film_file(tested: str | None) -> str:
-    """Where the film of a row of the table lies, in the stage's folder."""
-    return f"{tested}.gif"
-
-
 def film_scan(job: RehearsalJob, report: Report) -> dict[str, Any]:
     """Repeats and films the first episode in the scan that arrived, or the first: number, whether it arrived, steps."""
     from cathsim.viewing.film import STRIDE, Film
@@ -94,7 +89,7 @@ def film_scan(job: RehearsalJob, report: Report) -> dict[str, Any]:
             film.add(shown)
             ended = arrived or truncated
             report(shown.steps / task.max_steps, f"step {shown.steps}")
-        with atomic_path(job.folder / film_file(job.tested)) as temporary:
+        with atomic_path(job.folder / f"{job.tested}.gif") as temporary:
             film.write(temporary)
     finally:
         film.close()

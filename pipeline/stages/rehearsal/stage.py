@@ -21,7 +21,7 @@ from pipeline.stages import Stage, StageContext
 from pipeline.stages.job_memory import policy_gb
 from pipeline.stages.learning.settings import with_hyperparameters
 from pipeline.stages.rehearsal.copies import COPIES, PRELOAD, SCAN, RehearsalJob
-from pipeline.stages.rehearsal.episodes import film_file, film_scan, play
+from pipeline.stages.rehearsal.episodes import film_scan, play
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.start import (
     advising_policies,
@@ -81,17 +81,15 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> Results
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     _LOGGER.info("it starts from %s", "nothing" if start is None else start)
-    price = settings.price_of_force(task, tried)
-    _LOGGER.info("a newton and step cost %g in the training", price)
-    jobs = plan(settings, context, task, target, start, asked, price, tried)
+    _LOGGER.info("a newton and step cost %g in the training", settings.price_of_force(task, tried))
+    jobs = plan(settings, context, task, target, start, asked, tried)
     label = f"rehearsal in {phantom.name}"
     outcomes = run_jobs(
         context.folder, jobs, workers=settings.workers, label=label, preload=PRELOAD, device=settings.device
     )
+    played = (AFTER,) if start is None else (BEFORE, AFTER)
     rows = {
-        f"{phantom.name}/{tested} {kind}": row(outcomes, tested, kind)
-        for tested in _rows(start)
-        for kind in (SCAN, COPIES)
+        f"{phantom.name}/{tested} {kind}": row(outcomes, tested, kind) for tested in played for kind in (SCAN, COPIES)
     }
     origin = "nothing" if start is None else "a policy"
     shown = shown_by(outcomes)
@@ -105,11 +103,11 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> Results
     told = ", ".join(f"{name} {count}" for name, count in shown.items() if count) or "none"
     devices = {"wire": task.wire, "catheter": task.catheter or "none"}
     cost = outcomes[TRAINING] | {"starts_from": origin, **devices, "demonstrations": told}
-    figures = [picture(outcomes, tested, phantom, target, context.path) for tested in _rows(start)]
+    figures = [picture(outcomes, tested, phantom, target, context.path) for tested in played]
     if FILM in outcomes:
         outcome = "arrives" if outcomes[FILM]["arrived"] else "does not arrive"
         caption = f"An episode in the scan, which {outcome}."
-        figures.append(Figure(f"{phantom.name}, {AFTER} the rehearsal, film", caption, film_file(AFTER)))
+        figures.append(Figure(f"{phantom.name}, {AFTER} the rehearsal, film", caption, f"{AFTER}.gif"))
     return Results({"rehearsal": rows, "rehearsal_cost": {phantom.name: cost}}, figures)
 
 
@@ -120,12 +118,11 @@ def plan(
     target: str,
     start: Path | None,
     asked: Sequence[Path] = (),
-    force_price: float | None = None,
     tried: Tried | None = None,
 ) -> list[Job]:
     """The jobs: demonstrations by policies that are asked, tests before, the training, tests after."""
     origin = Origin("rehearsal", AFTER, context.seed, context.budget)
-    job = RehearsalJob(context.path, origin, settings, task, target, start, force_price=force_price, tried=tried)
+    job = RehearsalJob(context.path, origin, settings, task, target, start, tried=tried)
     jobs = _demonstrations(replace(job, shown_by=tuple(asked))) if settings.demonstrations else []
     shown = tuple(one.key for one in jobs)
     weight, memory = settings.decisions * _SECONDS["decision"], policy_gb(settings.task.image_size_px, 0)
@@ -193,10 +190,6 @@ def _tests(job: RehearsalJob, tested: str, policy: Path, after: tuple[str, ...])
     ]
 
 
-def _rows(start: Path | None) -> tuple[str, ...]:
-    return (AFTER,) if start is None else (BEFORE, AFTER)
-
-
 def _outcomes_of(outcomes: dict[str, Any], tested: str, kind: str) -> list[dict[str, Any]]:
     return [outcome for key, outcome in outcomes.items() if key.startswith(f"{tested}/{kind}")]
 
@@ -225,17 +218,13 @@ def row(outcomes: dict[str, Any], tested: str, kind: str) -> dict[str, Any]:
 
 def picture(outcomes: dict[str, Any], tested: str, phantom: Any, target: Any, folder: Path) -> Figure:
     """Draws the tip's paths and the forces in the copies of a test."""
-    from pipeline.episodes import EpisodeReader
     from pipeline.plots.episodes import draw_task
 
-    logs: Sequence[str] = [log for part in _outcomes_of(outcomes, tested, COPIES) for log in part["logs"]]
-    episodes = []
-    for log in logs:
-        with EpisodeReader(log) as episode:
-            episodes.append(episode.load_arrays(pictures=False))
+    parts = _outcomes_of(outcomes, tested, COPIES)
+    logs = [Path(log) for part in parts for log in part["logs"]]
     file = f"{tested}.png"
-    draw_task(phantom, target, episodes, folder / file)
-    reached = sum(sum(part["within_attempts"]) for part in _outcomes_of(outcomes, tested, COPIES))
+    draw_task(phantom, target, logs, folder / file)
+    reached = sum(sum(part["within_attempts"]) for part in parts)
     caption = f"{reached} of {len(logs)} copies reached; the lumen is the scan's."
     return Figure(f"{phantom.name}, {tested} the rehearsal", caption, file)
 

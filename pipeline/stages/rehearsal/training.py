@@ -191,7 +191,6 @@ class _Steered:
             self.environment = XrayEnvironment(bare, side, every=held, **self.policy.imaging)
 
     def episode(self, case: int, number: int) -> Trajectory:
-        """An episode of a turn in a case."""
         from enn.policy import Policy
         from enn.reinforcement.rehearsal import demonstrated
 
@@ -205,7 +204,7 @@ class _Steered:
 
 def read_demonstrations(folder: Path) -> list[Trajectory]:
     """The demonstrations of a stage's folder that arrived, in the order of their files' names."""
-    shown = [read_demonstration(path, ROADMAP_KEYS) for path in sorted((folder / DEMONSTRATIONS).glob("*.npz"))]
+    shown = [read_demonstration(path) for path in sorted((folder / DEMONSTRATIONS).glob("*.npz"))]
     return [one for one in shown if one is not None]
 
 

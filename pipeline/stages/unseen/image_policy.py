@@ -9,7 +9,6 @@ A policy's folder, ``<row>/seed<k>/``, draws as::
 
 from __future__ import annotations
 
-import json
 import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -25,12 +24,12 @@ from enn.curves import Curves
 from enn.imitation.advised_rounds import FinishedRound, forget_rounds, last_policy, teach
 from pipeline.clutter import clutter_of
 from pipeline.jobs.worker import Report
-from pipeline.recording.trials import POLICY, Controller
+from pipeline.recording.trials import POLICY
 from pipeline.seeds import unseen_episode_seeds
 from pipeline.stages.unseen.settings import ONE_VIEW, UnseenSettings
 from pipeline.stages.unseen.task import RESOLUTION, ROADMAP, XRAY, training_arch
 from pipeline.stages.unseen.trials import PolicyJob, policy_folder, run_tests, taken_over
-from pipeline.store.atomic_files import write_json, write_text
+from pipeline.store.atomic_files import read_json, write_json, write_text
 from pipeline.task import TASK
 
 if TYPE_CHECKING:
@@ -109,19 +108,21 @@ def train_image_policy(job: ImagePolicyJob, report: Report) -> dict[str, Any]:
         policy, perception = load_image_policy(taken_over(job.start, file), report.device)
         spent = 0.0
     elif record.is_file():
-        spent = float(json.loads(record.read_text(encoding="utf-8"))["wall_s"])
+        spent = float(read_json(record)["wall_s"])
         policy, perception = load_image_policy(file, report.device)
     else:
         policy, perception, rounds = _train(job, report.part(0.0, 0.8, "training"), report.device)
         policy.save(file, **job.origin.configuration("training"), **{TASK: asdict(job.task.task)})
         spent = _write_record(job, rounds)
         forget_rounds(job.own_folder)
-
-    def controllers(mode: str) -> Callable[[int], Controller]:
-        return lambda seed: perception.controller(policy)
-
     seen = partial(job.seen, every=policy.settings.action_repeat)
-    tested = run_tests(job, controllers, job.observations(), report.part(0.8, 1.0, "tests"), seen)
+    tested = run_tests(
+        job,
+        lambda mode: lambda seed: perception.controller(policy),
+        job.observations(),
+        report.part(0.8, 1.0, "tests"),
+        seen,
+    )
     return {"training_s": spent, "tests": tested}
 
 

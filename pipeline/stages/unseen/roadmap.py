@@ -14,7 +14,7 @@ before the target, and each of them drawn back a little, turning.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ import numpy as np
 from enn.curves import chosen_logger
 from pipeline.jobs.worker import OPTIMISER, Report, map_simulations
 from pipeline.recording.training_films import training_films
-from pipeline.recording.trials import POLICY, Controller
+from pipeline.recording.trials import POLICY, controllers
 from pipeline.seeds import arch_demonstration_seed
 from pipeline.stages.learning.settings import with_hyperparameters
 from pipeline.stages.learning.training import words
@@ -61,20 +61,19 @@ def demonstration_arrays(shown: Trajectory) -> dict[str, Any]:
 
 
 def arrived(path: Path) -> bool:
-    """Whether the episode of a file reached its target."""
     with np.load(path) as arrays:
         return bool(arrays[ARRIVED])
 
 
-def read_demonstration(path: Path, keys: Sequence[str], **metadata: Any) -> Trajectory | None:
-    """The episode of a file with observations `keys` and further metadata; None: it did not reach its target."""
+def read_demonstration(path: Path, **metadata: Any) -> Trajectory | None:
+    """The episode of a file, with further metadata; None: it did not reach its target."""
     from enn.trajectory import Trajectory
 
     with np.load(path) as arrays:
         if not arrays[ARRIVED]:
             return None
         return Trajectory(
-            {key: arrays[key] for key in keys},
+            {key: arrays[key] for key in ROADMAP_KEYS},
             arrays["actions"],
             arrays["rewards"],
             True,
@@ -124,12 +123,12 @@ def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, A
 
 
 def read_demonstrations(folder: Path, anatomies: Sequence[int]) -> list[Trajectory]:
-    """The demonstrations that reached their target, in random arches of these seeds."""
+    """The demonstrations that reached their target, in random arches of these seeds; none where none were made."""
     found = []
     for path in sorted(folder.glob("*.npz")):
         target, anatomy = path.stem.split("_")
         if int(anatomy) in anatomies:
-            shown = read_demonstration(path, ROADMAP_KEYS, target=target, anatomy=int(anatomy))
+            shown = read_demonstration(path, target=target, anatomy=int(anatomy))
             found += [] if shown is None else [shown]
     return found
 
@@ -258,14 +257,11 @@ class RoadmapJob(PolicyJob):
     """A policy on the local roadmap."""
 
     settings: TrainingSettings | None  # of its training; None: the policy of `start` is taken as it is
-    validated: tuple[int, ...] = ()  # seeds of random arches that the best policy is chosen by; none: those trained on
-    demonstrated: bool = False  # whether it learns from the stage's demonstrations in its anatomies
-    laid: bool = True  # whether the stage's laid starts in its anatomies go into the reset bank
+    validated: tuple[int, ...]  # seeds of random arches that the best policy is chosen by
     start: Path | None = None  # file of the policy that it starts from; None: from nothing
 
 
 def build_anatomies(job: AnatomiesJob, report: Report) -> dict[str, Any]:
-    """Builds random arches into the cache of phantoms."""
     from cathsim.anatomy import load_phantom
 
     for done, (kind, seed) in enumerate(job.arches):
@@ -278,22 +274,16 @@ def build_anatomies(job: AnatomiesJob, report: Report) -> dict[str, Any]:
 
 def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:
     """Trains a policy on the roadmap and tests it, each where it lacks: ``training_s`` and summaries."""
-    map_simulations()
-    policy, training_s = _taken_over(job) if job.settings is None else _trained(job, job.settings, report)
-
-    def controllers(mode: str) -> Callable[[int], Controller]:
-        return lambda seed: policy.controller(deterministic=mode == "deterministic", seed=seed)
-
-    tested = run_tests(job, controllers, ROADMAP_KEYS, report.part(0.7, 1.0, "tests"))
-    return {"training_s": training_s, "tests": tested}
-
-
-def _taken_over(job: RoadmapJob) -> tuple[Policy, float]:
-    """The policy that the job starts from, as its own."""
     from enn.policy import Policy
 
-    assert job.start is not None, "without a training there is a policy to take"
-    return Policy.load(taken_over(job.start, job.own_folder / POLICY)), 0.0
+    map_simulations()
+    if job.settings is None:
+        assert job.start is not None, "without a training there is a policy to take"
+        policy, training_s = Policy.load(taken_over(job.start, job.own_folder / POLICY)), 0.0
+    else:
+        policy, training_s = _trained(job, job.settings, report)
+    tested = run_tests(job, partial(controllers, policy), ROADMAP_KEYS, report.part(0.7, 1.0, "tests"))
+    return {"training_s": training_s, "tests": tested}
 
 
 def _trained(job: RoadmapJob, settings: TrainingSettings, report: Report) -> tuple[Policy, float]:
@@ -307,18 +297,17 @@ def _trained(job: RoadmapJob, settings: TrainingSettings, report: Report) -> tup
         leftover.unlink()
     environment = partial(job.task.training_environment, observation=ROADMAP_KEYS, observe_every=settings.action_repeat)
     SHELF.capacity = max(SHELF.capacity, len(job.anatomies) + len(job.validated))  # all take turns
-    make = partial(environment, job.anatomies)
-    make_validation_env = partial(environment, job.validated, accuracy="accurate") if job.validated else None
+    make_validation_env = partial(environment, job.validated, accuracy="accurate")
     training = Training(
         replace(settings, device=report.device),
-        make,
+        partial(environment, job.anatomies),
         job.own_folder,
         seed=job.seed,
-        demonstrations=read_demonstrations(job.folder / DEMONSTRATIONS, job.anatomies) if job.demonstrated else [],
+        demonstrations=read_demonstrations(job.folder / DEMONSTRATIONS, job.anatomies),
         metadata={**job.origin.configuration("training"), TASK: asdict(job.task.task)},
-        starts=read_starts(job.folder / STARTS, job.anatomies, job.task.targets) if job.laid else [],
+        starts=read_starts(job.folder / STARTS, job.anatomies, job.task.targets),
         make_validation_env=make_validation_env,
-        after_evaluation=training_films(job.own_folder, make_validation_env or make, job.seed),
+        after_evaluation=training_films(job.own_folder, make_validation_env, job.seed),
         initial=None if job.start is None else Policy.load(job.start, report.device),
     )
     with stopping_the_stage(CheckpointError, *([ValueError] if job.start is not None else [])):

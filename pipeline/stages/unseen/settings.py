@@ -29,7 +29,6 @@ LEAST_WIDE_FIELD_MM = 200.0  # with RSA and RCCA, up to 88 mm beside the arch's 
 
 
 def shipped_policy(name: str) -> Path:
-    """The file of a policy that comes with enn."""
     from enn.shipped import weight_files
 
     return next(file for file in weight_files() if file.stem == name)
@@ -168,7 +167,6 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
         return 1e-3 * self.field_mm or None
 
     def learnt_targets(self) -> tuple[str, ...]:
-        """The targets of every policy."""
         if self.arches != VARIETY:
             return tuple(self.targets)
         from cathsim.anatomy.point_target import drawn_point_name

@@ -115,12 +115,12 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     laid = _starts(run, most) if trains else []
     shown = _demonstrations(run, after=_keys(built)) if trains and DEMONSTRATED in task.targets else []
     prepared = [*built, *laid, *shown]
-    teacher, tests = _roadmap(run, _keys(prepared), demonstrated=bool(shown))
+    teacher, tests = _roadmap(run, _keys(prepared))
     # policies by images are the longest chain of jobs: next after their teacher
     jobs = [*prepared, teacher, *by_images, tests]
     for count in curve:  # the one with most arches never beside another that keeps as many in memory
         after = _keys(prepared) + ((ROADMAP, *images) if count == most else ())
-        jobs.append(_of_the_curve(run, count, after, demonstrated=bool(shown)))
+        jobs.append(_of_the_curve(run, count, after))
     return jobs
 
 
@@ -185,7 +185,7 @@ def _demonstrations(run: _Run, after: tuple[str, ...]) -> list[Job]:
     return jobs
 
 
-def _roadmap(run: _Run, after: tuple[str, ...], *, demonstrated: bool) -> list[Job]:
+def _roadmap(run: _Run, after: tuple[str, ...]) -> list[Job]:
     """The main policy, and its tests as a job of their own, so that the image policies need not wait for them."""
     settings = run.settings
     start, training = policy_to_start_from(settings), None
@@ -200,7 +200,6 @@ def _roadmap(run: _Run, after: tuple[str, ...], *, demonstrated: bool) -> list[J
         settings=training,
         start=None if settings.policy is None else Path(settings.policy),
         validated=run.validated,
-        demonstrated=demonstrated,
     )
     untested, gpu_gb = replace(given, tests=()), policy_gb(settings.task.image_size_px, 0)
     weight, tests = settings.decisions * _SECONDS["decision"], _seconds_of(given.tests, settings)
@@ -210,7 +209,7 @@ def _roadmap(run: _Run, after: tuple[str, ...], *, demonstrated: bool) -> list[J
     ]
 
 
-def _of_the_curve(run: _Run, count: int, after: tuple[str, ...], *, demonstrated: bool) -> Job:
+def _of_the_curve(run: _Run, count: int, after: tuple[str, ...]) -> Job:
     """A policy of so many arches; all of the curve have equally many decisions."""
     settings, row = run.settings, f"{ROADMAP} {count}"
     given = RoadmapJob(
@@ -221,7 +220,6 @@ def _of_the_curve(run: _Run, count: int, after: tuple[str, ...], *, demonstrated
         tests=(replace(test_sets(settings)[0], modes=("deterministic",)),),
         settings=training_settings(settings, count, settings.curve_decisions, OF_THE_CURVE),
         validated=run.validated,
-        demonstrated=demonstrated,
     )
     weight = settings.curve_decisions * _SECONDS["decision"] + _seconds_of(given.tests, settings)
     return Job(row, train_roadmap, given, after=after, weight=weight, gpu_gb=policy_gb(settings.task.image_size_px, 0))
@@ -324,7 +322,6 @@ def check_unseen(settings: UnseenSettings) -> None:
 
 
 def run_unseen(settings: UnseenSettings, context: StageContext) -> Results:
-    """Trains and tests every policy."""
     jobs = plan(settings, context.path, context.seed, context.budget)
     if settings.shipped:
         _LOGGER.info("unseen: %s", _SHIPPED)

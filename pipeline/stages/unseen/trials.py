@@ -49,12 +49,10 @@ class PolicyJob:
 
     @property
     def seed(self) -> int:
-        """Of the training."""
         return self.origin.training_seed
 
     @property
     def own_folder(self) -> Path:
-        """Of the policy."""
         return policy_folder(self.folder, self.origin.row, self.seed)
 
 

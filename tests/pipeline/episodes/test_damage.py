@@ -132,7 +132,7 @@ def test_recovery_of_a_fine_log_keeps_all(log_path, episode, assert_same, tmp_pa
 
 
 def write_container(path, metadata: dict[str, dict[str, str]]) -> None:
-    file = McapFile(path, "test")
+    file = McapFile(path)
     for name, values in metadata.items():
         file.add_metadata(name, values)
     file.close_with_index()

@@ -6,8 +6,8 @@ import dataclasses
 
 import pytest
 
-from pipeline.jobs.machine import Gpu, Machine, check_device, find_gpus, gpus_of
-from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.machine import Machine, check_device, find_gpus, gpus_of
+from pipeline.jobs.pool import Job, chosen_engine, run_jobs
 from pipeline.jobs.worker import Message, Report
 from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages import available_stages, load_stage
@@ -20,9 +20,10 @@ from tests.pipeline.jobs.toy_training import GB, SECONDS_BESIDE_OTHERS, gpu, ove
 SETTINGS = {name: load_stage(name).settings for name in available_stages()}
 
 
-def test_jobs_share_gpus_by_their_memory(folder: RunFolder) -> None:
+def test_jobs_share_gpus_by_their_memory(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pipeline.jobs.machine.find_gpus", lambda: [gpu("0", 13), gpu("GPU-7f", 7)])
     jobs = [Job(f"job{k}", where, SECONDS_BESIDE_OTHERS, gpu_gb=6.0) for k in range(4)] + [Job("vectors", where)]
-    told = run_jobs(folder, jobs, workers=5, device="cuda", find=lambda: [gpu("0", 13), gpu("GPU-7f", 7)])
+    told = run_jobs(folder, jobs, workers=5, device="cuda")
     assert told["vectors"]["device"] == "cpu"
     assert told["vectors"]["visible"] == ""  # it cannot take memory of a GPU by mistake
     rest = [told[f"job{k}"] for k in range(4)]
@@ -33,20 +34,24 @@ def test_jobs_share_gpus_by_their_memory(folder: RunFolder) -> None:
         assert max(sum(overlap(one, other) for other in there) for one in there) <= most
 
 
-def test_without_a_gpu_jobs_run_on_the_processor_which_is_not_asked_for_gpus(folder: RunFolder) -> None:
-    def never() -> list[Gpu]:
-        raise AssertionError("nobody was to look for GPUs")
-
-    told = run_jobs(folder, [Job("a", where, gpu_gb=6.0)], workers=1, device="auto", find=list)
+def test_without_a_gpu_jobs_run_on_the_processor_which_is_not_asked_for_gpus(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pipeline.jobs.machine.find_gpus", list)
+    told = run_jobs(folder, [Job("a", where, gpu_gb=6.0)], workers=1, device="auto")
     assert (told["a"]["device"], told["a"]["visible"]) == ("cpu", "")
-    told = run_jobs(folder, [Job("b", where, gpu_gb=6.0)], workers=1, find=never)
+    monkeypatch.setattr("pipeline.jobs.machine.find_gpus", lambda: pytest.fail("nobody was to look for GPUs"))
+    told = run_jobs(folder, [Job("b", where, gpu_gb=6.0)], workers=1)
     assert told["b"]["device"] == "cpu"
 
 
-def test_a_job_that_fits_nowhere_is_named_before_anything_runs(folder: RunFolder) -> None:
+def test_a_job_that_fits_nowhere_is_named_before_anything_runs(
+    folder: RunFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pipeline.jobs.machine.find_gpus", lambda: [gpu("0", 8)])
     jobs = [Job("small", where, gpu_gb=1.0), Job("large", where, gpu_gb=9.5)]
     with pytest.raises(StageError, match=r"large needs 1 GPU with about 9\.5 GB free, of 1 0 have so much, 8\.0"):
-        run_jobs(folder, jobs, workers=1, device="cuda", find=lambda: [gpu("0", 8)])
+        run_jobs(folder, jobs, workers=1, device="cuda")
     assert folder.result_of("small") is None
     with pytest.raises(StageError, match="both needs 2 GPUs"):
         Machine(1, 8.0, [gpu("0", 8)]).check(Job("both", where, gpu_gb=1.0, gpus=2))
@@ -89,14 +94,14 @@ def test_what_a_job_really_uses_counts_where_it_is_more() -> None:
         (2, "cuda:2", r"stage\.device=cuda:2, but torch finds 2 GPUs: the last is cuda:1"),
     ],
 )
-def test_a_gpu_that_there_is_not_is_refused(count: int, device: str, message: str) -> None:
-    def find() -> list[Gpu]:
-        return [gpu(str(k), 8) for k in range(count)]
-
+def test_a_gpu_that_there_is_not_is_refused(
+    count: int, device: str, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("pipeline.jobs.machine.find_gpus", lambda: [gpu(str(k), 8) for k in range(count)])
     with pytest.raises(ConfigurationError, match=message):
-        check_device(device, find)
+        check_device(device)
     for fine in ("cpu", "auto", *(f"cuda:{k}" for k in range(count))):
-        check_device(fine, find)
+        check_device(fine)
 
 
 def test_other_words_are_refused() -> None:
@@ -138,11 +143,13 @@ def test_estimates_grow_with_images_and_batches() -> None:
 
 def test_jobs_wait_for_the_processors_memory(folder: RunFolder) -> None:
     jobs = [Job(f"job{k}", where, SECONDS_BESIDE_OTHERS, memory_gb=6.0) for k in range(3)] + [Job("small", where)]
-    told = run_jobs(folder, jobs, workers=4, available=lambda: 13 * GB)
+    with chosen_engine(None, lambda: 13 * GB):
+        told = run_jobs(folder, jobs, workers=4)
     large = [told[f"job{k}"] for k in range(3)]
     assert max(sum(overlap(one, other) for other in large) for one in large) <= 2
-    with pytest.raises(StageError, match=r"huge needs about 14\.0 GB of memory, 13\.0 GB are available"):
-        run_jobs(folder, [Job("huge", where, memory_gb=14.0)], available=lambda: 13 * GB)
+    huge = pytest.raises(StageError, match=r"huge needs about 14\.0 GB of memory, 13\.0 GB are available")
+    with chosen_engine(None, lambda: 13 * GB), huge:
+        run_jobs(folder, [Job("huge", where, memory_gb=14.0)])
 
 
 def test_every_training_of_the_thesis_fits_16_gb() -> None:

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
@@ -19,7 +20,8 @@ ALIVE, ALSO_ALIVE = os.getpid(), os.getppid()  # owners of jobs must be processe
 
 def here(*gpus: Gpu) -> Machine:
     """The chain's machine, as one of its stages sees it."""
-    return Machine.here(99, lambda: pytest.fail("the chain has counted"), "cuda" if gpus else "cpu", lambda: gpus)
+    with patch("pipeline.jobs.machine.find_gpus", lambda: gpus):
+        return Machine.here(99, lambda: pytest.fail("the chain has counted"), "cuda" if gpus else "cpu")
 
 
 def takes(machine: Machine, key: str, memory_gb: float, gpu_gb: float = 0.0) -> bool:
@@ -58,7 +60,7 @@ def test_what_a_killed_stage_had_is_free() -> None:
 
 def test_a_folder_that_is_gone_means_no_sharing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(FOLDER, str(tmp_path / "gone"))
-    assert Machine.here(2, lambda: 3 * GB, "cpu", list).room_gb == 3.0
+    assert Machine.here(2, lambda: 3 * GB, "cpu").room_gb == 3.0
     with shared_machine(1, 1.0):
         folder = Path(os.environ[FOLDER])
         assert folder.is_dir()
@@ -116,6 +118,7 @@ def test_jobs_share_a_gpu_with_those_of_another_stage(folder: RunFolder, monkeyp
             patch.setattr(os, "getpid", lambda: ALSO_ALIVE)
             assert takes(here(gpu("0", 13)), "another's", 0.0, 6.0)
         jobs = [Job(f"job{k}", where, SECONDS_BESIDE_OTHERS, gpu_gb=6.0) for k in range(2)]
-        told = run_jobs(folder, jobs, workers=3, device="cuda", find=lambda: [gpu("0", 13)])
+        monkeypatch.setattr("pipeline.jobs.machine.find_gpus", lambda: [gpu("0", 13)])
+        told = run_jobs(folder, jobs, workers=3, device="cuda")
     assert [one["visible"] for one in told.values()] == ["0", "0"]
     assert not overlap(*told.values())

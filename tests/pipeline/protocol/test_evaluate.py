@@ -17,12 +17,12 @@ import pytest
 
 from pipeline.data.sources import Source, SourceFile, Sources
 from pipeline.protocol import navigation, rehearsal, run
-from pipeline.protocol.claims import Rehearsal, read_protocol
+from pipeline.protocol.claims import Protocol, Rehearsal, declared, read_protocol
 from pipeline.protocol.command import main
-from pipeline.protocol.pages import documents, outdated, render, rendered
-from pipeline.protocol.run import KINDS, play, result_text, summary
+from pipeline.protocol.pages import documents, render, rendered
+from pipeline.protocol.run import KINDS, inputs, play, result_text, summary
 from pipeline.store.errors import ConfigurationError
-from pipeline.store.provenance import PROJECT_ROOT
+from pipeline.store.provenance import PROJECT_ROOT, hash_value
 
 NO_VESSEL = hashlib.sha256(b"solid no vessel").hexdigest()
 SCENES = """
@@ -258,6 +258,14 @@ def test_tables_of_the_documents_are_those_of_the_results() -> None:
     for path in documents():
         text = path.read_text(encoding="utf-8")
         assert rendered(text, RESULTS) == text, f"{path}: run endonav evaluate --pages"
+
+
+def outdated(result: dict, protocol: Protocol) -> str:
+    """Why a result is older than what it depends on; "" if it is not."""
+    claim = protocol.claims[result["claim"]]
+    if result["made_by"]["claim"] != hash_value(declared(claim, words=False)):
+        return "the protocol's entry is another one"
+    return "" if result["made_by"]["inputs"] == inputs(claim) else "policies or data are others"
 
 
 @pytest.mark.parametrize("path", KEPT, ids=[path.stem for path in KEPT])

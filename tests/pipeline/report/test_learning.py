@@ -44,18 +44,23 @@ def test_report_tabulates_the_logs_beside_what_results_say(tmp_path: Path, run_p
     assert measured["own_table"]["a"]["b"] == 1.0
 
 
+def finished(**seeds: int) -> dict:
+    """Stage folder to what its manifest says, from its seed."""
+    return {name: SimpleNamespace(seed=seed, variant=[]) for name, seed in seeds.items()}
+
+
 def test_a_stage_that_has_not_finished_does_not_count(tmp_path: Path) -> None:
     write_row(tmp_path, "enn", "V")
-    section = learning_section(tmp_path, [], tmp_path / "figures")
+    section = learning_section(tmp_path, {}, tmp_path / "figures")
     assert (section.results, section.folder) == ([{}], None)
 
 
 def test_people_count_once_the_user_study_has_selected_their_logs(tmp_path: Path) -> None:
     for index in range(2):
         write_evaluation(tmp_path / f"human/type_1/bca/{index:03d}.mcap", operator="human")
-    assert learning_section(tmp_path, [], tmp_path / "figures").results == [{}]
+    assert learning_section(tmp_path, {}, tmp_path / "figures").results == [{}]
     write_json(tmp_path / "user_study" / COUNTED, ["human/type_1/bca/001.mcap"])
-    tables, written = learning_section(tmp_path, ["user_study"], tmp_path / "figures").results
+    tables, written = learning_section(tmp_path, finished(user_study=0), tmp_path / "figures").results
     assert written == {}
     assert tables["human"]["type_1/bca"]["n"] == tables["ablation"]["bca/H"]["n"] == 1
 
@@ -65,14 +70,15 @@ def test_each_seed_of_a_repeated_stage_has_tables_of_its_own(tmp_path: Path) -> 
     write_row(tmp_path, "imitation", "bc", successes=(True, True))
     write_row(tmp_path, "imitation", "bc", successes=(True, False), folder="imitation@seed=1", seed=1)
     write_results(tmp_path / "imitation@seed=1", {"own": {"a": {"b": 2.0}}})
-    seeds = {"enn": 0, "imitation": 0, "imitation@seed=1": 1}
-    section = learning_section(tmp_path, list(seeds), tmp_path / "figures", seeds)
+    manifests = finished(**{"enn": 0, "imitation": 0, "imitation@seed=1": 1})
+    section = learning_section(tmp_path, manifests, tmp_path / "figures")
     assert set(section.by_seed) == {0, 1}
     shares = [tables["behaviour_cloning"]["type_1/bca/bc"]["success_pct"] for tables in section.by_seed.values()]
     assert shares == [100.0, 50.0]
     assert "enn" not in section.by_seed[0]
     assert section.by_seed[1]["own"] == {"a": {"b": 2.0}}
-    assert learning_section(tmp_path, list(seeds), tmp_path / "figures").by_seed == {}
+    once = finished(enn=0, imitation=0)
+    assert learning_section(tmp_path, once, tmp_path / "figures").by_seed == {}
 
 
 def test_an_empty_run_has_no_figures_and_long_heat_maps_take_episodes_evenly(tmp_path: Path) -> None:

@@ -227,7 +227,7 @@ def test_a_verdict_needs_the_same_thing_to_be_measured() -> None:
 
 def test_the_report_shows_them_beside_the_cells() -> None:
     page = render_page(
-        run="x", budget="desk", seeds=[0], written="2026-01-01T00:00:00", records=[], tables=report_tables({}),
+        run="x", budget="desk", seeds=[0], written="2026-01-01T00:00:00", records={}, tables=report_tables({}),
         figures=[], commit="", versions={}, machine=defaultdict(str),
     )  # fmt: skip
     assert page.count("As written, and ours") == len(comparisons())

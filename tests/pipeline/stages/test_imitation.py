@@ -145,7 +145,7 @@ def test_a_fitted_network_is_kept_and_forces_that_are_all_the_same_have_no_share
     kept = learn_force(fit.given, Report())
     assert kept["mse_n2"] == results["force_prediction_mse"]["fpn_12"]["mse_n2"]
     outcome = {**kept, "variance_n2": 0.0, "share_pct": None}
-    assert force.tables([fit], {fit.key: outcome})["force_share"]["baseline"]["share_pct"] is None
+    assert force.tables([fit], {fit.key: outcome}, [])["force_share"]["baseline"]["share_pct"] is None
     assert [one.file for one in force.figures([fit], {fit.key: outcome}, tmp_path)] == ["calibration.png"]
 
 

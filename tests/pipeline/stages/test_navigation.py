@@ -85,14 +85,15 @@ def results(run: Path) -> dict:
         return run_here(SETTINGS, run, navigation, READS)
 
 
-def test_perception_learns_from_laid_and_from_steered_wires(run: Path) -> None:
+def test_perception_learns_from_laid_and_from_steered_wires(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pipeline.stages.navigation.perception.BETWEEN", 3)
     settings = replace(SETTINGS, perception_frames=5, arch_task=replace(SETTINGS.arch_task, max_steps=30))
     job = navigation.plan(SETTINGS, context(run, "navigation", reads=READS))[0].given
     assert isinstance(job, PerceptionJob)
     assert job.teacher is not None
 
     def frames_of(teacher: Path | None) -> list:
-        return frames_in(("type_1", NAMED), settings, 0, teacher, 64, between=3)
+        return frames_in(("type_1", NAMED), settings, 0, teacher, 64)
 
     frames = frames_of(job.teacher)
     assert len(frames) == 5  # two laid ones first

@@ -182,10 +182,10 @@ def test_what_no_machine_can_do_is_refused(folder: RunFolder, on_cluster: Made) 
 
 def test_needs_are_named(folder: RunFolder, on_cluster: Made) -> None:
     cluster = on_cluster(has_gpus=True)
-    assert run_jobs(folder, [Job("a", square, 2, memory_gb=3.0, gpu_gb=1.0, cpus=2)], device="auto") == {"a": 4}
+    assert run_jobs(folder, [Job("a", square, 2, memory_gb=3.0, gpu_gb=1.0)], device="auto") == {"a": 4}
     assert run_jobs(folder, [Job("b", square, 3, gpu_gb=1.0)], device="cpu") == {"b": 9}
     assert [str(needs) for _, _, needs in cluster.tasks] == [
-        "2 CPUs, 1 GPU and 3.0 GB of memory", "1 CPU and 2.0 GB of memory"
+        "1 CPU, 1 GPU and 3.0 GB of memory", "1 CPU and 2.0 GB of memory"
     ]  # fmt: skip
 
 
@@ -217,10 +217,10 @@ def test_a_job_is_submitted_with_what_it_needs(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(shutil, "which", lambda name: f"/usr/bin/{name}")
     settings = SlurmSettings(partition="long", account="lab", hours=1.5)
     cluster = SlurmExecutor(settings, tmp_path)
-    cluster._executor.update_parameters(**cluster.parameters("enn type_1/bca", Needs(2, 1, 4.0)))
+    cluster._executor.update_parameters(**cluster.parameters("enn type_1/bca", Needs(1, 4.0)))
     script = _make_sbatch_string(command="true", folder=tmp_path, **cluster._executor._executor.parameters)
     for line in (
-        "--job-name=enn_type_1_bca", "--time=90", "--cpus-per-task=2", "--gpus-per-node=1", "--mem=4GB",
+        "--job-name=enn_type_1_bca", "--time=90", "--cpus-per-task=1", "--gpus-per-node=1", "--mem=4GB",
         "--partition=long", "--account=lab", "--no-requeue",
     ):  # fmt: skip
         assert f"#SBATCH {line}\n" in script

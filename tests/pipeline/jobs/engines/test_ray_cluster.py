@@ -68,7 +68,7 @@ def test_a_node_that_dies_has_its_jobs_done_by_the_other(two_nodes: Any, tmp_pat
         assert max(results["a"]["began"], results["b"]["began"]) >= 1  # one went on from its checkpoint
         assert "it is done again, time 2 of 3" in caplog.text
         with pytest.raises(StageError, match="no machine of the cluster has so much"):
-            run_jobs(folder, [Job("wide", square, 2, cpus=2)])
+            run_jobs(folder, [Job("wide", square, 2, memory_gb=1e6)])
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from pipeline.stages.learning.expert_episodes import (
     task_of_log,
     task_of_logs,
 )
-from pipeline.stages.learning.force import TEST_EVERY, ShapeForceJob, forces_from_shape, test_frames
+from pipeline.stages.learning.force import TEST_EVERY, ShapeForceJob, estimated_and_true, forces_from_shape
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.errors import StageError
 from pipeline.task import Task
@@ -101,7 +101,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> ShapeForceJob:
 
 
 def test_forces_of_the_held_out_episode_are_estimated(job: ShapeForceJob) -> None:
-    estimated, true, refused = test_frames(job, Report())
+    estimated, true, refused = estimated_and_true(job, Report())
     held_out = split_episodes(read_episodes(sorted(job.logs[0].glob("*.mcap"))), TEST_EVERY)[1]
     expected = force_samples(held_out).drawn(len(true), job.seed)
     np.testing.assert_array_equal(true, expected.forces)
@@ -112,11 +112,11 @@ def test_forces_of_the_held_out_episode_are_estimated(job: ShapeForceJob) -> Non
 
 def test_forces_of_a_wire_in_a_catheter_are_estimated(tmp_path: Path) -> None:
     job = recorded(tmp_path, [1.0, 0.1, 1.0, 0.1], catheter="vertebral_5f")
-    estimated, true, refused = test_frames(job, Report())
+    estimated, true, refused = estimated_and_true(job, Report())
     assert refused == 0
     assert true.max() > 0.01
     assert np.corrcoef(estimated, true)[0, 1] > 0.7
-    assert np.isfinite(test_frames(replace(job, disturbed=True), Report())[0]).all()
+    assert np.isfinite(estimated_and_true(replace(job, disturbed=True), Report())[0]).all()
 
 
 def test_an_outcome_is_kept_and_errors_make_it_worse(job: ShapeForceJob, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,11 +20,9 @@ from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages import shape, splineformer
 from pipeline.stages.guide3d.folder import Source
 from pipeline.stages.guide3d.settings import Guide3dSettings
-from pipeline.stages.networks import shipped
 from pipeline.stages.networks import training as network_stage
 from pipeline.stages.networks.settings import SegmentationSettings, ShapeSettings, SplineformerSettings
-from pipeline.stages.networks.shipped import shipped_rows
-from pipeline.stages.networks.training import learn_shape, train_network, train_together
+from pipeline.stages.networks.training import learn, shipped_rows, train_network, train_together
 from pipeline.stages.splineformer import EXAMPLES, compare, learn_variant
 from pipeline.store.errors import ConfigurationError, StageError
 from splineformer.comparison.evaluation import ReadCurve, Reader
@@ -85,7 +83,7 @@ def test_a_finished_network_is_kept(run: Path, shapes: dict, monkeypatch: pytest
     settings = ShapeSettings(rows=["fgrn"], size="smoke", device="cpu")
     job = shape.plan(settings, context(run, "shape", reads=("guide3d",)))[0].given
     monkeypatch.setattr("guide3d.train.train", None)
-    assert learn_shape(job, Report())["max_ed"] == shapes["shape_networks"]["fgrn"]["max_ed"]
+    assert learn(job, Report())["max_ed"] == shapes["shape_networks"]["fgrn"]["max_ed"]
 
 
 def test_a_training_without_its_data_set_or_its_weights_says_so(run: Path, tmp_path: Path) -> None:
@@ -149,12 +147,12 @@ def test_a_shipped_network_is_taken_in_place_of_its_training(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usual = settings_that_matter(Guide3dSettings())
-    monkeypatch.setattr(shipped, "read_manifest", lambda folder: SimpleNamespace(config=usual))
+    monkeypatch.setattr(network_stage, "read_manifest", lambda folder: SimpleNamespace(config=usual))
     ours, rows = context(run, "shape", reads=("guide3d",)), ["spherical", "cartesian"]
     jobs = {job.key: job.given for job in shape.plan(ShapeSettings(shipped=True, rows=rows), ours)}
     assert {row: job.shipped for row, job in jobs.items()} == {"spherical": "shape", "cartesian": None}
     for other in ({"shipped": False}, {"pretrained": "vit.pt"}, {"epochs": 3}):
-        assert shipped.shipped_rows(ShapeSettings(**{"shipped": True, **other}), ours) == {}
+        assert shipped_rows(ShapeSettings(**{"shipped": True, **other}), ours) == {}
     training = train_network(replace(jobs["spherical"], folder=tmp_path), Report())
     assert training["best_epoch"] == len(training["rows"]) == 20
     assert ShapePredictor.load(tmp_path / "predictor.pt").metadata["form"] == "spherical"
@@ -249,7 +247,7 @@ def test_a_shipped_network_is_taken_where_its_training_would_be_repeated(
     ours = context(run, "splineformer", reads=READS)
     desk = SplineformerSettings(shipped=True)
     usual = settings_that_matter(Guide3dSettings())
-    monkeypatch.setattr(shipped, "read_manifest", lambda folder: SimpleNamespace(config=usual))
+    monkeypatch.setattr(network_stage, "read_manifest", lambda folder: SimpleNamespace(config=usual))
     assert shipped_rows(desk, ours) == {"ordered": "ordered_simulated"}
     for other in (replace(desk, shipped=False), replace(desk, epochs=2), replace(desk, size="smoke")):
         assert shipped_rows(other, ours) == {}

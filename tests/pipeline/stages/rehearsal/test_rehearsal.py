@@ -133,8 +133,10 @@ def test_copies_of_training_validation_and_tests_never_meet(tmp_path: Path) -> N
 
 
 def test_a_training_is_priced_and_the_tests_are_not(tmp_path: Path) -> None:
-    settings = RehearsalSettings(**TINY | {"force_threshold_n": 0.1, "walls_mm": 0.5, "breathing_mm": 0.0})
-    jobs = plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", None, force_price=0.7)
+    settings = RehearsalSettings(
+        **TINY | {"force_penalty": 0.7, "force_threshold_n": 0.1, "walls_mm": 0.5, "breathing_mm": 0.0}
+    )
+    jobs = plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", None)
     (job,) = [job.given for job in jobs if job.key == "training"]
     training, tests = copies_environment(job, (0, 1), training=True), copies_environment(job, (0, 1))
     assert (training.current.task.force_penalty, tests.current.task.force_penalty) == (0.7, 0.0)
