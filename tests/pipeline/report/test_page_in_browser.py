@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(
     find_browser() is None, reason="no Chromium is installed (Debian: apt install chromium)"
 )
 
-MOST_PIXELS = 9_000
+MOST_PIXELS = 10_000
 WIDER = """(() => {
   const inside = e => e.closest('.scroll');  // which are looked at themselves
   return [...document.querySelectorAll('body *')]

@@ -170,7 +170,9 @@ def test_a_ctrl_c_within_a_finaliser_comes_after_it(tmp_path: Path) -> None:
 
 _POOL = """
 import os, subprocess, sys, time
-from pipeline.protocol.run import _pool
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pipeline.store.interruption import end_with_parent
 
 def stage():
     with subprocess.Popen(["sleep", "60"]) as process:
@@ -182,7 +184,7 @@ def stage():
             raise
 
 if __name__ == "__main__":
-    with _pool(1) as pool:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=end_with_parent) as pool:
         print(pool.submit(os.getpid).result(), flush=True)
         pool.submit(stage).result()
 """
