@@ -73,6 +73,13 @@ def test_the_default_student_learns_from_disturbed_episodes_and_a_plain_one_stan
     assert shown == {("imitation", f"{target}/{imitation.DISTURBED}", "success_pct") for target in ("bca", "lcca")}
 
 
+@pytest.mark.parametrize(("variant", "epochs"), [("desk", 10), ("thesis", 800)])
+def test_passes_are_the_variant_s_unless_they_are_given(enn: Path, variant: str, epochs: int) -> None:
+    usual = replace(settings(), variant=variant, epochs=ImitationSettings.epochs)
+    for asked, passes in ((usual, epochs), (replace(usual, epochs=7), 7)):
+        assert imitation.plan(asked, context(enn.parent, "passes"))[0].given.settings.fit.epochs == passes
+
+
 def test_a_finished_student_is_not_fitted_again(enn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     job = imitation.plan(settings(dagger_rounds=0, disturbed_episodes=0), context(enn.parent, "again"))[0].given
     job = replace(job, folder=tmp_path / "student")
