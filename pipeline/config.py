@@ -73,7 +73,7 @@ class RunConfig:
     phantom: OwnPhantom = field(default_factory=OwnPhantom)
     guide3d: Guide3dSource = field(default_factory=Guide3dSource)  # a bi-planar data set of one's own
     task: Task = field(default_factory=Task)  # that stages take over as stage.task
-    target: kinds.FolderName | None = None  # the only target of the learning stages: made for sweeps, target=bca,lcca
+    target: kinds.TargetName | None = None  # the only target of the learning stages: made for sweeps, target=bca,lcca
     modality: kinds.FolderName | None = None  # the only modality set of the stage enn: modality=I,V,I+V+M
     # stages take networks and policies that come with the packages in place of trainings that these would repeat
     pretrained: bool = False

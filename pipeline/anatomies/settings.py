@@ -147,10 +147,10 @@ class ChosenAnatomies(FileSettings):
     needs_anatomy: ClassVar[bool] = True  # whether there must be one
 
     phantoms: kinds.FolderNames = field(default_factory=lambda: ["type_1", "type_2"])
-    targets: kinds.FolderNames = field(default_factory=lambda: ["bca", "lcca"])
+    targets: kinds.TargetNames = field(default_factory=lambda: ["bca", "lcca"])
     phantom: kinds.FolderName | None = None  # phantom.name=…: the only one
     phantom_seed: kinds.Seed | None = None  # phantom.seed=…: of phantom.name=random, which may be left out
-    target: kinds.FolderName | None = None  # target=…: the only one
+    target: kinds.TargetName | None = None  # target=…: the only one
     point_mm: _Coordinates | None = None  # the only target is a point: in the file's axes, else in the world frame
     entry: kinds.EntryPlace = None  # phantom.entry=…: its name, or a point as `point_mm`
     task: Task = field(default_factory=Task)

@@ -129,6 +129,12 @@ def folder_name(value: str) -> str:
     return value
 
 
+def target_name(value: str) -> str:
+    """Accepts a target's name, also with a depth behind the ostium, "rcca@80"; raises a ValueError otherwise."""
+    folder_name(re.sub(r"@[0-9]+(\.[0-9]+)?$", "", value))
+    return value
+
+
 def path_text(value: str) -> str:
     """Accepts a text that can be a path; raises a ValueError otherwise."""
     if not value.strip() or "\0" in value:
@@ -174,6 +180,8 @@ Device = Annotated[str, AfterValidator(_device)]  # of networks: see `pipeline.j
 PathText = Annotated[str, AfterValidator(path_text)]
 FolderName = Annotated[str, AfterValidator(folder_name)]
 FolderNames = Annotated[list[FolderName], UNIQUE]
+TargetName = Annotated[str, AfterValidator(target_name)]
+TargetNames = Annotated[list[TargetName], UNIQUE]
 SomeFolderNames = Annotated[FolderNames, NOT_EMPTY]
 
 Seed = Annotated[int, Ge(0), Le(1_000_000)]  # those drawn from it stay below 2^32, which NumPy's old generators need

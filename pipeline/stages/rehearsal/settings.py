@@ -35,7 +35,7 @@ class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings,
 
     name: str = "rehearsal"
     phantoms: kinds.FolderNames = field(default_factory=lambda: ["type_1"])  # one: that of the scan
-    targets: kinds.FolderNames = field(default_factory=lambda: ["lcca"])  # one: any of the anatomy's
+    targets: kinds.TargetNames = field(default_factory=lambda: ["lcca"])  # one: any of the anatomy's
     choose_catheter: bool = True  # where none is named: by trials, of softer wires, too, or the shape of the take-off
     fit_steps: bool = True  # longer episodes than task.max_steps, where the way is long for them
     fresh: bool = False  # starts from nothing even where there is one

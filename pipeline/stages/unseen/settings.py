@@ -55,7 +55,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
     points: Annotated[int, Ge(1), Le(20)] = 3  # that each arch of arch_variety has as targets
     targets: kinds.FolderNames = field(default_factory=lambda: list(TARGETS))  # of every policy in random arches
     # of the tests in `phantoms`; none: those of the policies
-    own_targets: kinds.FolderNames = field(default_factory=list)
+    own_targets: kinds.TargetNames = field(default_factory=list)
     accuracy: kinds.Accuracy = "fast"  # of the physics that policies are trained in; tests are accurate
     anatomies: kinds.Count = 160  # random arches that the roadmap policy is trained on
     # of the steepest target of every arch that is trained in or chosen by, `cathsim.anatomy.vessel_tree`;

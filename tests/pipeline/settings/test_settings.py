@@ -142,6 +142,14 @@ def test_no_name_of_the_run_leads_out_of_its_folder(key: str, composed: dict[str
             given(composed["enn"], f"{key}={value!r}")
 
 
+def test_a_target_may_lie_at_a_depth_of_its_branch(resolved: dict[str, DictConfig]) -> None:
+    for stage, key in (("rehearsal", "targets"), ("enn", "targets"), ("unseen", "own_targets")):
+        assert getattr(given(resolved[stage], f"stage.{key}=[rcca@80]").stage, key) == ["rcca@80"]
+        for value in ("rcca@../x", "rcca@", "@80", "a/b@80", "rcca@80@90"):
+            with pytest.raises(ConfigurationError, match=f"^stage.{key}"):
+                given(resolved[stage], f"stage.{key}=['{value}']")
+
+
 def test_branch_names_are_a_mapping_or_a_list(composed: dict[str, DictConfig], tmp_path: Path) -> None:
     (tmp_path / "own.stl").write_bytes(b"solid")
     config = composed["phantoms"].copy()
