@@ -141,7 +141,7 @@ def test_no_key_and_no_paragraph_is_on_the_page(tmp_path: Path) -> None:
     add_full_run(tmp_path / "full")
     text = (run_report(tmp_path, "full") / "index.html").read_text()
     # a stranger is told what it is, and where to go, before any table
-    parts = ["<h1>EndoNav", "<nav", '<div class="page" id="film"', '<div class="page" id="headlines"', "<main"]
+    parts = ["<h1>EndoNav", "<nav", '<div class="page" id="headlines"', '<div class="page" id="film"', "<main"]
     assert sorted(parts, key=text.index) == parts
     page = Page(text)
     words = re.sub(r"<(style|script).*?</\1>|<[^>]*>", " ", text, flags=re.DOTALL)
