@@ -33,11 +33,11 @@ from cathsim.presets import ACCURACY, Accuracy
 Array = NDArray[np.float64]
 
 # leads of wire before catheter, m: the last one leaves the wire's end out of the catheter
-COVERAGES = (0.0, 0.013, 0.05, 0.13, 0.2, -0.031, -0.11)
+COVERAGES = (0.0, 0.005, 0.013, 0.027, 0.05, 0.085, 0.13, 0.2, -0.031, -0.11)
 CLAMPED = 0.25  # length of the clamped chain, m
 LOAD = 0.01  # dead load of the cantilevers, N
 COAXIAL_STEP = 0.5e-3  # of two coaxial rods' common centreline, m
-COAXIAL_LEADS = (0.0, 0.013, 0.027, 0.085)  # m
+COAXIAL_LEADS = (0.0, 0.005, 0.013, 0.017, 0.027, 0.040, 0.060, 0.085)  # m
 SHEATH_BEND, SHEATH_ARC = 40.0, 0.060  # curvature of a bent sheath, 1/m, and length of the bend, m
 
 
@@ -193,7 +193,7 @@ BENT = Catheter(
 
 def test_a_cantilever_bends_as_both_stiffnesses_together() -> None:
     cantilevers = cantilever_cases()
-    assert len({round(case.theory, 4) for case in cantilevers}) >= 5
+    assert len({round(case.theory, 4) for case in cantilevers}) >= 8
     assert max(abs(case.error_pct) for case in cantilevers) < 0.5
 
 

@@ -293,15 +293,15 @@ def test_whatever_is_killed_wherever_the_next_run_ends_as_a_clean_one(
         while not_done:
             path = tmp_path / f"{half_done}-{at}"
             killed(path, IDENTITY, "abc", half_done)
-            not_done = killed(path, other, "xyza", at)  # run B with other settings, at every fifth step
+            not_done = killed(path, other, "xyza", at)  # run B with other settings, at every third step
             work(path, IDENTITY, "abc")  # run A again
             assert outputs(path) == clean
             assert {entry.name for entry in path.iterdir()} == {*"abc", "results.json", "manifest.json", ".lock"}
             assert RunFolder(path, IDENTITY).is_up_to_date()
             shutil.rmtree(path)
             kills += not_done
-            at += 5
-    assert kills > 15
+            at += 3
+    assert kills > 33
 
 
 @pytest.fixture(scope="module")
