@@ -227,10 +227,10 @@ def _answer(function: Callable, arguments: tuple, seconds: float, memory: int, d
     logging.disable()
     with os.fdopen(writing, "wb") as pipe:
         try:
-            answer = True, function(*arguments)
+            parts = list(_packed((True, function(*arguments))))  # a result may fit where its pickle does not
         except BaseException as error:
-            answer = False, _error_or_words(error)
-        for part in _packed(answer):
+            parts = list(_packed((False, _error_or_words(error))))
+        for part in parts:
             pipe.write(part)
 
 
