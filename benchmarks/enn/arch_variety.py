@@ -42,7 +42,7 @@ from cathsim.observations.xray import XrayEnvironment
 from cathsim.rehearsal.environment import NavigateCopiesEnv
 from cathsim.rehearsal.perturbation import Perturbation
 from cathsim.robot.pace import PACES
-from enn.device_trials import TRIALS, Tried, best_devices, try_in_copies
+from enn.device_trials import TRIALS, TrialStatistics, best_devices, try_in_copies
 from enn.policy import Policy
 from enn.retrying import RetryingController
 from enn.shipped import read_policy
@@ -124,14 +124,14 @@ class Player:
 
         return RetryingController(attempt, self.attempt_steps, seed=seed)
 
-    def tried(self, seed: int, copies: int) -> Tried:
+    def tried(self, seed: int, copies: int) -> TrialStatistics:
         """How the policy fares in copies of the present arch."""
         environment = NavigateCopiesEnv(
             self.bare.phantom, (self.bare.task.target,), copies=range(1, TRIALS + 1),
             perturbation=Perturbation().scaled(SHARE), wire=VARIETY, pace=VARIETY, catheter=self.catheter,
             observation=self.policy.keys, task=ArchVarietyTask(max_steps=self.bare.task.max_steps),
         )  # fmt: skip
-        outcome = Tried.of(try_in_copies(self.policy, environment, seed, cases=range(copies)))
+        outcome = TrialStatistics.of(try_in_copies(self.policy, environment, seed, cases=range(copies)))
         environment.close()
         return outcome
 

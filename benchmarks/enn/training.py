@@ -28,7 +28,7 @@ from stable_baselines3.common.buffers import DictReplayBuffer
 
 from enn.reinforcement.replay import ReplayBuffer, nbytes_needed
 from enn.reinforcement.reset_bank import ResetBank
-from enn.reinforcement.sampling import SampledEnvs
+from enn.reinforcement.sampled_envs import SampledEnvs
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import DESK_SAC, Training
 

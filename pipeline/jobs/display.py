@@ -93,7 +93,7 @@ class JobDisplay:
     def line(self) -> str:
         """Words the progress: ``trainings 3/12, 2 running: a 45 % (success 0.8), b 3 %; 120 s, about 300 s left``."""
         running = [state for state in self.states.values() if state.status == "running"]
-        shown = ", ".join(
+        job_texts = ", ".join(
             f"{state.key} {100 * state.fraction:.0f} %" + (f" ({state.text})" if state.text else "")
             for state in running[:_SHOWN_IN_A_LINE]
         )
@@ -103,7 +103,7 @@ class JobDisplay:
         return (
             f"{self.label} {self._count('done')}/{len(self.states)}"
             + (f", {failed} failed" if failed else "")
-            + (f", {len(running)} running: {shown}{more}" if running else "")
+            + (f", {len(running)} running: {job_texts}{more}" if running else "")
             + f"; {time.monotonic() - self._started:.0f} s"
             + (f", about {left:.0f} s left" if left else "")
         )

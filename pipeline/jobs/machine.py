@@ -52,10 +52,10 @@ def find_gpus() -> list[Gpu]:
         lines = looked.stderr.strip().splitlines()
         raise StageError(f"torch cannot look for GPUs: {lines[-1] if lines else 'no word of why'}")
     names = [name.strip() for name in os.environ.get(VISIBLE, "").split(",") if name.strip()]
-    found = json.loads(looked.stdout.strip().splitlines()[-1])
+    devices = json.loads(looked.stdout.strip().splitlines()[-1])
     return [
         Gpu(names[index] if index < len(names) else str(index), name, int(free), int(total))
-        for index, (name, free, total) in enumerate(found)
+        for index, (name, free, total) in enumerate(devices)
     ]
 
 
@@ -134,7 +134,7 @@ class Machine:
             )
 
     def take(self, job: Any) -> tuple[Gpu, ...] | None:
-        """Gives a job a core, memory, and the GPUs with most room (() if it needs none); None: one is missing."""
+        """Gives a job a core, memory, and the GPUs with most memory free (() for none); None: one is missing."""
         with self._locked() as state:
             others, own = state["jobs"], str(os.getpid())
             left_gb = self.room_gb - sum(other["memory_gb"] for other in others)
@@ -145,7 +145,7 @@ class Machine:
                 if has_memory:
                     state["waiting"][own] = job.memory_gb
                 return None
-            gpus = self._with_room(job, others)
+            gpus = self._with_free_memory(job, others)
             if gpus is not None:
                 promised = {gpu.visible: job.gpu_gb * _GB for gpu in gpus}
                 others.append({"owner": own, "key": job.key, "memory_gb": job.memory_gb, "gpu_bytes": promised})
@@ -158,14 +158,14 @@ class Machine:
         mine = owners.count(str(os.getpid()))
         return any(owners.count(owner) < mine and gb <= left_gb for owner, gb in state["waiting"].items())
 
-    def _with_room(self, job: Any, others: Sequence[dict[str, Any]]) -> tuple[Gpu, ...] | None:
+    def _with_free_memory(self, job: Any, others: Sequence[dict[str, Any]]) -> tuple[Gpu, ...] | None:
         if not (self.gpus and job.gpu_gb):
             return ()
-        room = {
+        free_bytes = {
             gpu: gpu.free_bytes - sum(other["gpu_bytes"].get(gpu.visible, 0.0) for other in others) for gpu in self.gpus
         }
-        chosen = sorted(self.gpus, key=lambda gpu: -room[gpu])[: job.gpus]
-        enough = len(chosen) == job.gpus and all(room[gpu] >= job.gpu_gb * _GB for gpu in chosen)
+        chosen = sorted(self.gpus, key=lambda gpu: -free_bytes[gpu])[: job.gpus]
+        enough = len(chosen) == job.gpus and all(free_bytes[gpu] >= job.gpu_gb * _GB for gpu in chosen)
         return tuple(chosen) if enough else None
 
     def measured(self, key: str, bytes_used: int) -> None:

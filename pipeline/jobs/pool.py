@@ -89,14 +89,14 @@ def run_jobs(
 ) -> dict[str, Any]:
     """Runs the jobs that are not done yet, several beside each other, by the engine that was chosen.
 
-    A job starts when there is room for the memory that it needs; beside GPUs, also on one of them. It sees no other.
+    A job starts when the memory that it needs is free; beside GPUs, also on one of them. It sees no other.
 
     Args:
         folder: of the stage; keeps what is done.
         jobs: all of the stage, in the order in which they should start.
         workers: jobs beside each other; 0: as many as the engine has room for, on one machine one a core.
-        preload: modules that every job needs; on one machine they are imported once, and the jobs' processes start with
-            them.
+        preload: modules that every job needs beside that of its function; on one machine they are imported once, before
+            the first jobs of this process, and the jobs' processes start with them.
 
     Returns:
         Key to what each job returned, also those of an earlier, interrupted run.
@@ -110,7 +110,8 @@ def run_jobs(
             raise ValueError(f"job {job.key} waits for {', '.join(sorted(missing))}: list those before it")
     todo = _to_do(folder, jobs)
     if todo:
-        engine = make_engine(folder, workers=workers, preload=preload, device=device)
+        modules = dict.fromkeys(job.run.__module__ for job in todo)
+        engine = make_engine(folder, workers=workers, preload=[*modules, *preload], device=device)
         try:
             for job in todo:
                 engine.check(job)

@@ -199,6 +199,7 @@ def _obey(connection: Connection, report: Report) -> None:
             os._exit(_EXIT_LEFT_ALONE)
 
 
+PHANTOM = ("scipy.ndimage", "trimesh")  # to preload for jobs that open a phantom, which imports these when it has to
 OPTIMISER = "torch._dynamo"  # to preload for jobs that train: 1.4 s of imports of the first optimiser of a process
 
 

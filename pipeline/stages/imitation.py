@@ -21,7 +21,7 @@ from enn.curves import Curves
 from pipeline.anatomies.settings import check_anatomies, settle
 from pipeline.evaluations.tables import log_summary
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.jobs.worker import OPTIMISER, Report
+from pipeline.jobs.worker import OPTIMISER, PHANTOM, Report
 from pipeline.plots.episodes import draw_success
 from pipeline.recording.trials import POLICY, Origin, controllers
 from pipeline.seeds import disturbed_seeds
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from enn.imitation.dagger import DaggerSettings
 
 
-PRELOAD = ("cathsim", "enn.imitation.distillation", "enn.policy", "pipeline.recording.record", OPTIMISER)
+PRELOAD = (*PHANTOM, "cathsim", "enn.imitation.distillation", "enn.policy", "pipeline.recording.record", OPTIMISER)
 _FITTING = 0.6  # share of a job's time
 
 
@@ -202,7 +202,7 @@ def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
             if settings.dagger_rounds:
                 rows.append((DAGGER, counts[0], 0, DaggerSettings(settings.dagger_rounds, settings.dagger_episodes)))
             for row, count, disturbed, rounds in rows:
-                given = ImitationJob(
+                imitation_job = ImitationJob(
                     folder=context.path / task.name / row / f"seed{context.seed}",
                     origin=Origin(settings.name, row, context.seed, settings.variant),
                     settings=cloning,
@@ -215,7 +215,7 @@ def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
                     drawn_episodes=settings.drawn_episodes,
                 )
                 weight = count + 3.0 * (disturbed + (rounds.rounds + rounds.episodes if rounds else 0))
-                jobs.append(Job(f"{task.name}/{row}", imitate, given, weight=weight, gpu_gb=gpu_gb))
+                jobs.append(Job(f"{task.name}/{row}", imitate, imitation_job, weight=weight, gpu_gb=gpu_gb))
     return jobs
 
 

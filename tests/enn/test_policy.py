@@ -115,3 +115,10 @@ def test_a_single_box(tmp_path: Path) -> None:
     np.testing.assert_array_equal(Policy.load(tmp_path / "policy.pt").act(tip), policy.act(tip))
     with pytest.raises(ValueError, match="sees one array of shape \\(3,\\), got the observations tip"):
         policy.act({"tip": tip})
+
+
+def test_reading_a_policy_does_not_import_the_compiler_of_torch(run_python) -> None:  # which takes 2 CPU-s
+    assert (
+        run_python("import enn.shipped, sys; enn.shipped.load('generalist'); print('torch._dynamo' in sys.modules)")
+        == "False\n"
+    )

@@ -58,11 +58,11 @@ def main(descriptor: int) -> None:
     place, notes, on_gpus, job = pickle.loads(task.recv_bytes())
     channel: Any = _Channel(place, task)
     try:
-        run, given = pickle.loads(job)
+        run, settings = pickle.loads(job)
     except Exception as error:  # a module that this machine cannot import
         channel.send(Message("failed", f"{type(error).__name__}: {error}", traceback=traceback.format_exc()))
         return
-    work(run, given, channel, notes, tuple(filter(None, os.environ.get(VISIBLE, "0").split(","))) if on_gpus else ())
+    work(run, settings, channel, notes, tuple(filter(None, os.environ.get(VISIBLE, "0").split(","))) if on_gpus else ())
 
 
 if __name__ == "__main__":

@@ -63,8 +63,8 @@ class LocalEngine:
             return False
         ours, theirs = self._context.Pipe()
         notes = (self._folder.path, self._folder.journal(job.key))
-        given = (job.run, job.given, theirs, notes, tuple(gpu.visible for gpu in gpus))
-        process = self._context.Process(target=work, args=given, name=job.key)
+        arguments = (job.run, job.given, theirs, notes, tuple(gpu.visible for gpu in gpus))
+        process = self._context.Process(target=work, args=arguments, name=job.key)
         process.start()
         theirs.close()  # or the end of the job's process would not end the connection
         self._running.append(_Running(job.key, process, ours))

@@ -99,8 +99,8 @@ class _Watch:
 def read_driver(folder: str) -> dict[str, Any]:
     """What a driver says of itself; nothing where its file is not there, or just being written."""
     with contextlib.suppress(OSError, ValueError), open(os.path.join(folder, DRIVER), encoding="utf-8") as file:
-        found = json.load(file)
-        return found if isinstance(found, dict) else {}
+        content = json.load(file)
+        return content if isinstance(content, dict) else {}
     return {}
 
 

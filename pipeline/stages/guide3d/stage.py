@@ -11,6 +11,7 @@ from guide3d.dataset.acquisition_split import PlannedAcquisition, plan_acquisiti
 from guide3d.reconstruction.evaluation import Record
 from pipeline.anatomies.settings import require_known_phantoms
 from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.worker import PHANTOM
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.guide3d.figures import (
     comparison_row,
@@ -27,6 +28,7 @@ from pipeline.store.errors import ConfigurationError
 from pipeline.tables import Results
 
 PRELOAD = (
+    *PHANTOM,
     "cathsim",
     "guide3d.dataset.dataset",
     "guide3d.reconstruction.reconstruction",

@@ -63,8 +63,8 @@ def fit_encoders(job: EncodersJob, report: Report) -> dict[str, dict[str, Any]]:
             ends = [share + (1.0 - share) * (number + k) / len(missing) for k in range(2)]
             part = report.part(ends[0], ends[1], f"fit of {file.stem}")
             with Curves(job.folder / file.stem) as curves:
-                told = _progress(part, curves)
-                encoder, fitted = fit_encoder(samples, keys, job.settings, told, device=report.device)
+                progress = _progress(part, curves)
+                encoder, fitted = fit_encoder(samples, keys, job.settings, progress, device=report.device)
             encoder.save(file)
             write_json(file.with_suffix(".json"), {**fitted, "wall_s": sampled_s + time.monotonic() - began})
     return {file.stem: read_json(file.with_suffix(".json")) for file in files.values()}
@@ -88,7 +88,7 @@ def _samples(job: EncodersJob, sets: list[tuple[str, ...]], report: Callable[[fl
     # No roll-out is to end at a target, nor at a limit: one encoder serves them all.
     endless = replace(job.task.task, success_radius_mm=_NOWHERE_MM, max_steps=_NEVER)
     task = replace(job.task, task=endless, accuracy=_ACCURACY_OF_SAMPLES)
-    states = [found.simulation_states for found in repeat(job.demonstrations, job.task)]
+    states = [trajectory.simulation_states for trajectory in repeat(job.demonstrations, job.task)]
     seen = tuple(dict.fromkeys(key for keys in sets for key in keys))
     return scripted_samples(
         task.factory(tuple(dict.fromkeys((*seen, *TRUTH)))),

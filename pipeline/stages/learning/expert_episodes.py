@@ -179,8 +179,8 @@ def require_demonstrations(stage: str, asked: LearningTask, logs: Sequence[Path]
     """
     for log in logs:
         with contextlib.suppress(EpisodeReadError):
-            found = task_of_log(log, asked.task).task
-            require_same_task(stage, asked.task, found, f"the episode {log}", "expert", MOTION)
+            log_task = task_of_log(log, asked.task).task
+            require_same_task(stage, asked.task, log_task, f"the episode {log}", "expert", MOTION)
 
 
 def task_of_logs(logs: Sequence[Path], like: Task | None = None) -> LearningTask:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from enn.curves import Curves
-from pipeline.jobs.worker import OPTIMISER, Report
+from pipeline.jobs.worker import OPTIMISER, PHANTOM, Report
 from pipeline.recording.record import record_episode
 from pipeline.recording.trials import recorded
 from pipeline.seeds import force_seed
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
 
 PRELOAD = (
+    *PHANTOM,
     "cathsim",
     "enn.force.evaluation",
     "enn.policy",

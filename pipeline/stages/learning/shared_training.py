@@ -40,12 +40,12 @@ class SharedTraining:
         from enn.policy import Policy
 
         try:
-            found = read_json(self.note)
-            source = self.run / found["folder"]
-            if source == folder or hash_file(source / POLICY) != found["policy"]:
+            note = read_json(self.note)
+            source = self.run / note["folder"]
+            if source == folder or hash_file(source / POLICY) != note["policy"]:
                 return False
             record, curve = read_json(source / RECORD), (source / CURVE).read_text("utf-8")
-            changed = {**record["metadata"], **metadata, TAKEN_FROM: found["folder"]}
+            changed = {**record["metadata"], **metadata, TAKEN_FROM: note["folder"]}
             policy = Policy.load(source / POLICY)
             policy.metadata = {**policy.metadata, **changed}
             folder.mkdir(parents=True, exist_ok=True)
@@ -62,8 +62,8 @@ class SharedTraining:
     def offer(self, folder: Path) -> None:
         """Names a finished training of this definition."""
         self.note.parent.mkdir(parents=True, exist_ok=True)
-        found = {"folder": folder.relative_to(self.run).as_posix(), "policy": hash_file(folder / POLICY)}
-        write_json(self.note, found)
+        note = {"folder": folder.relative_to(self.run).as_posix(), "policy": hash_file(folder / POLICY)}
+        write_json(self.note, note)
 
 
 def shared_training(run: Path, definition: Mapping[str, Any]) -> SharedTraining | None:

@@ -21,7 +21,7 @@ import numpy as np
 from enn.curves import Curves
 from enn.imitation.advised_rounds import forget_rounds, last_policy, read_episodes, teach, write_episodes
 from pipeline.episodes.records import EpisodeReadError
-from pipeline.jobs.worker import OPTIMISER, Report
+from pipeline.jobs.worker import OPTIMISER, PHANTOM, Report
 from pipeline.recording.trials import Origin
 from pipeline.seeds import further_expert_seeds, navigation_episode_seeds
 from pipeline.stages.navigation.perception import load_perception
@@ -51,6 +51,7 @@ Tell = Callable[[float, str], None]  # the share done, and a few words
 
 NAVIGATOR, RECORD, LOGS = "navigator.pt", "training.json", "episodes"
 PRELOAD = (
+    *PHANTOM,
     "cathsim",
     "enn.imitation.advised_episodes",
     "splineformer.navigation.navigator_perception",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from enn.curves import chosen_logger
 from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.jobs.engines.local import available_workers
-from pipeline.jobs.worker import OPTIMISER
+from pipeline.jobs.worker import OPTIMISER, PHANTOM
 from pipeline.recording.trials import Origin
 from pipeline.seeds import training_copies
 from pipeline.stages.learning.settings import with_hyperparameters
@@ -21,14 +21,21 @@ from pipeline.task import Task
 
 if TYPE_CHECKING:
     from cathsim.rehearsal.environment import NavigateCopiesEnv
-    from enn.device_trials import Tried
+    from enn.device_trials import TrialStatistics
     from enn.reinforcement.rehearsal_rules import RehearsalRules
     from enn.reinforcement.training import TrainingSettings
 
 
 SCAN, COPIES = "scan", "copies"  # sets of tests, and their folders
 # Modules that every job needs.
-PRELOAD = ("cathsim.rehearsal.environment", "enn.reinforcement.rehearsal", "pipeline.recording.record", OPTIMISER)
+PRELOAD = (
+    *PHANTOM,
+    "pipeline.stages.rehearsal.training",
+    "cathsim.rehearsal.environment",
+    "enn.reinforcement.rehearsal",
+    "pipeline.recording.record",
+    OPTIMISER,
+)
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,7 @@ class RehearsalJob:
     shown_by: tuple[Path, ...] = ()
     part: int = 0  # of demonstrations and trials: its number among those that are made beside each other
     turn: int = 0  # of demonstrations: its number (`pipeline.stages.rehearsal.training`)
-    tried: Tried | None = None  # how the policy to start from fared in trials of its devices; None: there were none
+    tried: TrialStatistics | None = None  # of the policy to start from, in trials of its devices; None: there were none
 
     @property
     def training_cases(self) -> tuple[int, ...]:

@@ -9,7 +9,7 @@ A policy's folder, ``<row>/seed<k>/``, holds::
 A demonstration of the sampling expert is a file, ``demonstrations/<target>_<anatomy>.npz`` in the stage's folder, with
 all that an `enn.trajectory.Trajectory` holds; of one that fails it says only that, so that it is not tried again.
 ``starts/<anatomy>.npz`` has an array of states for each target: the wire laid along the planned way to some places
-before the target, and each of them drawn back a little, turning.
+before the target, and each of them withdrawn a little, turning.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from enn.curves import chosen_logger
-from pipeline.jobs.worker import OPTIMISER, Report, map_simulations
+from pipeline.jobs.worker import OPTIMISER, PHANTOM, Report, map_simulations
 from pipeline.recording.training_films import training_films
 from pipeline.recording.trials import POLICY, controllers
 from pipeline.seeds import arch_demonstration_seed
@@ -124,13 +124,13 @@ def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, A
 
 def read_demonstrations(folder: Path, anatomies: Sequence[int]) -> list[Trajectory]:
     """The demonstrations that reached their target, in random arches of these seeds; none where none were made."""
-    found = []
+    demonstrations = []
     for path in sorted(folder.glob("*.npz")):
         target, anatomy = path.stem.split("_")
         if int(anatomy) in anatomies:
-            shown = read_demonstration(path, target=target, anatomy=int(anatomy))
-            found += [] if shown is None else [shown]
-    return found
+            demonstration = read_demonstration(path, target=target, anatomy=int(anatomy))
+            demonstrations += [] if demonstration is None else [demonstration]
+    return demonstrations
 
 
 STARTS = "starts"  # job and folder
@@ -163,8 +163,8 @@ def lay_starts(job: StartsJob, report: Report) -> dict[str, Any]:
                 environment.reset(seed=0, options={"case": environment.case_of(place, number)})
                 arrays[target] = laid_starts(environment.current, generator)
             write_arrays(path, arrays)
-        with np.load(path) as kept:
-            states += sum(len(kept[target]) for target in job.task.targets)
+        with np.load(path) as content:
+            states += sum(len(content[target]) for target in job.task.targets)
     if environment is not None:
         environment.close()
     return {"anatomies": len(job.anatomies), "states": states}
@@ -172,14 +172,14 @@ def lay_starts(job: StartsJob, report: Report) -> dict[str, Any]:
 
 def read_starts(folder: Path, anatomies: Sequence[int], targets: Sequence[str]) -> list[np.ndarray]:
     """Starts for an environment over random arches of these seeds: a case each, its number last. Shapes (k, n + 1)."""
-    found = []
+    starts = []
     for place, anatomy in enumerate(anatomies):
         with np.load(folder / f"{anatomy}.npz") as arrays:
             for number, target in enumerate(targets):
                 if len(states := arrays[target]):
                     case = np.full((len(states), 1), place * len(targets) + number, float)
-                    found.append(np.concatenate((states, case), axis=1))
-    return found
+                    starts.append(np.concatenate((states, case), axis=1))
+    return starts
 
 
 EVALUATIONS = 5  # of a training
@@ -236,6 +236,7 @@ def policy_to_start_from(settings: UnseenSettings) -> Policy | None:
 
 
 PRELOAD = (
+    *PHANTOM,
     "cathsim.many_anatomies",
     "enn.reinforcement.training.training",
     "enn.imitation.advised_episodes",

@@ -33,8 +33,8 @@ OVERLAPPING = dataclasses.replace(SAC, overlap=True, threads=2)
 def test_interrupted_and_resumed_is_the_same_as_straight(
     settings: TrainingSettings, point_env: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("enn.reinforcement.training.inputs.WORTH_A_PROCESS", 0)
     straight = Training(settings, point_env, None, seed=3).run()
+    monkeypatch.setattr("enn.reinforcement.training.inputs.WORTH_A_PROCESS", 0)
     for stop in (200,) if settings is OVERLAPPING else (60, 200):  # its environments have a process each time
         interrupted(Training(settings, point_env, tmp_path, seed=3), stop)
         assert (tmp_path / "checkpoint" / "index.json").is_file()

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from enn.reinforcement.reset_bank import ResetBank
-from enn.reinforcement.sampling import NotFiniteError, SampledEnvs
+from enn.reinforcement.sampled_envs import SampledEnvs
+from enn.reinforcement.sampling import NotFiniteError
 from enn.reinforcement.subprocess_envs import POSSIBLE, SubprocessEnvs
 
 pytestmark = pytest.mark.skipif(not POSSIBLE, reason="open files cannot be handed over to a process here")

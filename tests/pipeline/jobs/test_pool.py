@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
@@ -40,6 +41,13 @@ def test_jobs_run_in_processes_of_their_own_and_leave_their_results(folder: RunF
 def test_jobs_use_one_thread_of_opencv(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
     assert run_jobs(folder, [Job("a", opencv_threads)], preload=["guide3d.opencv"]) == {"a": 1}
+
+
+def test_the_modules_of_jobs_are_imported_before_their_processes(folder: RunFolder, monkeypatch) -> None:
+    preloads: list[list[str]] = []
+    monkeypatch.setattr(forkserver, "set_forkserver_preload", preloads.append)
+    run_jobs(folder, [Job("a", square, 2)], preload=["json"])
+    assert {square.__module__, "json"} <= set(preloads[0])
 
 
 def test_what_jobs_cost_stands_in_the_manifest_also_after_an_interruption(folder: RunFolder, tmp_path: Path) -> None:

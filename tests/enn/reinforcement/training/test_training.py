@@ -15,7 +15,7 @@ from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointError
 from enn.reinforcement.evaluation import run_episodes
 from enn.reinforcement.replay import demonstration_replay
-from enn.reinforcement.sampling import SampledEnvs
+from enn.reinforcement.sampled_envs import SampledEnvs
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import (
     DESK_PPO,

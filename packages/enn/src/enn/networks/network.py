@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import gymnasium
 from stable_baselines3.common.policies import ActorCriticPolicy, BasePolicy, MultiInputActorCriticPolicy
 from stable_baselines3.sac.policies import SACPolicy
-from torch import Tensor, nn, optim
+from torch import Tensor, nn
 
 from enn.networks.features import VARIANTS, MultimodalExtractor
-from enn.networks.normalisation import VectorExtractor, select_keys, vector_spaces
+from enn.networks.normalisation import VectorExtractor
 from enn.networks.policies import AsymmetricSACPolicy, LayerNormSACPolicy
+from enn.observation_spaces import select_keys, vector_spaces
 from enn.setting_kinds import Units, settings
 
 ALGORITHMS = ("sac", "ppo")
@@ -96,9 +98,16 @@ def network_class(settings: NetworkSettings, space: gymnasium.Space[Any]) -> tup
 def build_network(
     settings: NetworkSettings, space: gymnasium.Space[Any], action_space: gymnasium.spaces.Box
 ) -> BasePolicy:
-    """A network with fresh weights."""
+    """A network with fresh weights, that acts and is not trained: it has no optimiser."""
     policy, arguments = network_class(settings, space)
-    return policy(space, action_space, lambda _: 1e-3, optimizer_class=optim.Adam, **arguments)
+    return policy(space, action_space, lambda _: 1e-3, optimizer_class=_NoOptimiser, **arguments)
+
+
+class _NoOptimiser:
+    """The first optimiser of a process imports torch.compile, which takes 2 CPU-s."""
+
+    def __init__(self, parameters: Iterable[Tensor], **settings: object) -> None:
+        del parameters, settings
 
 
 def actor_features(network: Any, observations: dict[str, Tensor] | Tensor) -> Tensor:

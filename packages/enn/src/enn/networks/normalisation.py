@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
+from enn.observation_spaces import vector_spaces
+
 LIMIT = 10.0  # normalised values are cut here: what hardly varied while fitting may jump later
 SMALLEST_SCALE = 1e-6
 _LEAST_SPREAD = 1e-4
@@ -84,33 +86,3 @@ def standardised(values: NDArray[np.float32]) -> NDArray[np.float32]:
         values: (N, features).
     """
     return (values - values.mean(0)) / (values.std(0) + _LEAST_SPREAD)
-
-
-def vector_spaces(space: gymnasium.Space, keys: Sequence[str] = ()) -> dict[str, gymnasium.spaces.Box]:
-    """The vector observations of a space by name; a single `Box` has the name "".
-
-    Raises:
-        ValueError: a key that there is not, or an image among them.
-    """
-    if isinstance(space, gymnasium.spaces.Dict):
-        spaces = {key: space[key] for key in select_keys(space, keys)}
-    else:
-        spaces = {"": space}
-    images = [key or "the observation" for key, one in spaces.items() if len(one.shape or ()) == 3]
-    if images:
-        raise ValueError(
-            f"{', '.join(images)} is an image: give it an encoder, or a network with extractor='multimodal'"
-        )
-    return spaces  # type: ignore[return-value]
-
-
-def select_keys(space: gymnasium.spaces.Dict, keys: Sequence[str]) -> tuple[str, ...]:
-    """The keys asked for, or all of a space.
-
-    Raises:
-        ValueError: a key that there is not.
-    """
-    unknown = [key for key in keys if key not in space.spaces]
-    if unknown:
-        raise ValueError(f"no observation {', '.join(unknown)}; the environment gives {', '.join(space.spaces)}")
-    return tuple(keys) or tuple(space.spaces)

@@ -96,7 +96,7 @@ class ObservationStore:
         self.array[first:last] = packed
 
     def grow(self, rows: int) -> None:
-        """Makes room for more rows, keeping those there are."""
+        """Reserves memory for more rows and keeps the present ones."""
         larger = np.zeros((rows, *self.array.shape[1:]), self.array.dtype)
         larger[: len(self.array)] = self.array
         self.array = larger
@@ -179,7 +179,7 @@ class FrameStore:
         return frames
 
     def grow(self, rows: int) -> None:
-        """Makes room for more rows, keeping those there are."""
+        """Reserves memory for more rows and keeps the present ones."""
         self._rows += [None] * (rows * self.envs - len(self._rows))
 
     def saved(self, first: int, last: int) -> NDArray[np.uint8]:

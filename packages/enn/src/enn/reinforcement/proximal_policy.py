@@ -95,16 +95,16 @@ class PpoLearner:
 
     def _clone(self, batches: int) -> None:
         """Moves the mean action towards the demonstrations'."""
-        shown, weight = self.demonstrations, self.settings.cloning_weight
-        if shown is None or not weight:
+        demonstrations, weight = self.demonstrations, self.settings.cloning_weight
+        if demonstrations is None or not weight:
             return
         space: Any = self.policy.action_space
         low, high = (torch.as_tensor(bound, device=self.model.device) for bound in (space.low, space.high))
         half = 0.5 * (high - low)
         self.policy.set_training_mode(True)
         for _ in range(batches):
-            rows = self._generator.integers(0, shown.size(), self.settings.batch_size)
-            drawn = shown.gather(rows, np.zeros_like(rows))
+            rows = self._generator.integers(0, demonstrations.size(), self.settings.batch_size)
+            drawn = demonstrations.gather(rows, np.zeros_like(rows))
             expert_actions = low + (drawn.actions + 1.0) * half  # replays keep actions between -1 and 1
             features = self.policy.extract_features(drawn.observations, self.policy.features_extractor)
             mean = self.policy.action_net(self.policy.mlp_extractor(features)[0])

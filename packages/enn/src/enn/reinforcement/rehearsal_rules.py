@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
-from enn.device_trials import Tried
+from enn.device_trials import TrialStatistics
 from enn.reinforcement.rehearsal import REHEARSAL
 from enn.reinforcement.training import DESK_PPO, TrainingResult, TrainingSettings
 
@@ -50,10 +50,10 @@ class RehearsalRules:
 
     Attributes:
         demonstrations: that arrive are enough.
-        expert: turns of the sampling expert: "needed" where policies show too few, "always" first, "never".
+        expert: turns of the sampling expert: "needed" where policies give too few, "always" first, "never".
         often: share from which on the policy that it starts from learns from its own demonstrations.
         rounds: turns of one policy at most.
-        few: one in so many of the demonstrations: where policies show fewer, the expert is asked.
+        few: one in so many of the demonstrations: where policies give fewer, the expert demonstrates.
         mostly: share of the first demonstrations from which on a part of the training may be enough.
         surely: share of these, of the trials of devices and of episodes elsewhere together, for the same.
         seldom: share of a training's latest episodes below which it goes on with another.
@@ -73,7 +73,7 @@ class RehearsalRules:
     fewer_evaluations: int = 2
 
     def turns(
-        self, policies: Sequence[Who], start: Who | None, tried: Tried | None = None
+        self, policies: Sequence[Who], start: Who | None, tried: TrialStatistics | None = None
     ) -> Generator[Turn[Who], Sequence[bool], None]:
         """Turns one after the other; the caller sends where the episodes of the last one arrived.
 
@@ -82,30 +82,30 @@ class RehearsalRules:
 
         Args:
             policies: that steer the devices; the first is `start`, where there is one.
-            tried: how `start` fared in trials of its devices.
+            tried: statistics of the trials of `start` with its devices.
         """
-        shown = 0
+        arrival_count = 0
         if self.expert == ALWAYS:
-            shown += sum((yield Turn(None)))
+            arrival_count += sum((yield Turn(None)))
         arrivals: dict[Who, int] = {}
         best: Who | None = None
         for policy in policies:
-            if shown >= self.demonstrations:
+            if arrival_count >= self.demonstrations:
                 return
             outcomes = yield Turn(policy)
             arrivals[policy] = sum(outcomes)
-            shown += arrivals[policy]
+            arrival_count += arrivals[policy]
             if policy == start and in_share(outcomes, tried, self.often):
                 break
         else:
             # others first: what the start shows it can do already
             best = max(arrivals, key=lambda one: (arrivals[one] > 0 and one != start, arrivals[one]), default=None)
         for number in range(1, self.rounds):
-            if best is None or not arrivals[best] or shown >= self.demonstrations:
+            if best is None or not arrivals[best] or arrival_count >= self.demonstrations:
                 break
             arrivals[best] = sum((yield Turn(best, number)))  # a turn in which nobody arrives is the last one
-            shown += arrivals[best]
-        if self.expert == NEEDED and shown * self.few < self.demonstrations:
+            arrival_count += arrivals[best]
+        if self.expert == NEEDED and arrival_count * self.few < self.demonstrations:
             yield Turn(None)
 
     def most_turns(self, policies: int) -> int:
@@ -113,7 +113,7 @@ class RehearsalRules:
         return policies + (self.rounds - 1 if policies else 0) + (self.expert != NEVER)
 
     def mostly_arrives(
-        self, outcomes: Sequence[bool], tried: Tried | None, elsewhere: Callable[[], Sequence[bool]]
+        self, outcomes: Sequence[bool], tried: TrialStatistics | None, elsewhere: Callable[[], Sequence[bool]]
     ) -> bool:
         """Whether the policy to start from mostly arrives, but not always, so that part of a training is enough.
 
@@ -157,7 +157,7 @@ class RehearsalRules:
         )
 
 
-def in_share(outcomes: Sequence[bool], tried: Tried | None, share: float) -> bool:
+def in_share(outcomes: Sequence[bool], tried: TrialStatistics | None, share: float) -> bool:
     """Whether a policy arrives in a share of some episodes, at least one, and of the trials of its devices together."""
     reached, episodes = (0, 0) if tried is None else (tried.reached, tried.episodes)
     return bool(outcomes) and sum(outcomes) + reached >= share * (len(outcomes) + episodes)

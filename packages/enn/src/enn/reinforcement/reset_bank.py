@@ -1,4 +1,4 @@
-"""Reset banks: simulation states along successful episodes, from which later training episodes may start."""
+"""Start-state buffers: simulation states along successful episodes, from which later training episodes may start."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from enn.trajectory import Trajectory
 
-RECORD_EVERY = 3  # steps between the states that a successful episode leaves in a reset bank
+RECORD_EVERY = 3  # steps between the states that a successful episode leaves in a start-state buffer
 LEAST_WEIGHT = 0.15  # of a case that is always solved; one that never is has 1 more
 EARLIER_WEIGHT = 0.5  # of a case's earlier episodes beside its latest
 
@@ -91,7 +91,7 @@ class ResetBank:
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Returns to a saved reset bank of the same capacity.
+        """Returns to a saved start-state buffer of the same capacity.
 
         Raises:
             ValueError: the state holds more than fits.
@@ -111,9 +111,9 @@ class ResetBank:
 
 
 class CaseResetBank(ResetBank):
-    """A reset bank whose states end with the number of their case (an anatomy and a target, say).
+    """A start-state buffer whose states end with the number of their case (an anatomy and a target, say).
 
-    In one reset bank for all, the cases that are solved every time crowd out those that are solved now and then: here
+    In one buffer for all, the cases that are solved every time crowd out those that are solved now and then: here
     every case is drawn equally often. Episodes that start as the task says take place the more often in a case, the
     more of its latest ones failed.
 
@@ -176,7 +176,7 @@ class CaseResetBank(ResetBank):
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Returns to a saved reset bank of the same capacity.
+        """Returns to a saved start-state buffer of the same capacity.
 
         Raises:
             ValueError: the state holds more of a case than fits.

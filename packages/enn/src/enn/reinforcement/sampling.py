@@ -1,4 +1,4 @@
-"""Sampling: environments stepped together in threads, with action repeat and starts from a reset bank."""
+"""Sampling: environments stepped together in threads, with action repeat and starts from a start-state buffer."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import gymnasium
 import numpy as np
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
 
-from enn.networks.normalisation import select_keys
+from enn.observation_spaces import kept_space
 from enn.reinforcement.reset_bank import RECORD_EVERY, ResetBank
 from enn.reinforcement.workers import SharedWork, Workers
 
@@ -25,12 +24,14 @@ class NotFiniteError(ValueError):
     """An environment gave an observation or a reward that is not a number."""
 
 
-class SampledEnvs(VecEnv):
-    """Environments for stable-baselines3, stepped in threads: native simulators release the interpreter's lock.
+class Sampling:
+    """Environments stepped in threads: native simulators release the interpreter's lock.
+
+    It imports neither torch nor stable-baselines3, for which `SampledEnvs` is the same.
 
     Results do not depend on the number of threads. An environment that has ended is reset in the same step; its info
     then holds `terminal_observation`, `TimeLimit.truncated` and `episode`: `r` sum of rewards, `l` length in steps,
-    `success`, and `fresh`, whether it started as the task says and not from the reset bank. Every info holds `steps`,
+    `success`, and `fresh`, whether it started by the task, not from the start-state buffer. Every info holds `steps`,
     the number of environment steps that the decision took.
 
     Args:
@@ -64,7 +65,7 @@ class SampledEnvs(VecEnv):
             if env.observation_space != first.observation_space or env.action_space != first.action_space:
                 raise ValueError("all environments sampled together need the same observation and action spaces")
         space = kept_space(first.observation_space, keys)
-        super().__init__(len(self.envs), space, first.action_space)
+        self.num_envs, self.observation_space, self.action_space = len(self.envs), space, first.action_space
         self.action_repeat, self.reset_bank = action_repeat, reset_bank
         self._start_states = [start_state_of(env) for env in self.envs] if reset_bank is not None else []
         spaces: dict[str, Any] = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {"": space}
@@ -127,6 +128,11 @@ class SampledEnvs(VecEnv):
         self._check(batch)
         return batch, rewards, dones, infos
 
+    def step(self, actions: NDArray[Any]) -> tuple[Observations, NDArray[np.float32], NDArray[np.bool_], list[Any]]:
+        """`step_async` and `step_wait`."""
+        self.step_async(actions)
+        return self.step_wait()
+
     def _advance(self, index: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         env, action, total = self.envs[index], self._actions[index], 0.0
         taken, terminated, truncated = 0, False, False
@@ -171,7 +177,7 @@ class SampledEnvs(VecEnv):
         }
         if self.reset_bank is not None and self._fresh[index] and "case" in info:
             self.reset_bank.record_outcome(info["case"], success=success)
-        # episodes from the reset bank would fill it with states near the target alone
+        # episodes from the start-state buffer would fill it with states near the target alone
         if success and self.reset_bank is not None and self._fresh[index]:
             self.reset_bank.add_episode(np.stack(self._paths[index]))
 
@@ -261,32 +267,18 @@ class SampledEnvs(VecEnv):
         for env in self.envs:
             env.close()
 
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of each environment."""
-        return [getattr(self.envs[index], attr_name) for index in self._get_indices(indices)]
+    def get_attr(self, attr_name: str, indices: Sequence[int]) -> list[Any]:
+        """An attribute of some environments."""
+        return [getattr(self.envs[index], attr_name) for index in indices]
 
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Sets an attribute of each environment."""
-        for index in self._get_indices(indices):
+    def set_attr(self, attr_name: str, value: Any, indices: Sequence[int]) -> None:
+        """Sets an attribute of some environments."""
+        for index in indices:
             setattr(self.envs[index], attr_name, value)
 
-    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Calls a method of each environment."""
-        chosen = [self.envs[index] for index in self._get_indices(indices)]
-        return [getattr(env, method_name)(*method_args, **method_kwargs) for env in chosen]
-
-    def env_is_wrapped(
-        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
-    ) -> list[bool]:
-        """Whether each environment is wrapped so; Monitor is not needed, episodes are counted here."""
-        return [False for _ in self._get_indices(indices)]
-
-
-def kept_space(space: gymnasium.Space[Any], keys: Sequence[str]) -> gymnasium.Space[Any]:
-    """The observations of a `Dict` to keep; none: all."""
-    if keys and isinstance(space, gymnasium.spaces.Dict):
-        return gymnasium.spaces.Dict([(key, space[key]) for key in select_keys(space, keys)])
-    return space
+    def env_method(self, method_name: str, *method_args: Any, indices: Sequence[int], **named: Any) -> list[Any]:
+        """Calls a method of some environments."""
+        return [getattr(self.envs[index], method_name)(*method_args, **named) for index in indices]
 
 
 def without_checks(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:

@@ -7,33 +7,29 @@ long, and the updates a third longer: `docs/results/rehearsal.md#how-long-it-tra
 from __future__ import annotations
 
 import os
-import pickle
-import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector.utils import CloudpickleWrapper
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
-from stable_baselines3.common.vec_env.base_vec_env import CloudpickleWrapper
 
-from enn.reinforcement.free_memory import trim_heap
+from enn.observation_spaces import kept_space
 from enn.reinforcement.reset_bank import ResetBank
-from enn.reinforcement.sampling import Observations, SampledEnvs, kept_space, without_checks
+from enn.reinforcement.sampling import Observations, without_checks
 from enn.reinforcement.workers import Workers
 
 POSSIBLE = os.name == "posix"  # an open connection can be handed over to a new process
-_TRIM_EVERY = 200  # requests between two returns of free memory to the system
 _END_S = 5.0  # that the process has to end by itself
 # bytes; MuJoCo's arenas are larger: each then goes back to the system at once (GNU C library)
 _OWN_PAGES = {"MALLOC_MMAP_THRESHOLD_": str(12 * 2**20)}
-_MAIN = "import sys; sys.path[:] = {path!r}; from enn.reinforcement.subprocess_envs import serve; serve({number})"
+_MAIN = "import sys; sys.path[:] = {path!r}; from enn.reinforcement.environment_process import serve; serve({number})"
 
 
 class SubprocessEnvs(VecEnv):
@@ -70,17 +66,17 @@ class SubprocessEnvs(VecEnv):
         super().__init__(len(factories), kept_space(first.observation_space, keys), first.action_space)
         first.close()
         self.workers = Workers(evaluation_threads)
-        here, there = socket.socketpair()
-        with there:
+        parent_socket, child_socket = socket.socketpair()
+        with child_socket:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _MAIN.format(path=sys.path, number=there.fileno())],
-                pass_fds=[there.fileno()],
+                [sys.executable, "-c", _MAIN.format(path=sys.path, number=child_socket.fileno())],
+                pass_fds=[child_socket.fileno()],
                 env={**_OWN_PAGES, **os.environ},
             )
-        self._connection = Connection(here.detach())
+        self._connection = Connection(parent_socket.detach())
         arguments = {"keys": tuple(keys), "threads": threads, "reset_bank": reset_bank, **settings}
         self._waits, self._cpu_s = True, 0.0
-        self._send((CloudpickleWrapper(list(factories)), arguments))
+        self._send((CloudpickleWrapper(list(factories)), arguments))  # type: ignore[arg-type]  # a list goes as well
 
     @property
     def cpu_s(self) -> float:
@@ -177,43 +173,3 @@ class SubprocessEnvs(VecEnv):
             f"the process that steps the environments has ended (code {self._ended()}): see what it "
             "printed; where memory was short, take fewer environments, or threads=1, which steps them in this process"
         )
-
-
-def serve(number: int) -> None:
-    """Steps environments for another process until it closes the connection.
-
-    Args:
-        number: of the connection's open file.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # whoever asks is told to stop, and closes the connection
-    connection, steps = Connection(number), 0
-    envs: SampledEnvs | None = None
-    try:
-        while True:
-            request = connection.recv()
-            error = result = None
-            try:
-                if envs is None:
-                    envs = SampledEnvs(request[0].var, **request[1])
-                else:
-                    name, arguments, named = request
-                    result = getattr(envs, name)(*arguments, **named)
-                    steps += 1
-            except Exception as raised:
-                error = raised
-            connection.send_bytes(_packed(error, result))
-            if steps == _TRIM_EVERY:
-                trim_heap()
-                steps = 0
-    except (EOFError, OSError):
-        pass  # the other one has closed it, or has ended
-    finally:
-        if envs is not None:
-            envs.close()
-
-
-def _packed(error: Exception | None, result: Any) -> bytes:
-    try:
-        return pickle.dumps((error, result, time.process_time()))
-    except Exception as failure:
-        return pickle.dumps((RuntimeError(f"{type(error or failure).__name__}: {error or failure}"), None, 0.0))

@@ -32,7 +32,7 @@ _DEEPEST = 100  # containers in each other
 _MOST_PARTS = 300_000
 _LEAST_TENSOR = 4096  # numbers that the smallest tensor counts as: many of them take time
 _ALWAYS_BUILT = 1 << 24  # numbers that a network of any file may have, and times those in it: critics and their targets
-_TIMES_BUILT = 32  # are often left out, and drawing first weights takes room, too
+_TIMES_BUILT = 32  # are often left out, and drawing first weights takes memory, too
 
 
 def load_content(body: bytes | memoryview) -> Any:
@@ -96,13 +96,17 @@ class Bounded(TorchDispatchMode):
         super().__init__()
         self._left = numbers
 
+    @classmethod
+    def _should_skip_dynamo(cls) -> bool:
+        return False  # torch asks this since 2.8: to leave torch.compile out, it would import it, which takes 2 CPU-s
+
     def __torch_dispatch__(self, func: Any, types: Any, args: tuple[Any, ...] = (), kwargs: Any = None) -> Any:
         """Counts the sizes that an operation is given."""
         lists = (part for part in args if isinstance(part, list | tuple) and all(type(one) is int for one in part))
-        asked = math.prod(map(abs, next(lists, (0,))))  # the first is the size, a second one the strides
+        count = math.prod(map(abs, next(lists, (0,))))  # the first is the size, a second one the strides
         if not any(isinstance(part, Tensor) for part in args):  # arange(n), eye(n)
-            asked = max(asked, *(abs(int(part)) for part in args if isinstance(part, int | float) and part == part), 0)
-        self._left -= max(asked, _LEAST_TENSOR if asked else 0)
+            count = max(count, *(abs(int(part)) for part in args if isinstance(part, int | float) and part == part), 0)
+        self._left -= max(count, _LEAST_TENSOR if count else 0)
         if self._left < 0:
             raise ValueError("its settings or sizes ask for far more numbers than it holds")
         return func(*args, **(kwargs or {}))

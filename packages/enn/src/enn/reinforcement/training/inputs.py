@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from enn.policy import Policy
 from enn.reinforcement.evaluation import EvaluationResult
 from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_bank
-from enn.reinforcement.sampling import SampledEnvs
+from enn.reinforcement.sampled_envs import SampledEnvs
 from enn.reinforcement.subprocess_envs import POSSIBLE, SubprocessEnvs
 from enn.reinforcement.training.settings import SacSettings, TrainingSettings
 from enn.trajectory import Trajectory
@@ -35,10 +35,10 @@ class TrainingInputs:
     Attributes:
         make_env: makes one environment; called for each of those sampled, and for evaluation.
         folder: where it is kept; None: only in memory.
-        demonstrations: their states enter the reset bank; their steps take part in updates, if the settings say so.
+        demonstrations: their states enter the start-state buffer; their steps take part in updates, if set so.
         encoder: frozen, turns observations into features.
         metadata: kept in the policy's file, with the seed.
-        starts: further states of the reset bank, an array for each case or way. Shapes (k, n).
+        starts: further states of the start-state buffer, an array for each case or way. Shapes (k, n).
         make_validation_env: makes the environments of the evaluations that choose the best policy; None: `make_env`.
         initial: a policy with critics to start from instead of fresh weights: it acts from the first decision on, is
             evaluated before the first update, and its normalisation stays. Learning begins after `learning_starts`.
@@ -61,7 +61,7 @@ class TrainingInputs:
     after_evaluation: Callable[[Policy, int], None] | None = None
 
     def make_reset_bank(self, settings: TrainingSettings) -> ResetBank | None:
-        """A reset bank of the demonstrations and starts, or None where no episode is to start from one."""
+        """A start-state buffer of the demonstrations and starts, or None where no episode is to start from one."""
         arguments = settings.reset_bank_share, settings.reset_bank_capacity, self.seed
         if settings.reset_bank_cases:
             reset_bank: ResetBank = CaseResetBank(settings.reset_bank_cases, *arguments)
@@ -114,8 +114,8 @@ def start_from(learner: SacLearner | PpoLearner, policy: Policy, settings: Train
     mine, theirs = asdict(settings.network), asdict(policy.network)
     differing = [name for name in mine if mine[name] != theirs[name]]
     if differing:
-        told = ", ".join(f"{name}={theirs[name]}, not {mine[name]}" for name in differing)
-        raise ValueError(f"the policy to start from is another network ({told}): take settings.with_network(…)")
+        differences = ", ".join(f"{name}={theirs[name]}, not {mine[name]}" for name in differing)
+        raise ValueError(f"the policy to start from is another network ({differences}): take settings.with_network(…)")
     if policy.action_repeat != settings.action_repeat:
         raise ValueError(
             f"the policy to start from holds actions for {policy.action_repeat} steps, the training for "

@@ -95,7 +95,7 @@ class TrainingLog:
         self.evaluation: dict[str, Any] = {}  # the latest that has no row yet
         self.rewards: deque[float] = deque(maxlen=REWARD_WINDOW)
         self.episodes: deque[tuple[int, bool]] = deque(maxlen=EPISODE_WINDOW)
-        self.returns: deque[float] = deque(maxlen=EPISODE_WINDOW)  # of all episodes, also those from the reset bank
+        self.returns: deque[float] = deque(maxlen=EPISODE_WINDOW)  # of all episodes, also from the start-state buffer
         self.spent = {"wall_s": 0.0, "cpu_s": 0.0, "simulation_s": 0.0, "update_s": 0.0, "evaluation_s": 0.0}
         self.began = time.perf_counter(), time.process_time()
         self.writer: Writer | None = None  # of the curves for a logger
@@ -146,8 +146,8 @@ class TrainingLog:
         self.curve.append({name: row.get(name) for name in COLUMNS})
         self.write()
         if self.writer is not None:
-            shown = {**row, "episode_return": self.episode_return()}
-            for name, value in {**{f"curve/{k}": v for k, v in shown.items()}, **scalars}.items():
+            values = {**row, "episode_return": self.episode_return()}
+            for name, value in {**{f"curve/{k}": v for k, v in values.items()}, **scalars}.items():
                 if value is not None and name != "curve/decisions":
                     self.writer.add_scalar(name, value, decisions)
 

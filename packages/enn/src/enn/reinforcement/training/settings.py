@@ -40,9 +40,9 @@ class TrainingSettings(NetworkSettings):
     # of the squared distance to the demonstrations' actions: before PPO's first roll-out, and after each update; in the
     # loss of SAC's actor where its critics prefer those actions, as a share of their values' magnitude
     cloning_weight: Weight = 0.0
-    reset_bank_share: Share = 0.75  # share of the resets that start from the reset bank; 0: there is none
-    reset_bank_capacity: Count = 4096  # states in the reset bank; with cases, of each of them
-    # how many cases (an anatomy and a target each, say) the environment chooses from; each then has room of its own,
+    reset_bank_share: Share = 0.75  # share of the resets from the start-state buffer; 0: there is none
+    reset_bank_capacity: Count = 4096  # states in the start-state buffer; with cases, of each of them
+    # how many cases (an anatomy and a target each, say) the environment chooses from; each then has its own buffer,
     # and episodes take place more often where they fail. 0: the environment has no cases.
     reset_bank_cases: CountOrNone = 0
     evaluate_every: CountOrNone = 1000  # decisions between evaluations; 0: none, the last policy is kept
@@ -65,7 +65,7 @@ class TrainingSettings(NetworkSettings):
         self.network  # noqa: B018 - refuses unknown names
 
     def sized(self, decisions: int, evaluation_episodes: int, **changed: Any) -> Self:
-        """The same run with another budget in decisions; what a tiny budget has no room for becomes smaller.
+        """The same run with another budget in decisions; what does not fit a tiny budget becomes smaller.
 
         Args:
             evaluation_episodes: at most so many.
@@ -90,7 +90,7 @@ class TrainingSettings(NetworkSettings):
 
     @property
     def learns_from_demonstrations(self) -> bool:
-        """Whether steps of demonstrations take part in updates, beside their states in the reset bank."""
+        """Whether steps of demonstrations take part in updates, beside their states in the start-state buffer."""
         return self.cloning_weight > 0
 
     @property
@@ -144,7 +144,7 @@ class SacSettings(TrainingSettings):
 
     @property
     def learns_from_demonstrations(self) -> bool:
-        """Whether steps of demonstrations take part in updates, beside their states in the reset bank."""
+        """Whether steps of demonstrations take part in updates, beside their states in the start-state buffer."""
         return self.demonstrations_in_replay > 0
 
 
@@ -221,7 +221,7 @@ THESIS_PPO = PpoSettings(
     evaluate_every=10_000,
     curve_every=2048,
 )
-# Measured on the simulator: with demonstrations in the reset bank, LCCA is learnt fast only if actions last 0.3 s.
+# Measured: with demonstrations in the start-state buffer, LCCA is learnt fast only if actions last 0.3 s.
 DESK_SAC = SacSettings(
     decisions=4000,
     critic_layer_norm=True,

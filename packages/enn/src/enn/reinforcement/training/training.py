@@ -359,9 +359,9 @@ class Training(TrainingInputs):
                 "both to train again"
             ) from error
         settings = self.settings if self.encoder is None else replace(self.settings, normalise=False)
-        asked = {**asdict(settings), "seed": (self.metadata or {}).get("seed", self.seed)}
-        mine = json.loads(json.dumps({name: asked[name] for name in asked if name not in CHANGEABLE - {"decisions"}}))
+        fields = {**asdict(settings), "seed": (self.metadata or {}).get("seed", self.seed)}
+        mine = json.loads(json.dumps({name: fields[name] for name in fields if name not in CHANGEABLE - {"decisions"}}))
         if other := [name for name in mine if name in before and before[name] != mine[name]]:
-            told = ", ".join(f"{name} {before[name]}, not {mine[name]}" for name in other[:4])
-            raise CheckpointError(f"{folder} holds a finished training of another kind ({told}): take another folder")
+            values = ", ".join(f"{name} {before[name]}, not {mine[name]}" for name in other[:4])
+            raise CheckpointError(f"{folder} holds a finished training of another kind ({values}): take another folder")
         return result

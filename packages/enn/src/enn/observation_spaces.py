@@ -1,0 +1,45 @@
+"""Observation spaces: which observations of a `Dict` are taken, and which of them are vectors; without torch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+
+
+def vector_spaces(space: gymnasium.Space, keys: Sequence[str] = ()) -> dict[str, gymnasium.spaces.Box]:
+    """The vector observations of a space by name; a single `Box` has the name "".
+
+    Raises:
+        ValueError: a key that there is not, or an image among them.
+    """
+    if isinstance(space, gymnasium.spaces.Dict):
+        spaces = {key: space[key] for key in select_keys(space, keys)}
+    else:
+        spaces = {"": space}
+    images = [key or "the observation" for key, one in spaces.items() if len(one.shape or ()) == 3]
+    if images:
+        raise ValueError(
+            f"{', '.join(images)} is an image: give it an encoder, or a network with extractor='multimodal'"
+        )
+    return spaces  # type: ignore[return-value]
+
+
+def select_keys(space: gymnasium.spaces.Dict, keys: Sequence[str]) -> tuple[str, ...]:
+    """The keys asked for, or all of a space.
+
+    Raises:
+        ValueError: a key that there is not.
+    """
+    unknown = [key for key in keys if key not in space.spaces]
+    if unknown:
+        raise ValueError(f"no observation {', '.join(unknown)}; the environment gives {', '.join(space.spaces)}")
+    return tuple(keys) or tuple(space.spaces)
+
+
+def kept_space(space: gymnasium.Space[Any], keys: Sequence[str]) -> gymnasium.Space[Any]:
+    """The observations of a `Dict` to keep; none: all."""
+    if keys and isinstance(space, gymnasium.spaces.Dict):
+        return gymnasium.spaces.Dict([(key, space[key]) for key in select_keys(space, keys)])
+    return space
