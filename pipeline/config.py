@@ -8,6 +8,7 @@ tuples into lists: choices are checks of the annotations.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
@@ -51,7 +52,7 @@ class OwnPhantom:
     transform: str | None = None  # of NIfTI files: sform or qform, which of their affines is taken
     extend: bool | None = None  # whether branches that the file cuts short are extended; null: they are
     ct: kinds.PathText | None = None  # that the file was segmented from: shown by films and X-ray images
-    entry: kinds.EntryPlace = None  # where wires come in; null: descending
+    entry: kinds.EntryPlace = None  # access site; null: descending
 
 
 @kinds.validated("guide3d.")
@@ -100,20 +101,40 @@ def register_schemas(stages: Iterable[str] | None = None) -> None:
     # Hydra makes its folder of these names before the values are checked.
     OmegaConf.register_new_resolver("hydra_folder", _hydra_folder, replace=True)
     OmegaConf.register_new_resolver("own_file", _own_file, replace=True)
+    _register_run()
+    for name in available_stages() if stages is None else stages:
+        _register_stage(name)
+
+
+@functools.cache
+def _register_run() -> None:
     store = ConfigStore.instance()
     store.store(name="schema", node=RunConfig)
     for name, settings in SETTINGS.items():
         store.store(group="schema/engine", name=name, node=settings)
-    for name in available_stages() if stages is None else stages:
-        store.store(group="schema/stage", name=name, node=settings_of(name))
-    for file in (CONFIG_DIRECTORY / "sizes").glob("*.yaml"):  # of budgets and experiments
-        sizes: Any = OmegaConf.load(file)
-        for owner, values in sizes.items():
-            task = values.pop("task", None)  # the stage's, where it differs: into the run's, so that task.KEY=… is last
-            for kind in ("", "experiment_"):
-                store.store(group=f"{kind}sizes", name=f"{file.stem}_{owner}", node=values)
-                if task is not None:
-                    store.store(group=f"{kind}task_sizes", name=f"{file.stem}_{owner}", node=task)
+    _register_sizes("task")
+
+
+@functools.cache
+def _register_stage(name: str) -> None:
+    ConfigStore.instance().store(group="schema/stage", name=name, node=settings_of(name))
+    _register_sizes(name)
+
+
+def _register_sizes(owner: str) -> None:
+    """Registers what budgets and experiments change in a stage, or in the run's task."""
+    store = ConfigStore.instance()
+    for choice, sizes in _sizes().items():
+        values = sizes.get(owner)
+        task = None if values is None else values.pop("task", None)  # the run's, so that task.KEY=… is last
+        for group, node in (("sizes", values), ("task_sizes", task)):
+            for kind in ("", "experiment_") if node is not None else ():
+                store.store(group=f"{kind}{group}", name=f"{choice}_{owner}", node=node)
+
+
+@functools.cache
+def _sizes() -> dict[str, Any]:
+    return {file.stem: OmegaConf.load(file) for file in (CONFIG_DIRECTORY / "sizes").glob("*.yaml")}
 
 
 def _own_file(_root_: DictConfig) -> str | None:
@@ -186,8 +207,8 @@ def anatomy_not_taken(config: RunConfig) -> list[str]:
     names = {item.name for item in dataclasses.fields(config.stage)}
     if not names & {"phantom", "phantoms"}:
         return []
-    given = [item.name for item in dataclasses.fields(config.phantom) if getattr(config.phantom, item.name) is not None]
+    keys = [item.name for item in dataclasses.fields(config.phantom) if getattr(config.phantom, item.name) is not None]
     # one that is chosen by name, seed and entry, and one of a file
-    unused = [name for name in given if ("entry" if name in ("name", "seed", "entry") else "file") not in names]
+    unused = [name for name in keys if ("entry" if name in ("name", "seed", "entry") else "file") not in names]
     targets = ["target"] if config.target is not None and "targets" in names and "entry" not in names else []
     return [*(f"phantom.{name}" for name in unused), *targets]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -154,6 +155,20 @@ def render_page(
         remarks: table -> what the reader should know of its cells, e.g. which logs were left out.
         made: table -> how its measured rows were made, a note a stage folder.
     """
+    compared = headlines(tables)
+    film = choose_film(figures)
+    return _template().render(
+        run=run, budget=budget, seeds=", ".join(map(str, seeds)), written=written, records=records,
+        is_smoke="smoke" in budget.split("+"), not_run=NOT_RUN, commit=commit, versions=versions, machine=machine,
+        remarks=dict(remarks or {}), made=dict(made or {}), style=_STYLE.read_text(encoding="utf-8"), film=film,
+        beside=comparisons(), compared=[one for one in compared if one.here],
+        open_headlines=[one for one in compared if not one.here],
+        chapters=arrange(tables, [figure for figure in figures if figure is not film]),
+    )  # fmt: skip
+
+
+@functools.cache
+def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
@@ -162,17 +177,7 @@ def render_page(
     environment.filters["place"] = place_in_thesis
     environment.filters["wall_time"] = wall_time
     environment.filters["stage_words"] = lambda stage: row_words(stage.partition("@")[0], _STAGES)
-    template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
-    compared = headlines(tables)
-    film = choose_film(figures)
-    return template.render(
-        run=run, budget=budget, seeds=", ".join(map(str, seeds)), written=written, records=records,
-        is_smoke="smoke" in budget.split("+"), not_run=NOT_RUN, commit=commit, versions=versions, machine=machine,
-        remarks=dict(remarks or {}), made=dict(made or {}), style=_STYLE.read_text(encoding="utf-8"), film=film,
-        beside=comparisons(), compared=[one for one in compared if one.here],
-        open_headlines=[one for one in compared if not one.here],
-        chapters=arrange(tables, [figure for figure in figures if figure is not film]),
-    )  # fmt: skip
+    return environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
 
 
 def wall_time(seconds: float) -> str:

@@ -4,6 +4,7 @@ import importlib
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,16 +110,20 @@ def test_a_policy_of_arches_learns_trees(example: ModuleType, tmp_path: Path) ->
 
 @of("her")
 def test_goals_are_relabelled_and_the_example_runs(example: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    env = example.make_env()
-    model = SAC("MultiInputPolicy", env, replay_buffer_class=HerReplayBuffer, learning_starts=110, seed=0)
-    model.learn(130)
-    sample = model.replay_buffer.sample(200)
+    models: list[SAC] = []
+
+    def early(*arguments: Any, **named: Any) -> SAC:
+        models.append(SAC(*arguments, **named | {"learning_starts": 110}))
+        return models[-1]
+
+    monkeypatch.setattr(example, "SAC", early)
+    monkeypatch.setattr(example, "HELD_OUT", range(10_000, 10_001))
+    assert {*example.main(130, seed=0)} <= {0, 1}
+    assert isinstance(models[0].replay_buffer, HerReplayBuffer)
+    sample = models[0].replay_buffer.sample(200)
     goals = sample.observations["desired_goal"].numpy()
     reached = sample.next_observations["achieved_goal"].numpy()
     rewards = sample.rewards.numpy().ravel()
     near = np.linalg.norm(goals - reached, axis=1) <= 0.008
     assert np.array_equal(rewards, np.where(near, 0.0, -1.0))
     assert (rewards == 0.0).sum() > 20, "only relabelled goals are reached that early"
-    env.close()
-    monkeypatch.setattr(example, "HELD_OUT", range(10_000, 10_001))
-    assert {*example.main(520, seed=0)} <= {0, 1}

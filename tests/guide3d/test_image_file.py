@@ -187,12 +187,13 @@ def test_damage_in_the_middle_of_a_jpeg_is_refused(
 
 def test_the_checksums_of_a_packed_tiff_are_reached(tmp_path: Path) -> None:
     noise = np.random.default_rng(4).integers(0, 256, (96, 128), np.uint8)
+    tifffile.imwrite(tmp_path / "image.tif", noise, compression="zlib", rowsperstrip=40)
+    assert np.array_equal(read_grey_levels(tmp_path / "image.tif"), noise)
+    whole = (tmp_path / "image.tif").read_bytes()
     for bit in range(0, 800, 97):
-        tifffile.imwrite(tmp_path / "image.tif", noise, compression="zlib", rowsperstrip=40)
-        whole = bytearray((tmp_path / "image.tif").read_bytes())
-        assert np.array_equal(read_grey_levels(tmp_path / "image.tif"), noise)
-        whole[len(whole) // 2 + bit // 8] ^= 1 << bit % 8
-        (tmp_path / "image.tif").write_bytes(whole)
+        damaged = bytearray(whole)
+        damaged[len(whole) // 2 + bit // 8] ^= 1 << bit % 8
+        (tmp_path / "image.tif").write_bytes(damaged)
         with pytest.raises(ImageError, match=r"image.tif cannot be read: it is damaged"):
             read_grey_levels(tmp_path / "image.tif")
 

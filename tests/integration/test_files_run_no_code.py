@@ -27,8 +27,11 @@ def unsafe_calls(text: str) -> Iterator[str]:
                 yield f"line {node.lineno}: weights_only is {value}"
             if keyword.arg == "allow_pickle" and value is not False:
                 yield f"line {node.lineno}: allow_pickle is {value}"
+        function = node.func.attr if isinstance(node.func, ast.Attribute) else ""
+        if function not in {"loads", "Unpickler", "open", *UNSAFE_YAML}:
+            continue
         name = ast.unparse(node.func)
-        module, _, function = name.rpartition(".")
+        module = name.rpartition(".")[0]
         if module in PICKLERS and function in ("load", "loads", "Unpickler", "open"):
             yield f"line {node.lineno}: {name}"
         if name == "torch.load" and not any(keyword.arg == "weights_only" for keyword in node.keywords):

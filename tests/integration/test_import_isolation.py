@@ -1,6 +1,7 @@
 """Import isolation: who may import whom, by the sources and by what an import really loads."""
 
 import ast
+import functools
 import graphlib
 import importlib
 import inspect
@@ -33,9 +34,14 @@ def sources(package: str) -> list[Path]:
     return found
 
 
-def imported_modules(text: str) -> Iterator[str]:
-    """Yields what every import names, also those inside functions and of import_module("...")."""
-    for node in ast.walk(ast.parse(text)):
+@functools.cache
+def imported_modules(file: Path) -> tuple[str, ...]:
+    """What every import names, also those inside functions and of import_module("...")."""
+    return tuple(_imported_modules(ast.parse(file.read_text(encoding="utf-8"))))
+
+
+def _imported_modules(tree: ast.Module) -> Iterator[str]:
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
@@ -46,9 +52,9 @@ def imported_modules(text: str) -> Iterator[str]:
                 yield node.args[0].value
 
 
-def imported_packages(text: str) -> Iterator[str]:
+def imported_packages(file: Path) -> Iterator[str]:
     """Yields the top-level package of every import."""
-    yield from (name.split(".")[0] for name in imported_modules(text))
+    yield from (name.split(".")[0] for name in imported_modules(file))
 
 
 @pytest.mark.parametrize("package", list(ALLOWED))
@@ -59,7 +65,7 @@ def test_package_imports_only_what_it_may_and_no_module_is_called_after_nothing(
     offences = [
         f"{file.relative_to(PROJECT_ROOT)} imports {name}"
         for file in sources(package)
-        for name in imported_packages(file.read_text(encoding="utf-8"))
+        for name in imported_packages(file)
         if name in others - ALLOWED[package]
     ]
     assert not offences
@@ -70,7 +76,7 @@ def test_only_the_stage_report_imports_the_report() -> None:
     files = {
         file.relative_to(root).as_posix()
         for file in sources("pipeline")
-        if any(f"{name}.".startswith("pipeline.report.") for name in imported_modules(file.read_text(encoding="utf-8")))
+        if any(f"{name}.".startswith("pipeline.report.") for name in imported_modules(file))
     }
     assert {name for name in files if not name.startswith("report/")} == {"stages/report.py"}
 
@@ -86,7 +92,7 @@ def test_only_the_stage_report_imports_the_report() -> None:
 def test_a_part_of_a_package_needs_less_than_the_whole(folder: Path, forbidden: set[str]) -> None:
     files = sorted(folder.rglob("*.py"))
     assert len(files) >= 7
-    assert not forbidden & {name for file in files for name in imported_packages(file.read_text(encoding="utf-8"))}
+    assert not forbidden & {name for file in files for name in imported_packages(file)}
 
 
 @pytest.mark.parametrize(

@@ -81,12 +81,12 @@ def test_stages_that_do_not_need_each_other_run_at_the_same_time(pipeline_proces
 
 
 def test_the_failure_of_one_stops_those_beside_it(pipeline_process) -> None:
-    process = start(pipeline_process, "--beside", "2", "phantoms", "enn", "report", "--", "budget=desk", "name=run")
+    process = start(pipeline_process, "--beside", "2", "guide3d", "enn", "report", "--", "budget=desk", "name=run")
     told, errors = process.communicate(timeout=240)
     assert process.returncode == 2
     assert any(line.startswith("enn | ") and "expert" in line for line in errors.splitlines())
     assert "report" not in told
-    assert not (pipeline_process.runs / "run" / "phantoms" / "manifest.json").exists()
+    assert not (pipeline_process.runs / "run" / "guide3d" / "manifest.json").exists()
     assert "Traceback" not in errors
 
 
@@ -106,12 +106,12 @@ def test_durations_are_worded() -> None:
 
 
 def test_stages_run_in_order_and_the_first_that_fails_ends_it(pipeline_process) -> None:
-    process = start(pipeline_process, "user_study", "enn", "report", "--", "budget=smoke", "name=run")
+    process = start(pipeline_process, "user_study", "baselines", "report", "--", "budget=smoke", "name=run")
     told, errors = process.communicate(timeout=120)
     assert process.returncode == 2
     lines = [line for line in told.splitlines() if line.startswith("==")]
     assert lines[0] == "== stage 1 of 3: user_study"
-    assert lines[1].startswith("== stage 2 of 3: enn; 1 done in ")
+    assert lines[1].startswith("== stage 2 of 3: baselines; 1 done in ")
     assert "expert" in errors.strip().splitlines()[-1]  # which is missing
     assert len(lines) == 2
     assert not (pipeline_process.runs / "run" / "report").exists()

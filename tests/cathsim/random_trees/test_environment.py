@@ -61,7 +61,7 @@ def test_a_policy_of_arches_steers_up_a_tree() -> None:
     policy = enn.load("arch_variety_jb2")
     environment = RandomTreesEnv(range(5000, 5020), observation=policy.keys, max_steps=400)
     success = False
-    for seed in (3, 4, 5):
+    for seed in (5, 4, 3):
         observation, info = environment.reset(seed=seed, options={"case": 3})
         controller, ended = policy.controller(deterministic=False, seed=seed), False
         while not ended:

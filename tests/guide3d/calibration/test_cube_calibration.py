@@ -1,4 +1,4 @@
-"""From a folder of images to cameras: a drawn one, damaged ones, and the real one."""
+"""From a folder of images to cameras: a drawn one and damaged ones; the real one is in reading/test_real_images."""
 
 import re
 import shutil
@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from guide3d.calibration.__main__ import figures, main
-from guide3d.calibration.cube_calibration import calibrate_folder
+from guide3d.calibration.__main__ import main
 from guide3d.calibration.cube_files import find_files, read_beads, read_references
 from guide3d.geometry.camera import read_camera, read_opencv_yaml
 from guide3d.geometry.distortion import Distortion
-from pipeline.protocol import calibration as calibration_claim
 from tests.guide3d.calibration.drawn_cube import CAMERAS, DETECTORS, POINTS_MM, among_holes, write_folder
-
-REAL = Path(__file__).parents[4] / "shared" / "real" / "xray_calibration"
 
 
 @pytest.fixture(scope="module")
@@ -172,32 +168,3 @@ def test_names_in_capitals_are_found_and_doubled_ones_refused(folder, tmp_path):
     shutil.copy(found.sheets["A"], tmp_path / "undistort_A.jpg")
     with pytest.raises(ValueError, match=r"several files of one kind \(undistort_A.jpg, Undistort_A.PNG\)"):
         find_files(tmp_path)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not REAL.is_dir(), reason="the real X-ray images are not beside the project")
-def test_the_real_images(monkeypatch):
-    calibration = calibrate_folder(REAL)
-    numbers = figures(calibration)
-    monkeypatch.setattr(calibration_claim, "_figures", lambda: numbers)
-    found = [calibration_claim.play(None, case) for case in calibration_claim.cases(None, 0)]
-    assert [one["beads"] > 25 and one["mean_px"] < 0.6 and one["leave_out_px"] < 0.2 for one in found] == [True, True]
-    assert calibration.warnings == []
-    for detector, holes, beads in (("16709", 4945, 29), ("16710", 4700, 39)):
-        own = numbers[detector]
-        assert own["holes"] >= holes
-        assert own["leave_out_px"] < 0.15
-        assert own["images"]["calibration1"]["beads"] == beads
-        assert own["images"]["calibration1"]["mean_px"] < 0.45
-    # the detectors stand to each other as the group calibrated them in January, to what one pose of the cube can tell
-    a, b = (calibration.rig.cameras[detector] for detector in ("16710", "16709"))
-    A, B = (read_camera(REAL / f"projection_2024-01-18_{detector}.txt") for detector in ("16710", "16709"))
-    turn = (b.R @ a.R.T) @ (B.R @ A.R.T).T
-    assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 8.0
-    apart, then = np.linalg.norm(a.centre_mm - b.centre_mm), np.linalg.norm(A.centre_mm - B.centre_mm)
-    assert apart == pytest.approx(then, rel=0.05)
-    # the wire marks lie beside the beads that bear them
-    marks = {mark.kind: mark for mark in calibration.views["calibration1", "16710"].marks}
-    for kind, bead in (("circle", 21), ("double", 25), ("single", 38)):
-        place = calibration.distortions["16710"].distort_points(a.project(calibration.points_mm[bead]))
-        assert np.linalg.norm(marks[kind].pixels - place, axis=1).min() < 40

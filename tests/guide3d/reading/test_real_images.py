@@ -1,9 +1,21 @@
-"""Real X-ray images of a wire in a phantom, where they are: loose limits of what the shipped reader reaches on them."""
+"""Real X-ray images of a wire in a phantom, where they are: loose limits of what is reached on them.
 
+Calibration by the cube, reading by the shipped reader, reconstruction of annotated pairs.
+"""
+
+import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from benchmarks.guide3d.reconstruction import of_pairs
+from guide3d.calibration import cube_calibration, folder
+from guide3d.calibration.__main__ import figures
+from guide3d.calibration.cube_calibration import calibrate_folder
+from guide3d.calibration.perforated_sheet import SheetHoles, find_holes
+from guide3d.geometry.camera import read_camera
+from pipeline.protocol import calibration as calibration_claim
 from pipeline.protocol.claims import read_protocol
 from pipeline.protocol.run import KINDS, summary
 
@@ -11,14 +23,25 @@ ROOT = Path(__file__).parents[3]
 REAL = next(
     (place / "shared" / "real" for place in (ROOT.parent, ROOT.parent.parent) if (place / "shared").is_dir()), None
 )
+KEPT: dict[bytes, SheetHoles] = {}  # by image: the search takes seconds, and all of these tests want it
+
+
+def found_once(image: np.ndarray) -> SheetHoles:
+    key = image.tobytes()
+    if key not in KEPT:
+        KEPT[key] = find_holes(image)
+    return KEPT[key]
 
 
 @pytest.fixture(autouse=True)
-def data(monkeypatch: pytest.MonkeyPatch) -> None:
+def data(monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder of data is that of the real images."""
     if REAL is None or not (REAL / "xray_wires").is_dir():
         pytest.skip("the real X-ray images (shared/real/xray_wires beside the project) are not here")
     monkeypatch.setenv("ENDONAV_DATA", str(REAL))
+    for module in (cube_calibration, folder):
+        monkeypatch.setattr(module, "find_holes", found_once)
+    return REAL
 
 
 def test_pairs_are_read_near_their_figures() -> None:
@@ -32,3 +55,58 @@ def test_pairs_are_read_near_their_figures() -> None:
     assert found["tip_px_mean"]["mean"] < 8
     assert found["mean_mm_mean"]["mean"] < 1.0
     assert found["tip_mm_mean"]["mean"] < 3.0
+
+
+@pytest.fixture
+def some_pairs(data: Path, tmp_path: Path) -> Path:
+    """Every second of the real pairs."""
+    told = json.loads((data / "stereo_pairs.json").read_text())
+    (tmp_path / "pairs.json").write_text(json.dumps(told | {"pairs": told["pairs"][::2]}))
+    return tmp_path / "pairs.json"
+
+
+def test_pairs_reconstruct_within_their_pixels_as_they_are_given(
+    data: Path, some_pairs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = of_pairs(some_pairs, data / "xray_calibration", None, as_given=True)
+    assert report["annotations"] == report["cameras"] == "as given"
+    assert max(report["mean_px_a"], report["mean_px_b"]) < 0.8
+    assert report["coverage"] > 0.97
+    assert "tips miss each other's epilines" in capsys.readouterr().out  # for they are raw
+
+
+def test_pairs_are_raw_and_reconstruct_within_their_pixels(data: Path, some_pairs: Path) -> None:
+    report = of_pairs(some_pairs, data / "xray_calibration", None, as_given=False)
+    assert report["annotations"] == "raw"
+    assert report["cameras"] == "as given"
+    assert max(report["mean_px_a"], report["mean_px_b"]) < 0.5
+    assert report["coverage"] > 0.97
+
+
+def test_a_cube_calibrates_the_rig(data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calibration = calibrate_folder(data / "xray_calibration")
+    numbers = figures(calibration)
+    monkeypatch.setattr(calibration_claim, "_figures", lambda: numbers)
+    found = [calibration_claim.play(None, case) for case in calibration_claim.cases(None, 0)]
+    assert [one["beads"] > 25 and one["mean_px"] < 0.6 and one["leave_out_px"] < 0.2 for one in found] == [True, True]
+    assert calibration.warnings == []
+    for detector, holes, beads in (("16709", 4945, 29), ("16710", 4700, 39)):
+        own = numbers[detector]
+        assert own["holes"] >= holes
+        assert own["leave_out_px"] < 0.15
+        assert own["images"]["calibration1"]["beads"] == beads
+        assert own["images"]["calibration1"]["mean_px"] < 0.45
+    # the detectors stand to each other as the group calibrated them in January, to what one pose of the cube can tell
+    a, b = (calibration.rig.cameras[detector] for detector in ("16710", "16709"))
+    A, B = (
+        read_camera(data / f"xray_calibration/projection_2024-01-18_{detector}.txt") for detector in ("16710", "16709")
+    )
+    turn = (b.R @ a.R.T) @ (B.R @ A.R.T).T
+    assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 8.0
+    apart, then = np.linalg.norm(a.centre_mm - b.centre_mm), np.linalg.norm(A.centre_mm - B.centre_mm)
+    assert apart == pytest.approx(then, rel=0.05)
+    # the wire marks lie beside the beads that bear them
+    marks = {mark.kind: mark for mark in calibration.views["calibration1", "16710"].marks}
+    for kind, bead in (("circle", 21), ("double", 25), ("single", 38)):
+        place = calibration.distortions["16710"].distort_points(a.project(calibration.points_mm[bead]))
+        assert np.linalg.norm(marks[kind].pixels - place, axis=1).min() < 40

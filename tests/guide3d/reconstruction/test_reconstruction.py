@@ -173,9 +173,6 @@ def test_a_profile_is_summed_up_at_the_tip_the_peak_and_the_ends() -> None:
     assert summary == {"distal_mean": 2.0, "peak_mean": 5.0, "std_start": 1.0, "std_end": 0.0, "n": 2}
 
 
-REAL = Path(__file__).resolve().parents[4] / "shared" / "real"
-
-
 def barrel(points: np.ndarray) -> np.ndarray:
     off = points - 511.5
     return 511.5 + off * (1.0 - 6e-8 * (off**2).sum(1, keepdims=True)) @ np.array([[1.0, 0.02], [-0.02, 1.0]])
@@ -237,35 +234,3 @@ def test_the_benchmark_reports_a_file_of_pairs(tmp_path: Path, capsys: pytest.Ca
     assert report["pairs_per_s"] > 5
     assert "the cameras are as given" in capsys.readouterr().out
     assert len(list((tmp_path / "pictures").glob("*.png"))) == 3
-
-
-real = pytest.mark.skipif(not (REAL / "stereo_pairs.json").is_file(), reason="the real stereo pairs are not there")
-
-
-@pytest.fixture
-def some_pairs(tmp_path: Path) -> Path:
-    """Every second of the real pairs."""
-    told = json.loads((REAL / "stereo_pairs.json").read_text())
-    (tmp_path / "pairs.json").write_text(json.dumps(told | {"pairs": told["pairs"][::2]}))
-    return tmp_path / "pairs.json"
-
-
-@real
-def test_real_pairs_reconstruct_within_their_pixels_as_they_are_given(
-    some_pairs: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    report = of_pairs(some_pairs, REAL / "xray_calibration", None, as_given=True)
-    assert report["annotations"] == report["cameras"] == "as given"
-    assert max(report["mean_px_a"], report["mean_px_b"]) < 0.8
-    assert report["coverage"] > 0.97
-    assert "tips miss each other's epilines" in capsys.readouterr().out  # for they are raw
-
-
-@real
-@pytest.mark.slow
-def test_real_pairs_are_raw_and_reconstruct_within_their_pixels(some_pairs: Path) -> None:
-    report = of_pairs(some_pairs, REAL / "xray_calibration", None, as_given=False)
-    assert report["annotations"] == "raw"
-    assert report["cameras"] == "as given"
-    assert max(report["mean_px_a"], report["mean_px_b"]) < 0.5
-    assert report["coverage"] > 0.97

@@ -18,7 +18,7 @@ from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.phantom import locate_targets
 from cathsim.anatomy.vessel_tree import set_back
 from cathsim.rehearsal.environment import NavigateCopiesEnv
-from enn.device_trials import FIRST, TRIALS, Tried, best_devices, gentlest, soonest, try_in_copies
+from enn.device_trials import FIRST, TRIALS, TrialStatistics, best_devices, gentlest, soonest, try_in_copies
 from pipeline.anatomies.devices import STEEP_MM, best_in_copies, softened, with_catheter_where_steep
 from pipeline.task import Task
 
@@ -45,13 +45,13 @@ def test_an_episode_in_each_copy_is_counted_as_it_went() -> None:
     near = copies(max_steps=120, success_radius=0.05, success="straight")  # half way is enough
     policy, done = Straight(1.0), list[float]()
     trials = try_in_copies(policy, near, 7, cases=range(3), tick=done.append)  # type: ignore[arg-type]
-    tried = Tried.of(trials)
+    tried = TrialStatistics.of(trials)
     assert (tried.reached, tried.episodes) == (3, 3)
     assert tried.steps < 120
     assert 0 < tried.force_p95 < 2
     assert policy.seeds == [7, 8, 9]
     assert done == pytest.approx([0, 1 / 3, 2 / 3, 1])
-    still = Tried.of(try_in_copies(Straight(0.0), copies(max_steps=5), 7, cases=range(3)))  # type: ignore[arg-type]
+    still = TrialStatistics.of(try_in_copies(Straight(0.0), copies(max_steps=5), 7, cases=range(3)))  # type: ignore[arg-type]
     assert (still.reached, still.steps) == (0, 5)
     assert str(still) == f"0 of 3 ({still.force_p95:.2f} N)"
 
@@ -61,20 +61,22 @@ def test_an_episode_in_each_copy_is_counted_as_it_went() -> None:
 
 
 def test_the_most_arrivals_win_then_the_usual_devices_then_the_soonest() -> None:
-    slow, quick, often = Tried(2, 4, 90.0, 0.1), Tried(2, 4, 80.0, 0.3), Tried(3, 4, 200.0, 0.9)
+    slow = TrialStatistics(2, 4, 90.0, 0.1)
+    quick = TrialStatistics(2, 4, 80.0, 0.3)
+    often = TrialStatistics(3, 4, 200.0, 0.9)
     assert soonest([slow, quick, often]) == 2
     assert soonest([slow, quick]) == 0
     assert soonest([often, slow, often, quick], 2) == 2
-    assert soonest([Tried(0, 4, 300.0, 0.1), slow, quick]) == 2
+    assert soonest([TrialStatistics(0, 4, 300.0, 0.1), slow, quick]) == 2
 
 
 def test_others_are_tried_only_where_the_usual_devices_fail_at_first() -> None:
     asked: list[tuple[int, int]] = []
 
-    def trying(number: int, shares: float) -> Callable[[int], Tried]:
-        def play(episodes: int) -> Tried:
+    def trying(number: int, shares: float) -> Callable[[int], TrialStatistics]:
+        def play(episodes: int) -> TrialStatistics:
             asked.append((number, episodes))
-            return Tried(int(shares * episodes), episodes, 100.0, 0.2)
+            return TrialStatistics(int(shares * episodes), episodes, 100.0, 0.2)
 
         return play
 
@@ -98,29 +100,36 @@ def test_devices_are_tried_in_copies_of_the_anatomy() -> None:
 
 
 def test_the_gentlest_is_chosen_among_those_that_arrive_about_as_often_as_the_best() -> None:
-    wire, both, never = Tried(2, 4, 90.0, 0.2), Tried(4, 4, 80.0, 0.4), Tried(0, 4, 300.0, 0.05)
-    assert gentlest([wire, Tried(3, 4, 80.0, 0.4), never]) == 0
-    assert gentlest([Tried(3, 4, 90.0, 0.2), both, never]) == 0
+    wire = TrialStatistics(2, 4, 90.0, 0.2)
+    both = TrialStatistics(4, 4, 80.0, 0.4)
+    never = TrialStatistics(0, 4, 300.0, 0.05)
+    assert gentlest([wire, TrialStatistics(3, 4, 80.0, 0.4), never]) == 0
+    assert gentlest([TrialStatistics(3, 4, 90.0, 0.2), both, never]) == 0
     assert gentlest([wire, both, never]) == 1  # two episodes fewer
     assert gentlest([never, both]) == 1
-    assert gentlest([Tried(1, 4, 90.0, 0.1), wire]) == 1  # in less than half
-    assert gentlest([never, Tried(1, 4, 250.0, 0.5)]) == 1  # none arrives as often
+    assert gentlest([TrialStatistics(1, 4, 90.0, 0.1), wire]) == 1  # in less than half
+    assert gentlest([never, TrialStatistics(1, 4, 250.0, 0.5)]) == 1  # none arrives as often
 
 
 def test_those_that_press_too_hard_are_taken_only_where_no_other_arrives() -> None:
-    wire, both, never = Tried(2, 4, 90.0, 0.2), Tried(4, 4, 80.0, 0.4), Tried(0, 4, 300.0, 0.02)
+    wire = TrialStatistics(2, 4, 90.0, 0.2)
+    both = TrialStatistics(4, 4, 80.0, 0.4)
+    never = TrialStatistics(0, 4, 300.0, 0.02)
     assert gentlest([wire, both, never], 0.4) == 1
     assert gentlest([wire, both, never], 0.3) == 0  # the best presses too hard
-    rarely = Tried(1, 4, 90.0, 0.1)
+    rarely = TrialStatistics(1, 4, 90.0, 0.1)
     assert gentlest([rarely, both, never], 0.4) == 1
     assert gentlest([rarely, both, never], 0.3) == 0  # all that arrive in half press too hard
-    assert gentlest([Tried(1, 4, 90.0, 0.35), both, never], 0.3) == 1  # and nothing gentler arrives
-    hard, soft, softest = Tried(3, 8, 80.0, 0.56), Tried(4, 16, 90.0, 0.16), Tried(1, 8, 85.0, 0.05)
+    assert gentlest([TrialStatistics(1, 4, 90.0, 0.35), both, never], 0.3) == 1  # and nothing gentler arrives
+    hard = TrialStatistics(3, 8, 80.0, 0.56)
+    soft = TrialStatistics(4, 16, 90.0, 0.16)
+    softest = TrialStatistics(1, 8, 85.0, 0.05)
     assert gentlest([never, hard, softest, soft], 0.3) == 3  # of those below half the most arrivals
     assert gentlest([never, hard, soft]) == 1
-    thin, pair = Tried(3, 4, 90.0, 0.03), Tried(4, 4, 95.0, 0.05)  # hardly press: the most arrivals decide
-    assert gentlest([thin, Tried(4, 4, 80.0, 0.12), pair], 0.3) == 2
-    assert gentlest([thin, Tried(4, 4, 80.0, 0.19)], 0.3) == 0
+    thin = TrialStatistics(3, 4, 90.0, 0.03)
+    pair = TrialStatistics(4, 4, 95.0, 0.05)  # hardly press: the most arrivals decide
+    assert gentlest([thin, TrialStatistics(4, 4, 80.0, 0.12), pair], 0.3) == 2
+    assert gentlest([thin, TrialStatistics(4, 4, 80.0, 0.19)], 0.3) == 0
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import itertools
 import json
@@ -10,11 +11,15 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from multiprocessing import get_context
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from pipeline import launch
 from pipeline.data.sources import Source, SourceFile, Sources
 from pipeline.protocol import navigation, rehearsal, run
 from pipeline.protocol.claims import Protocol, Rehearsal, declared, read_protocol
@@ -43,6 +48,14 @@ def protocol(tmp_path: Path) -> Path:
     path = tmp_path / "protocol.yaml"
     path.write_text(SCENES)
     return path
+
+
+@pytest.fixture(autouse=True)
+def _forked_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cases are played where jobs are, which have most imports behind them; those that Ctrl-C ends, in a new Python."""
+    context = get_context("forkserver")
+    context.set_forkserver_preload([run.__name__])
+    monkeypatch.setattr(run, "get_context", lambda _: context)
 
 
 def _evaluate(protocol: Path, *words: str) -> int:
@@ -224,16 +237,23 @@ def test_other_kinds_are_measured(protocol: Path, entry: str, figure: str, low: 
 
 
 @pytest.mark.slow
-def test_a_rehearsal_is_read_from_the_stages_tables() -> None:
+def test_a_rehearsal_is_read_from_the_stages_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     claim = Rehearsal(kind="rehearsal", title="T", limits="L", arches="random", first=690000, count=1, target="bca")
     (case,) = rehearsal.cases(claim, 0)
     small = ("stage.decisions=48", "stage.hidden=16", "stage.task.max_steps=20")
     words = ("stage.choose_catheter=false", "stage.demonstrations=0", *small)
+    with pytest.raises(ValueError, match="seed"):
+        rehearsal.play(claim, case | {"arch": -1}, budget="smoke")
+
+    @contextlib.contextmanager
+    def here(command: list[str], **_: Any) -> Iterator[SimpleNamespace]:
+        assert launch.main(command[3:]) == 0
+        yield SimpleNamespace(communicate=lambda: ("", ""))
+
+    monkeypatch.setattr(rehearsal, "subprocess", SimpleNamespace(Popen=here, DEVNULL=None, PIPE=None))
     outcome = rehearsal.play(claim, case, *words, budget="smoke")
     assert outcome["success"] == (outcome["after_pct"] >= 90)
     assert outcome["decisions"] > 0
-    with pytest.raises(ValueError, match="seed"):
-        rehearsal.play(claim, case | {"arch": -1}, budget="smoke")
 
 
 @pytest.mark.slow

@@ -78,8 +78,8 @@ class DualDeviceNavEnv(NavigateEnv):
                 raise ValueError(f"DualDeviceNav has its own {name}: leave {name} out")
         own = {"wire": WIRE, "catheter": CATHETER, "observation": "tracking", "pace": "arch_variety", "view": VIEW}
         phantom = load_phantom(published_folder(folder), resolution=resolution)
-        asked = DualDeviceNavTask() if task is None else task
-        super().__init__(phantom, PLACEHOLDER, task=asked, **{**own, **arguments})
+        task = DualDeviceNavTask() if task is None else task
+        super().__init__(phantom, PLACEHOLDER, task=task, **{**own, **arguments})
         self._points = target_points(phantom)
 
     @exclusive

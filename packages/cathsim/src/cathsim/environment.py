@@ -216,16 +216,16 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         if actions not in ACTIONS:
             raise ValueError(f"unknown actions '{actions}'; there are {', '.join(ACTIONS)}")
         fields = {name: described(value) for name, value in task_fields.items()}
-        asked = navigation_task(target, fields, described(task))
+        episode_task = navigation_task(target, fields, described(task))
         self.phantom = chosen("phantom", phantom, Phantom, partial(load_phantom, seed=phantom_seed))
-        asked.goal(self.phantom)  # refuses an unknown target before anything is built
+        episode_task.goal(self.phantom)  # refuses an unknown target before anything is built
         self.simulation = simulation_of(
             self.phantom,
             chosen_wire(wire),
             chosen_catheter(catheter),
             chosen("accuracy", accuracy, Accuracy, preset),
             torsion=torsion,
-            entry=entry_name(entry, asked.target),
+            entry=entry_name(entry, episode_task.target),
             contact=contact if isinstance(contact, str) else chosen("contact", contact, Decomposition, decomposition),
             tip_motors=actions == "tip_motors",
             blood=None if blood is None else chosen("blood", blood, BloodFlow, blood_flow),
@@ -246,11 +246,11 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             material = wire_material(wire if isinstance(wire, str) else "default", wire_radius_of(self.simulation))
             pair = partial(BiplaneFluoroscope.of, self.phantom, size=image_size, material=material)
             biplane = chosen("cameras", cameras, BiplaneFluoroscope, pair)
-        self._task = asked
+        self._task = episode_task
         self.sensors = Sensors(
             self.simulation,
             observation,
-            asked.target,
+            episode_task.target,
             self._remaining_from,
             image_size=image_size,
             channels_last=channels_last,
@@ -262,7 +262,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.fluoroscope, self.biplane = self.sensors.fluoroscope, self.sensors.biplane
         self.roadmap, self.history = self.sensors.roadmap, self.sensors.history
         self._display = Display(render_mode, self.fluoroscope, self.robot)
-        self.task = asked
+        self.task = episode_task
         self.steps, self.ended = 0, True
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self.feeders.shape, np.float32)
         self.observation_space = self.sensors.space
@@ -348,8 +348,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
                 thread.
         """
         if self.ended:
-            said = "the episode has ended" if self.steps else "no episode was started"
-            raise RuntimeError(f"{said}: call reset() before step()")
+            reason = "the episode has ended" if self.steps else "no episode was started"
+            raise RuntimeError(f"{reason}: call reset() before step()")
         action = self.feeders.checked(action)
         simulation, task = self.simulation, self.task
         before = simulation.tip

@@ -147,14 +147,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--wire", default="default", choices=sorted(GUIDEWIRES))
     parser.add_argument("--entry", default="descending")
     parser.add_argument("--threshold", type=float, default=Decomposition.threshold, help="of the decomposition")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
         path = export_mjcf(
-            given.folder,
-            load_phantom(given.phantom),
-            load_guidewire(given.wire),
-            Decomposition(threshold=given.threshold),
-            entry=given.entry,
+            options.folder,
+            load_phantom(options.phantom),
+            load_guidewire(options.wire),
+            Decomposition(threshold=options.threshold),
+            entry=options.entry,
         )
     except (ValueError, ImportError, OSError) as error:
         sys.stderr.write(f"{error}\n")

@@ -187,15 +187,15 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         """
         super().reset(seed=seed)
         options = dict(options or {})
-        start, wanted, target = (options.pop(name, None) for name in ("start", "case", "target"))
+        start, case_option, target = (options.pop(name, None) for name in ("start", "case", "target"))
         if options:
             raise ValueError(f"reset knows no option {', '.join(sorted(options))}; there are case, start, target")
         case, own_seed = (int(number) for number in self.np_random.integers((self.cases, 2**31)))
         if start is not None:
             start = np.asarray(start)
             case, start = int(start[-1]), start[:-1]
-        elif wanted is not None:
-            case = int(wanted)
+        elif case_option is not None:
+            case = int(case_option)
         self._change(case)
         target = self._drawn_target() if target is None else target
         observation, info = self.current.reset(seed=own_seed, options={"start": start, "target": target})

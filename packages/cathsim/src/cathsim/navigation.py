@@ -175,10 +175,10 @@ class NavigationTask:
         force = info["force"]
         if isinstance(self.reward, str):
             return self.step_reward(info["distance"], progress, force, moved, success=success)
-        given = self.reward({**info, "progress": progress, "moved": moved, "action": action})
-        value = np.asarray(given)
+        raw_reward = self.reward({**info, "progress": progress, "moved": moved, "action": action})
+        value = np.asarray(raw_reward)
         if value.size != 1 or value.dtype.kind not in "biuf" or not np.isfinite(value).all():
-            raise ValueError(f"a reward must be one finite number, {reward_name(self.reward)} gave {given!r}")
+            raise ValueError(f"a reward must be one finite number, {reward_name(self.reward)} gave {raw_reward!r}")
         return self.penalised(float(value.item()), force, moved)
 
     def remaining(self, phantom: Phantom, tip: np.ndarray) -> float:

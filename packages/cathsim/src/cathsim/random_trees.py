@@ -59,9 +59,9 @@ class RandomTreesEnv(NavigateManyEnv):
             if name in arguments:
                 raise ValueError(f"RandomTrees draws its {name}: leave {name} out")
         own = {"catheter": LONG_CATHETER, "observation": "tracking", "pace": "arch_variety", "view": VIEW}
-        asked = DualDeviceNavTask() if task is None else task
+        task = DualDeviceNavTask() if task is None else task
         trees = [(TREE, seed) for seed in seeds]
-        super().__init__(trees, (PLACEHOLDER,), wires, resolution=resolution, **{**own, "task": asked, **arguments})
+        super().__init__(trees, (PLACEHOLDER,), wires, resolution=resolution, **{**own, "task": task, **arguments})
 
     def _drawn_target(self) -> Point:
         tree = self.phantom.tree

@@ -41,9 +41,9 @@ def vessel_of(phantom: Phantom, entry: str, sheath_radius: float = SHEATH_RADIUS
     Raises:
         ValueError: the phantom has no such entry.
     """
-    gate = phantom.entry(entry)
+    site = phantom.entry(entry)
     return Vessel(
-        phantom.grid, gate.position, gate.direction, sheath_radius, sheath_flare=sheath_flare, sheath_amid=gate.amid
+        phantom.grid, site.position, site.direction, sheath_radius, sheath_flare=sheath_flare, sheath_amid=site.amid
     )
 
 

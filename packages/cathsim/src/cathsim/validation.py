@@ -77,8 +77,8 @@ def settings(cls: Any = None, *, frozen: bool = True, eq: bool = True) -> Any:
 
     @functools.wraps(construct)
     def init(self: Any, *args: Any, **kwargs: Any) -> None:
-        given = zip((field.name for field in dataclasses.fields(made) if field.init), args, strict=False)
-        for name, value in (*given, *kwargs.items()):
+        pairs = zip((field.name for field in dataclasses.fields(made) if field.init), args, strict=False)
+        for name, value in (*pairs, *kwargs.items()):
             if isinstance(value, bool):
                 _refuse_truth(name, value, get_type_hints(made, include_extras=True).get(name))
         try:
@@ -180,8 +180,8 @@ def _refusal(cls: type[Any], error: ValidationError) -> str:
         return f"{cls.__name__} needs {name}"
     if first["type"] == "unexpected_keyword_argument":
         return f"{cls.__name__} has no {name}; its fields are {', '.join(one.name for one in dataclasses.fields(cls))}"
-    shown = name + "".join(f"[{part}]" for part in place[1:] if isinstance(part, int))
-    return _sentence(shown, get_type_hints(cls, include_extras=True).get(name), first)
+    field_path = name + "".join(f"[{part}]" for part in place[1:] if isinstance(part, int))
+    return _sentence(field_path, get_type_hints(cls, include_extras=True).get(name), first)
 
 
 def _sentence(name: str, annotation: Any, first: Any) -> str:

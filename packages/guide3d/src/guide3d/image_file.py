@@ -248,12 +248,12 @@ def _decoded(path: Path, data: bytes, colours: bool, page: int = 0) -> GreyLevel
 
 def _by_opencv(data: bytes, way: int, page: int) -> Any:
     try:
-        found = cv2.imdecodemulti(
+        images = cv2.imdecodemulti(
             np.frombuffer(data, np.uint8), way | cv2.IMREAD_IGNORE_ORIENTATION, range=(page, page + 1)
         )[1]
     except cv2.error:
         return None
-    return found[0] if found else None
+    return images[0] if images else None
 
 
 def _half_precision(data: bytes, page: int) -> Any:
@@ -262,8 +262,8 @@ def _half_precision(data: bytes, page: int) -> Any:
 
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
-            found = file.pages[page].aspage()
-            return found.asarray() if found.dtype == np.float16 and len(found.shape) == 2 else None
+            tiff_page = file.pages[page].aspage()
+            return tiff_page.asarray() if tiff_page.dtype == np.float16 and len(tiff_page.shape) == 2 else None
     except Exception:  # a damaged file raises a dozen kinds
         return None
 
@@ -282,20 +282,20 @@ def _pages(path: Path, data: bytes) -> tuple[list[_Page], int]:
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             whole = [page.aspage() for page in file.pages]
-            found = [(page.imagewidth, page.imagelength, page.photometric == 0, page.is_reduced) for page in whole]
+            tags = [(page.imagewidth, page.imagelength, page.photometric == 0, page.is_reduced) for page in whole]
             packed = [list(zip(page.dataoffsets, page.databytecounts, strict=False)) if page.compression in _DEFLATE
                       else [] for page in whole]  # fmt: skip
             sizes = [page.nbytes + _PADDING for page in whole]
     except Exception:  # a damaged file raises a dozen kinds
-        found = []
-    if not found:
+        tags = []
+    if not tags:
         raise ImageError(f"image {path} cannot be read: it is damaged, or no image")
-    fault = _fault_of_sides(*found[0][:2])
+    fault = _fault_of_sides(*tags[0][:2])
     if fault:
         raise ImageError(f"image {path} cannot be read: {fault}")
-    pages = [_Page(number, bool(white), packed[number], sizes[number]) for number, (*size, white, _) in enumerate(found)
-             if size == list(found[0][:2])]  # fmt: skip
-    return pages, sum(not reduced for *_, reduced in found) - len(pages)
+    pages = [_Page(number, bool(white), packed[number], sizes[number]) for number, (*size, white, _) in enumerate(tags)
+             if size == list(tags[0][:2])]  # fmt: skip
+    return pages, sum(not reduced for *_, reduced in tags) - len(pages)
 
 
 def _is_whole(packed: bytes, most: int) -> bool:

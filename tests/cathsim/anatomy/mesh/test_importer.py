@@ -177,10 +177,9 @@ def test_a_unit_that_no_arch_confirms_is_noted(tmp_path: Path):
     side = Branch("side", along, np.full(40, 5e-3), "aorta", float(trunk.arc[30]))
     mesh = lumen_surface(build_lumen(VesselTree((trunk, side)), resolution=1e-3, fillet_radius=2e-3))
     mesh.apply_scale(100).export(tmp_path / "bifurcation.stl")
-    for unit, unsure in ((None, 1), ("cm", 0)):
-        found = import_mesh(tmp_path / "bifurcation.stl", unit=unit, resolution=COARSE, cache_dir=tmp_path)
-        assert found.tree.names == ("aorta", "branch_1")
-        assert sum(note.startswith("cm is the unit by an aorta's width") for note in found.imported.notes) == unsure
+    found = import_mesh(tmp_path / "bifurcation.stl", resolution=COARSE, cache_dir=tmp_path)
+    assert found.tree.names == ("aorta", "branch_1")
+    assert sum(note.startswith("cm is the unit by an aorta's width") for note in found.imported.notes) == 1
 
 
 REFUSED = {

@@ -104,7 +104,9 @@ def test_an_aorta_without_an_arch_has_no_branches_to_head_and_arms(tmp_path: Pat
     phantom = imported_in_metres(VesselTree((root, *sides)), tmp_path / "straight.stl")
     assert set(phantom.tree.names) == {"aorta", "branch_1", "branch_2"}
     assert phantom.target("branch_1").branch == "branch_1"
-    assert any("there is no arch" in note for note in phantom.imported.notes)  # type: ignore[union-attr]
+    notes = phantom.imported.notes  # type: ignore[union-attr]
+    assert any("there is no arch" in note for note in notes)
+    assert not any("is the unit by an aorta's width" in note for note in notes), "the unit is given"
 
 
 REAL = Path(__file__).resolve().parents[5] / "shared" / "real" / "aortas"

@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from cathsim import load_phantom
-from enn.device_trials import Trial, Tried, try_in_copies
+from enn.device_trials import Trial, TrialStatistics, try_in_copies
 from enn.policy import Policy
 from enn.shipped import weight_files
 from pipeline.anatomies.devices import fitted_steps, fitted_task
@@ -222,7 +222,7 @@ def test_what_is_not_there_is_refused_by_name(tmp_path: Path, values: dict[str, 
 
 
 BY_SHAPE = Task(catheter="pigtail")  # what nothing else gives
-Outcomes = dict[str, Tried]
+Outcomes = dict[str, TrialStatistics]
 
 
 @pytest.fixture
@@ -233,7 +233,7 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
     def choose(
         outcomes: Outcomes, task: Task | None = None, target: str = "lcca", **changed: Any
-    ) -> tuple[Task, Tried | None]:
+    ) -> tuple[Task, TrialStatistics | None]:
         asked.clear()
 
         def run(folder: Any, jobs: Any, **_: Any) -> dict[str, Any]:
@@ -243,12 +243,12 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
         class Told:  # what the trials come to
             @staticmethod
-            def of(trials: list[str]) -> Tried:
+            def of(trials: list[str]) -> TrialStatistics:
                 assert set(trials) == {trials[0]}
                 return outcomes[trials[0] + " again" * (len(trials) > 2)]
 
         monkeypatch.setattr(start, "run_jobs", run)
-        monkeypatch.setattr("enn.device_trials.Tried", Told)
+        monkeypatch.setattr("enn.device_trials.TrialStatistics", Told)
         monkeypatch.setattr(start, "with_catheter_where_steep", lambda *_, choose: BY_SHAPE)
         settings = RehearsalSettings(**changed)
         return start.with_chosen_devices(settings, context(tmp_path, "rehearsal"), phantom, target, task or Task())
@@ -266,14 +266,16 @@ def asked_for(*names: str) -> list[str]:
 
 def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: pytest.LogCaptureFixture) -> None:
     choose, asked = chosen
-    never, jb2, simmons = Tried(0, 4, 300.0, 0.2), Tried(3, 4, 150.0, 0.4), Tried(2, 4, 150.0, 0.3)
-    outcomes = {"wire alone": never, "jb2": jb2, "simmons2": simmons, SOFTER: Tried(1, 4, 250.0, 0.1)}
+    never = TrialStatistics(0, 4, 300.0, 0.2)
+    jb2 = TrialStatistics(3, 4, 150.0, 0.4)
+    simmons = TrialStatistics(2, 4, 150.0, 0.3)
+    outcomes = {"wire alone": never, "jb2": jb2, "simmons2": simmons, SOFTER: TrialStatistics(1, 4, 250.0, 0.1)}
     with caplog.at_level(logging.INFO):
         assert choose(outcomes) == (Task(catheter="simmons2"), simmons)
     assert "how it pressed: wire alone 0 of 4 (0.20 N), jb2 3 of 4 (0.40 N), simmons2 2 of 4 (0.30 N)" in caplog.text
     assert asked == [asked_for("wire alone"), asked_for(*WITH_CATHETERS)]
 
-    outcomes[SOFTER] = Tried(3, 4, 200.0, 0.15)
+    outcomes[SOFTER] = TrialStatistics(3, 4, 200.0, 0.15)
     soft = Task(wire="radifocus_angled_025", catheter="jb2_4f")
     assert choose(outcomes) == (soft, outcomes[SOFTER])
     outcomes["stiff in jb2_4f"] = outcomes[SOFTER]  # a wire that was chosen stays
@@ -282,20 +284,28 @@ def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: 
 
 def test_where_what_arrives_presses_too_hard_the_gentler_ones_get_further_copies(chosen: Any) -> None:
     choose, asked = chosen
-    never, jb2 = Tried(0, 4, 300.0, 0.2), Tried(2, 4, 150.0, 0.32)
-    outcomes = {"wire alone": never, "jb2": jb2, "simmons2": Tried(1, 4, 300.0, 0.5), SOFTER: Tried(0, 4, 300.0, 0.1)}
-    outcomes |= {"wire alone again": Tried(0, 8, 300.0, 0.2), f"{SOFTER} again": Tried(2, 8, 250.0, 0.1)}
+    never, jb2 = TrialStatistics(0, 4, 300.0, 0.2), TrialStatistics(2, 4, 150.0, 0.32)
+    outcomes = {
+        "wire alone": never,
+        "jb2": jb2,
+        "simmons2": TrialStatistics(1, 4, 300.0, 0.5),
+        SOFTER: TrialStatistics(0, 4, 300.0, 0.1),
+    }
+    outcomes |= {
+        "wire alone again": TrialStatistics(0, 8, 300.0, 0.2),
+        f"{SOFTER} again": TrialStatistics(2, 8, 250.0, 0.1),
+    }
     soft = Task(wire="radifocus_angled_025", catheter="jb2_4f")
     assert choose(outcomes) == (soft, outcomes[f"{SOFTER} again"])
     assert asked[1:] == [asked_for(*WITH_CATHETERS), ["devices/wire alone/2", f"devices/{SOFTER}/2"]]
 
-    outcomes[f"{SOFTER} again"] = Tried(0, 8, 300.0, 0.1)
+    outcomes[f"{SOFTER} again"] = TrialStatistics(0, 8, 300.0, 0.1)
     assert choose(outcomes) == (Task(catheter="jb2"), jb2)  # nothing gentler arrives
 
 
 def test_the_wire_alone_is_enough_where_it_always_arrives_and_the_shape_decides_where_none_does(chosen: Any) -> None:
     choose, asked = chosen
-    always, never = Tried(4, 4, 100.0, 0.2), Tried(0, 4, 300.0, 0.2)
+    always, never = TrialStatistics(4, 4, 100.0, 0.2), TrialStatistics(0, 4, 300.0, 0.2)
     assert choose({"wire alone": always}) == (Task(), always)
     assert asked == [asked_for("wire alone")]
     assert choose(dict.fromkeys(WITH_CATHETERS, never)) == (BY_SHAPE, None)
@@ -304,14 +314,16 @@ def test_the_wire_alone_is_enough_where_it_always_arrives_and_the_shape_decides_
 def test_where_the_wire_alone_arrives_and_presses_softer_ones_are_tried(chosen: Any) -> None:
     choose, asked = chosen
     wires = ("radifocus_angled", "radifocus_angled_025")
-    outcomes = {"wire alone": Tried(4, 4, 100.0, 0.8)}
-    outcomes |= {wires[0]: Tried(4, 4, 100.0, 0.5), wires[1]: Tried(3, 4, 120.0, 0.1)}
+    outcomes = {"wire alone": TrialStatistics(4, 4, 100.0, 0.8)}
+    outcomes |= {wires[0]: TrialStatistics(4, 4, 100.0, 0.5), wires[1]: TrialStatistics(3, 4, 120.0, 0.1)}
     assert choose(outcomes) == (Task(wire=wires[1]), outcomes[wires[1]])
     assert asked == [asked_for("wire alone"), asked_for("wire alone", *wires)]
     assert choose(outcomes, Task(wire="stiff")) == (Task(wire="stiff"), outcomes["wire alone"])
     assert asked == [asked_for("wire alone")]
 
-    outcomes |= dict.fromkeys(WITH_CATHETERS[1:], Tried(0, 4, 300.0, 0.1)) | {"wire alone": Tried(3, 4, 150.0, 0.8)}
+    outcomes |= dict.fromkeys(WITH_CATHETERS[1:], TrialStatistics(0, 4, 300.0, 0.1)) | {
+        "wire alone": TrialStatistics(3, 4, 150.0, 0.8)
+    }
     assert choose(outcomes)[0] == Task(wire=wires[1])
     assert asked[-1] == asked_for(*WITH_CATHETERS, *wires)
 
@@ -398,10 +410,17 @@ def test_a_given_policy_brings_its_catheter_or_steers_a_wire_alone(tmp_path: Pat
 
 @pytest.mark.parametrize(
     ("tried", "price"),
-    [(Tried(4, 4, 60.0, 0.5), 1.0), (Tried(4, 4, 60.0, 0.2), 0.1), (Tried(3, 4, 60.0, 0.5), 0.1), (None, 0.1)],
+    [
+        (TrialStatistics(4, 4, 60.0, 0.5), 1.0),
+        (TrialStatistics(4, 4, 60.0, 0.2), 0.1),
+        (TrialStatistics(3, 4, 60.0, 0.5), 0.1),
+        (None, 0.1),
+    ],
     ids=["presses", "presses little", "does not always arrive", "not tried"],
 )
-def test_a_newton_costs_more_with_two_devices_and_where_the_wire_presses(tried: Tried | None, price: float) -> None:
+def test_a_newton_costs_more_with_two_devices_and_where_the_wire_presses(
+    tried: TrialStatistics | None, price: float
+) -> None:
     alone, both = Task(), Task(catheter="jb2")
     assert [RehearsalSettings().price_of_force(task, tried) for task in (alone, both)] == [price, 0.3]
     for given in (0.0, 0.2):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from enn.device_trials import Tried
+from enn.device_trials import TrialStatistics
 from enn.policy import Policy
 from enn.reinforcement.evaluation import EpisodeOutcome, EvaluationResult, LatestPolicy
 from enn.reinforcement.rehearsal_rules import RehearsalRules, Turn, in_share
@@ -124,7 +124,7 @@ def test_a_training_has_a_thread_for_each_core_within_reason(
 def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
     tmp_path: Path, arrivals: tuple[bool, ...], others: tuple[bool, ...] | None, trials: int, decisions: int
 ) -> None:
-    tried = Tried(1, trials, 100.0, 0.1) if trials else None
+    tried = TrialStatistics(1, trials, 100.0, 0.1) if trials else None
     job = replace(job_of(tmp_path, copies=3, share_of_decisions=0.5), tried=tried)
     leave(job, "generalist", 0, arrivals)
     leave(job, "navigator", 0, [True] * len(arrivals))
@@ -149,8 +149,8 @@ def test_a_policy_that_always_arrives_is_trained_until_the_last_evaluation_but_o
     assert not always_arrives(job)  # nothing was played
     leave(job, "generalist", 0, [True] * 4)
     assert always_arrives(job)
-    assert always_arrives(replace(job, tried=Tried(8, 8, 100.0, 0.1)))
-    assert not always_arrives(replace(job, tried=Tried(7, 8, 100.0, 0.1)))
+    assert always_arrives(replace(job, tried=TrialStatistics(8, 8, 100.0, 0.1)))
+    assert not always_arrives(replace(job, tried=TrialStatistics(7, 8, 100.0, 0.1)))
     assert not always_arrives(replace(job, start=None))
     leave(job, "generalist", 0, [True, True, True, False])
     assert not always_arrives(job)
@@ -178,7 +178,7 @@ def test_a_policy_that_always_arrives_and_presses_gently_is_not_trained(
 
     monkeypatch.setattr("pipeline.stages.rehearsal.training.first_turn", lambda job: [True, True])
     monkeypatch.setattr("pipeline.stages.rehearsal.training.read_demonstrations", lambda folder: [shown])
-    monkeypatch.setattr("pipeline.stages.rehearsal.training._laid_starts", lambda *given: [])
+    monkeypatch.setattr("pipeline.stages.rehearsal.training._inserted_start_states", lambda *given: [])
     monkeypatch.setattr("enn.reinforcement.rehearsal.first_evaluation", lambda *given, **named: played)
     monkeypatch.setattr("enn.reinforcement.rehearsal.rehearse", rehearse)
     assert train(job, Report())["decisions"] == decisions
@@ -215,7 +215,7 @@ def test_trials_of_the_devices_count_when_others_are_asked(tmp_path: Path, reach
     asked = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))[:2]
     job = job_of(tmp_path, copies=3, demonstrations=12)
     job = replace(job, start=GENERALIST, shown_by=asked, turn=1)
-    job = replace(job, tried=None if reached is None else Tried(reached, 4, 100.0, 0.1))
+    job = replace(job, tried=None if reached is None else TrialStatistics(reached, 4, 100.0, 0.1))
     leave(job, "generalist", 0, [True, True, True, False])
     assert turn_of(job) == (Turn(asked[1]) if others else None)
 

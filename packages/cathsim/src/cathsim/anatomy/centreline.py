@@ -95,10 +95,10 @@ class LumenPaths:
                     self._cover(led_to, way)
         return np.array(ends)
 
-    def _add_stumps(self, found: list[Voxels], led_to: Mask, away: Array, ways: MCP_Geometric) -> None:  # type: ignore[name-defined]  # noqa: F821
+    def _add_stumps(self, ends: list[Voxels], led_to: Mask, away: Array, ways: MCP_Geometric) -> None:  # type: ignore[name-defined]  # noqa: F821
         """Adds the ends of narrow vessels that are cut off so near to a wide one that they lie in what it covers."""
         covered = np.zeros_like(self.inside)
-        for end in found:
+        for end in ends:
             self._cover(covered, np.array(ways.traceback(tuple(end))), _COVER_CLOSELY)
         widest = float(self.depth.max())
         left = self.inside & np.isfinite(away)
@@ -108,14 +108,14 @@ class LumenPaths:
             )
             left &= far * self.spacing > _RIM * widest
         for candidate in self._farthest_first(left, away, covered):
-            if len(found) == _MOST_ENDS:
+            if len(ends) == _MOST_ENDS:
                 break
             beyond = _beyond(np.array(ways.traceback(tuple(candidate))), covered)
             stands_out = float(away[tuple(candidate)] - away[tuple(beyond[0])])
             self._cover(covered, beyond, _COVER_CLOSELY)
             covered[tuple(candidate)] = True
             if stands_out >= _LEAST_LENGTH and self.depth[tuple(beyond.T)].max() < _STUMP * widest:
-                found.append(candidate)
+                ends.append(candidate)
                 self._cover(led_to, beyond)
 
     @staticmethod
@@ -123,8 +123,9 @@ class LumenPaths:
         """The places, the farthest first, that are not covered by the time that it is their turn."""
         order = np.flatnonzero(places)
         order = order[np.argsort(-away.ravel()[order], kind="stable")]
+        known = covered.flat
         for index in order.tolist():
-            if not covered.ravel()[index]:
+            if not known[index]:
                 yield np.array(np.unravel_index(index, places.shape))
 
     @cached_property

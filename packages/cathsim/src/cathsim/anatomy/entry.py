@@ -1,4 +1,4 @@
-"""Where wires come in: the aorta's ends, the open ends of branches, or any place in the lumen."""
+"""Access sites of wires: the aorta's ends, the open ends of branches, or any place in the lumen."""
 
 from __future__ import annotations
 

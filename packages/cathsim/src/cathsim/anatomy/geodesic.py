@@ -90,6 +90,6 @@ def graph_distance(tree: VesselTree, start: str, start_arc: ArrayLike, branch: s
     if start in chain:
         child = tree[chain[chain.index(start) + 1]]
         return np.abs(start_arc - child.parent_arc) + graph_distance(tree, child.name, 0.0, branch, arc)
-    here = tree[start]
-    assert here.parent is not None  # the root is in every chain
-    return start_arc + graph_distance(tree, here.parent, here.parent_arc, branch, arc)
+    first_branch = tree[start]
+    assert first_branch.parent is not None  # the root is in every chain
+    return start_arc + graph_distance(tree, first_branch.parent, first_branch.parent_arc, branch, arc)

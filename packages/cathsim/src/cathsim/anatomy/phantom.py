@@ -308,7 +308,7 @@ def target_share(tree: VesselTree) -> float:
 def locate_end_targets(tree: VesselTree) -> dict[str, Target]:
     """Targets by name, e.g. "lcca_end", END_DISTANCE before the open ends of branches that are long enough.
 
-    The root's own ends are where wires come in, and no targets.
+    The root's own ends are access sites, and no targets.
     """
     targets = {}
     for branch in tree.branches[1:]:

@@ -189,15 +189,15 @@ class _FieldFiles:
         try:
             with np.load(path, allow_pickle=False) as file:
                 marched = _marched(grid)
-                kept = marched.any(axis=(1, 2, 3))
+                field_blocks = marched.any(axis=(1, 2, 3))
                 farthest = float(file["farthest"])
-                cores = np.full((int(kept.sum()), *marched.shape[1:]), farthest, dtype=np.float32)
-                cores[marched[kept]] = file["geodesic"]
+                cores = np.full((int(field_blocks.sum()), *marched.shape[1:]), farthest, dtype=np.float32)
+                cores[marched[field_blocks]] = file["geodesic"]
         except DAMAGE as error:
             logger.warning("geodesic field %s in %s is damaged (%s) and is computed again.", target, path, error)
             return None
         occupied = np.array(grid.blocks.stored)
-        occupied[occupied] = kept
+        occupied[occupied] = field_blocks
         return LatticeField(NodeBlocks.from_cores(occupied, cores, grid.shape, farthest), grid.origin, grid.spacing)
 
     def write(self, target: str, field: LatticeField) -> None:

@@ -75,8 +75,8 @@ def drawn_point(name: str, phantom: str, tree: VesselTree, grid: SignedDistanceG
 
 def depth_in_branch(name: str) -> tuple[str, float] | None:
     """The branch and the depth behind its ostium, m, that a target's name such as "rcca@80" (mm) stands for."""
-    found = _ALONG.fullmatch(name)
-    return None if found is None else (found[1], 1e-3 * float(found[2]))
+    match = _ALONG.fullmatch(name)
+    return None if match is None else (match[1], 1e-3 * float(match[2]))
 
 
 def require_inside(point: Point, grid: SignedDistanceGrid, phantom: str, what: str = "target") -> None:

@@ -146,8 +146,8 @@ def _rim(inner: Array, outer: Array, centre: Array, normal: Array, radius: float
 
     def loop(border: Array) -> tuple[Array, Array]:
         offset = border - centre
-        here = (np.abs(offset @ normal) < 1e-6) & (np.linalg.norm(offset, axis=1) < radius + 2e-3)
-        border, offset = border[here], offset[here]
+        rim_mask = (np.abs(offset @ normal) < 1e-6) & (np.linalg.norm(offset, axis=1) < radius + 2e-3)
+        border, offset = border[rim_mask], offset[rim_mask]
         angle = np.arctan2(offset @ second, offset @ first)
         order = np.argsort(angle)
         return border[order], angle[order]

@@ -241,8 +241,8 @@ def not_taken(texts: Iterable[str], what: str) -> tuple[str, ...]:
     left = [text for text in texts if text and not vessel_name(text)]
     left.sort(key=lambda text: not _VESSEL_WORDS.intersection(_SPELLINGS.get(word, word) for word in _words(text)))
     more = f" and {len(left) - _FEW_NAMES} more" if len(left) > _FEW_NAMES else ""
-    shown = ", ".join(left[:_FEW_NAMES])
-    return (f"{what} not taken, whose names are no known artery's: {shown}{more}",) if left else ()
+    listing = ", ".join(left[:_FEW_NAMES])
+    return (f"{what} not taken, whose names are no known artery's: {listing}{more}",) if left else ()
 
 
 def of_one_name(texts: Iterable[str], what: str) -> tuple[str, ...]:

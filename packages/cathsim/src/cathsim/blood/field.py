@@ -44,10 +44,10 @@ class BloodField:
 
     def __init__(self, phantom: Phantom, flow: BloodFlow) -> None:
         self.phantom, self.flow, tree = phantom, flow, phantom.tree
-        given = dict(flow.shares)
+        flow_shares = dict(flow.shares)
         if flow.descending_share is not None:
-            given.setdefault(tree.root.name, flow.descending_share)
-        self.shares = outlet_shares(tree, given)
+            flow_shares.setdefault(tree.root.name, flow.descending_share)
+        self.shares = outlet_shares(tree, flow_shares)
         self._carried = {branch.name: self._through(branch.name) for branch in tree}
         inlet = float(tree.root.radius[-1])
         self.inlet_area = math.pi * inlet**2

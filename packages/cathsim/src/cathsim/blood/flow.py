@@ -50,9 +50,9 @@ class BloodFlow:
         for name, known in (("waveform", WAVEFORMS), ("profile", PROFILES)):
             if getattr(self, name) not in known:
                 raise ValueError(f"unknown {name} '{getattr(self, name)}'; there are {', '.join(known)}")
-        given = [*dict(self.shares).values(), *([] if self.descending_share is None else [self.descending_share])]
-        if sum(given) > 1 + 1e-9:
-            raise ValueError(f"shares must sum to at most 1 with descending_share, got {given}")
+        values = [*dict(self.shares).values(), *([] if self.descending_share is None else [self.descending_share])]
+        if sum(values) > 1 + 1e-9:
+            raise ValueError(f"shares must sum to at most 1 with descending_share, got {values}")
 
 
 # Steady: about the mean of the pulsatile flow, whose parabola has twice its mean velocity in the middle.

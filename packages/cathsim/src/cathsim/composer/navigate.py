@@ -68,12 +68,12 @@ class NavigateTask(composer.Task):
         pair = device_pair(wire, catheter, torsion)
         if pair is not None and tip_motors:
             raise ValueError("two devices are simulated without tip motors: leave out the catheter for them")
-        gate = entry_name(entry, task.target)
-        vessel = vessel_of(phantom, gate, pair.sheath_radius, pair.sheath_flare) if pair else vessel_of(phantom, gate)
+        site = entry_name(entry, task.target)
+        vessel = vessel_of(phantom, site, pair.sheath_radius, pair.sheath_flare) if pair else vessel_of(phantom, site)
         self.devices = TwoDevices(vessel, pair, numerics) if pair else None
         chain = self.devices.chain if self.devices else wire
         assert chain is not None
-        require_length(task, phantom, gate, chain, alone=pair is not None and pair.wire is None)
+        require_length(task, phantom, site, chain, alone=pair is not None and pair.wire is None)
         parts = model_parts(vessel, chain, numerics, tip_motors=tip_motors)
         self.arena = VesselArena(parts.arena, vessel, chain.length)
         if visual:

@@ -91,10 +91,10 @@ class ExpertScores:
         with process, errors:
             assert process.stdout is not None
             for line in process.stdout:
-                said = json.loads(line)
-                score = said.get(_SCORE)
-                if self._progress is not None and _PROGRESS in said:
-                    self._progress(task, {**said[_PROGRESS], "seconds": time.monotonic() - began})
+                message = json.loads(line)
+                score = message.get(_SCORE)
+                if self._progress is not None and _PROGRESS in message:
+                    self._progress(task, {**message[_PROGRESS], "seconds": time.monotonic() - began})
             if process.wait() < 0:  # ended for another task, or with the console
                 return
             if score is None:
@@ -123,9 +123,9 @@ def expert_score(task: Task, told: Callable[[dict[str, Any]], None] | None = Non
     from cathsim.planning.sampling import SamplingExpert
     from cathsim.simulation import CONTROL_STEP
 
-    given = dict(task)
-    seed, target, most_force = given.pop("seed"), given.pop("target"), given.pop("most_force", None)
-    environment = NavigateEnv(given.pop("phantom"), target, observation="tip", **given)
+    arguments = dict(task)
+    seed, target, most_force = arguments.pop("seed"), arguments.pop("target"), arguments.pop("most_force", None)
+    environment = NavigateEnv(arguments.pop("phantom"), target, observation="tip", **arguments)
     _, info = environment.reset(seed=seed)
     settings = TWO_DEVICE_SEARCH if environment.feeders.devices == 2 else ONE_DEVICE_SEARCH
     expert = SamplingExpert(environment, seed=seed, threads=1, settings=settings)

@@ -108,8 +108,8 @@ def missing_extra() -> list[str]:
 
 def address_of(host: str, port: int, token: str | None) -> str:
     """The address that the operator opens."""
-    shown = socket.gethostname() if host in ("0.0.0.0", "::", "") else host
-    return f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/{f'?token={token}' if token else ''}"
+    host_name = socket.gethostname() if host in ("0.0.0.0", "::", "") else host
+    return f"http://{f'[{host_name}]' if ':' in host_name else host_name}:{port}/{f'?token={token}' if token else ''}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -32,7 +32,7 @@ class TwoDevices:
 
     catheter_insertion: float  # m
     catheter_rotation: float  # of its hub, rad
-    lead: float  # how far the wire's tip is ahead of the catheter's, m; negative: drawn back into it
+    lead: float  # how far the wire's tip is ahead of the catheter's, m; negative: withdrawn into it
     feeder_forces: tuple[float, float]  # of the wire's feeder and of the catheter's, N; positive inserts
 
 

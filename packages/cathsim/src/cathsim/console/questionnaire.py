@@ -71,9 +71,9 @@ def mean_scores(answers: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any
     """
     from cathsim.metrics import Statistic
 
-    last = {given.get("participant") or f"anonymous {number}": given for number, given in enumerate(answers)}
+    last = {answer.get("participant") or f"anonymous {number}": answer for number, answer in enumerate(answers)}
     rows = {}
     for criterion in CRITERIA if last else ():
-        scores = Statistic.of([given[criterion.key] for given in last.values()])
+        scores = Statistic.of([answer[criterion.key] for answer in last.values()])
         rows[criterion.key] = {"score": [scores.mean, scores.sd], "n": len(last)}
     return rows

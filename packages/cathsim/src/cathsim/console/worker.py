@@ -176,10 +176,10 @@ class RealTimeLoop(threading.Thread):
     def _serve(self, due: float) -> bool:
         """Waits until a time, serving requests; returns early, and true, when the operator starts a procedure."""
         while not self._stopped.is_set():
-            asked = self._inbox.get(due - time.monotonic())
-            if asked is None:
+            item = self._inbox.get(due - time.monotonic())
+            if item is None:
                 return False
-            kind, work = asked
+            kind, work = item
             if work is None:
                 if self._procedure.state == READY and self._shown is None and self.panel.touched:
                     return True

@@ -108,7 +108,7 @@ def hull_vessel(phantom: Phantom, entry: str, settings: Decomposition) -> HullVe
         ValueError: the phantom has no such entry, or it is a point amid the lumen.
         ImportError: CoACD is needed and not installed.
     """
-    gate, grid = phantom.entry(entry), phantom.grid
+    site, grid = phantom.entry(entry), phantom.grid
     if read_point(entry) is not None:
         raise ValueError("contact='hulls' needs an entry at an open end, whose sheath no wall crosses: name one")
     hulls = wall_hulls(phantom, settings)
@@ -117,4 +117,4 @@ def hull_vessel(phantom: Phantom, entry: str, settings: Decomposition) -> HullVe
         (centre - inset * normal, normal, radius + settings.thickness)
         for centre, normal, radius in open_ends(phantom.tree)
     )
-    return HullVessel(grid, gate.position, gate.direction, hulls=tuple(hulls), openings=openings)
+    return HullVessel(grid, site.position, site.direction, hulls=tuple(hulls), openings=openings)

@@ -25,20 +25,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--french", type=int, help="size of the catheters; that of their names, or 5, otherwise")
     parser.add_argument("--output", type=Path, help="PNG, PDF or SVG file that the devices are drawn into")
     parser.add_argument("--sources", action="store_true", help="say where the presets' values come from")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        devices = {name: load_device(name, given.french) for name in given.devices or (*GUIDEWIRES, *SHAPES)}
+        devices = {name: load_device(name, options.french) for name in options.devices or (*GUIDEWIRES, *SHAPES)}
         for line in table(devices):
             print(line)
-        if given.sources:
+        if options.sources:
             for line in sources(devices):
                 print(line)
-        if given.output is not None:
-            _save(devices, given.output)
+        if options.output is not None:
+            _save(devices, options.output)
     except BrokenPipeError:  # nobody reads what is printed
         raise
     except OSError as error:
-        print(f"error: {error.filename or given.output}: {error.strerror}", file=sys.stderr)
+        print(f"error: {error.filename or options.output}: {error.strerror}", file=sys.stderr)
         return 2
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 SPACING = 0.016  # least difference in length between chains, m
-HYSTERESIS = 0.010  # how far the wire is drawn back before links are dropped, m
+HYSTERESIS = 0.010  # how far the wire is withdrawn before links are dropped, m
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class ActiveChain:
         links: number of links of the model.
         depth_samples: points a link at which the penetration is measured; 0: it is not.
         wall_stiffness: of each contact with the wall, N/mm; None: the usual contact's.
-        breathing: of the vessel, for which the models have room; None: it does not move.
+        breathing: of the vessel, for which the models have memory; None: it does not move.
     """
 
     def __init__(

@@ -42,7 +42,7 @@ def model_spec(
 
     Args:
         tip_motors: adds a motor to each of the two hinges of the most distal joints.
-        breathes: with room for the vessel's motion.
+        breathes: the model has memory for the vessel's motion.
 
     Returns:
         The specification; controls are the feeder's advance (m), its rotation (rad), then motor torques (N m).

@@ -38,7 +38,7 @@ class DevicePair:
         catheter: None: the wire alone.
         torsion: "elastic": hub and tip of a device are turned differently; "rigid": what turns the hub turns the tip.
         most_ahead: how far the wire's tip may be ahead of the catheter's, m.
-        most_behind: how far it may be drawn back into the catheter, m.
+        most_behind: how far it may be withdrawn into the catheter, m.
         reach: length of both devices that is simulated, m; 0: the wire's, 0.33 m at least.
 
     Raises:
@@ -141,6 +141,6 @@ def wire_and_catheter(points: Array, links: Sequence[float], lead: float) -> tup
 
     Args:
         points, links: as of `points_behind`.
-        lead: how far the wire's tip is ahead of the catheter's, m; negative: drawn back into it.
+        lead: how far the wire's tip is ahead of the catheter's, m; negative: withdrawn into it.
     """
     return points_behind(points, links, max(-lead, 0.0)), points_behind(points, links, max(lead, 0.0))

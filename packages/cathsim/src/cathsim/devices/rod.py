@@ -116,7 +116,7 @@ class Rod:
         tables: of wire and catheter; None: absent.
         lengths: of the chain's links from the proximal end, m.
         inverse_weight: `body_invweight0` of the links of a bare and of a covered chain. Shape (2, links, 2).
-        twist: room for the twist of both devices at each joint, rad, kept by the caller. Shape (2, joints).
+        twist: array for the twist of both devices at each joint, rad, which the caller owns. Shape (2, joints).
         rigid: the devices do not twist.
         clamped: the first link is held by a joint of its own.
         chain: what the names of the chain's parts begin with in the model.
@@ -143,14 +143,14 @@ class Rod:
         before = np.concatenate(([0.0], halves[:-1]))[first:].copy()
         after = halves[first:].copy()
         joints = len(from_end)
-        cells, room = np.zeros((joints, _CELL_NUMBERS)), np.zeros((8, joints))
+        cells, workspace = np.zeros((joints, _CELL_NUMBERS)), np.zeros((8, joints))
         weight = np.ascontiguousarray(inverse_weight, np.float64)
         if twist.shape != (DEVICES, joints) or weight.shape != (2, len(links), 2):
             raise ValueError(
                 f"a chain of {joints} joints needs twist of shape (2, {joints}) and weights of (2, {len(links)}, 2), "
                 f"got {twist.shape} and {weight.shape}"
             )
-        self._kept = (model, tables, links, from_end, before, after, cells, room, weight, twist)
+        self._kept = (model, tables, links, from_end, before, after, cells, workspace, weight, twist)
         geom = model.geom(chain + LINK_NAME.format(0)).id
         self.struct = RodStruct(
             model=model._address,
@@ -169,7 +169,7 @@ class Rod:
             inverse_weight=weight.ctypes.data,
             cells=cells.ctypes.data,
             twist=(ctypes.c_void_p * DEVICES)(*(row.ctypes.data for row in twist)),
-            room=room.ctypes.data,
+            room=workspace.ctypes.data,
             shown=math.nan,
         )
 

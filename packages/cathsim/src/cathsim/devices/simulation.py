@@ -173,7 +173,7 @@ class DualSimulation(Simulation):
 
     @property
     def device_lead(self) -> float:
-        """How far the wire's tip is ahead of the catheter's, m; negative: drawn back into it; 0 with one device."""
+        """How far the wire's tip is ahead of the catheter's, m; negative: withdrawn into it; 0 with one device."""
         return self._hubs.lead
 
     def reset(

@@ -21,11 +21,11 @@ REST_STEPS = 10  # control steps in which the wire finds its place between the w
 WAY_CLEARANCE, PREFERRED_CLEARANCE = 1e-3, 3e-3  # m from the wall that a planned way keeps, and would rather keep
 _AT_ENTRY = 5e-4  # m from the entry at which a way may begin
 SHORT_OF_END = (0.012, 0.018, 0.025, 0.032, 0.040, 0.050)  # m from the tip to the target along the planned way
-WITHDRAWALS, WITHDRAWAL_STEPS = 3, 4  # states kept while drawing back, steps between them
+WITHDRAWALS, WITHDRAWAL_STEPS = 3, 4  # rest states of a withdrawal, steps between them
 MOST_FORCE = 0.5  # N: with more the wire lies jammed
-SHAPES = 6  # from one laid wire
+SHAPES = 6  # from one inserted wire
 CATHETER_BEHIND = 0.05  # m: a placed wire is so far ahead of its catheter
-LEADS = (0.0, 0.08)  # m, of laid starts and pushed shapes
+LEADS = (0.0, 0.08)  # m, of inserted start states and pushed shapes
 _SHALLOWEST = 0.01  # m of wire inside the vessel
 _MOVES = 8  # of 0.1 s, before each shape
 # mean of a wire's pushes, of the most in a step: a wire pushed on folds at the wall
@@ -73,7 +73,7 @@ def place_wire(
         way: points from the entry on, m, world frame, such as `plan_way` gives. Shape (n, 3).
         short_of_end: distance along the way from the tip to its end, m.
         lead: of two devices, how far the wire's tip is ahead of the catheter's, m; None: 50 mm. A device that would
-            have to be drawn back beyond its start is left there.
+            have to be withdrawn beyond its start stays there.
         rest_steps: control steps of 0.1 s without a movement of the feeder.
 
     Raises:
@@ -128,13 +128,13 @@ def _reset(simulation: Simulation, insertion: float, lead: float | None) -> None
 
 
 def laid_starts(environment: NavigateEnv, generator: np.random.Generator) -> np.ndarray:
-    """States with the wire laid towards the target, and drawn back from there.
+    """Start states with the wire inserted towards the target, and withdrawn from there.
 
-    Two devices are laid at a lead from `LEADS` and drawn back together.
+    Two devices are inserted at a lead from `LEADS` and withdrawn together.
 
     Args:
         environment: with the anatomy and the target; its simulation is moved.
-        generator: of the turns while drawing back, and of the leads.
+        generator: of the turns while they are withdrawn, and of the leads.
 
     Returns:
         Shape (k, n); none where the wire is too short, or there is no way with a clearance.
@@ -151,21 +151,21 @@ def laid_starts(environment: NavigateEnv, generator: np.random.Generator) -> np.
             place_wire(simulation, way, short, lead=_drawn_lead(simulation, generator))
         except ValueError:  # the wire is too short for this one
             continue
-        kept = [simulation.state()] if _at_rest(environment) else []
-        for _ in range(WITHDRAWALS if kept else 0):
+        rest_states = [simulation.state()] if _at_rest(environment) else []
+        for _ in range(WITHDRAWALS if rest_states else 0):
             for _ in range(WITHDRAWAL_STEPS):
                 turns = generator.uniform(-0.26, 0.26, _feeders(simulation))
                 _move(simulation, [(-0.002, float(turn)) for turn in turns])
             if _at_rest(environment):
-                kept.append(simulation.state())
-        states += kept
+                rest_states.append(simulation.state())
+        states += rest_states
     return np.array(states) if states else np.empty((0, len(simulation.state())))
 
 
 def pushed_shapes(simulation: Simulation, way: ArrayLike, generator: np.random.Generator) -> Iterator[np.ndarray]:
-    """Shapes of a wire that is laid somewhere along a way and moved on from there at random, as it folds at the wall.
+    """Shapes of a wire that is inserted a part of a way and moved on from there at random, as it folds at the wall.
 
-    Two devices are laid at a lead from `LEADS`, and each is moved by itself; their shape is that of both together.
+    Two devices are inserted at a lead from `LEADS`, and each is moved by itself; their shape is that of both together.
 
     Args:
         way: as `place_wire` takes it.
@@ -175,7 +175,7 @@ def pushed_shapes(simulation: Simulation, way: ArrayLike, generator: np.random.G
         Up to `SHAPES` times the wire's points from the tip, m, shape (n, 3); fewer where the simulation fails.
 
     Raises:
-        ValueError: the wire is too short to be laid there.
+        ValueError: the wire is too short to be inserted that far.
     """
     length = float(np.linalg.norm(np.diff(np.asarray(way), axis=0), axis=1).sum())
     short = generator.uniform(0.005, length - _SHALLOWEST)

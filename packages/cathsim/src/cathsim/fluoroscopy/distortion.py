@@ -129,10 +129,10 @@ class DetectorDistortion:
         Raises:
             ValueError: for another shape, or points so far outside the image that the map does not reach them.
         """
-        shown = _pixels(points)
+        pixels = _pixels(points)
         if self.identity:
-            return shown.copy()
-        target = (shown - self._origin) / self._half
+            return pixels.copy()
+        target = (pixels - self._origin) / self._half
         q = target.copy()
         for _ in range(_ITERATIONS):
             at, jacobian = self._map(q)
@@ -142,7 +142,7 @@ class DetectorDistortion:
             (a, b), (c, d) = jacobian.transpose(1, 2, 0)
             step = np.stack((d * error[:, 0] - b * error[:, 1], a * error[:, 1] - c * error[:, 0]), axis=-1)
             q = np.clip(q + step / (a * d - b * c)[:, None], -2.0, 2.0)
-        bad = shown[np.abs(target - self._map(q)[0]).max(axis=1) * self._half > _TOLERANCE_PX * 1e3]
+        bad = pixels[np.abs(target - self._map(q)[0]).max(axis=1) * self._half > _TOLERANCE_PX * 1e3]
         if len(bad):
             raise ValueError(
                 f"a point lies too far outside the image to be undistorted: ({bad[0][0]:.0f}, {bad[0][1]:.0f}) px of "

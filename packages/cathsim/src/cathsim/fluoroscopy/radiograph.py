@@ -133,8 +133,8 @@ def _distorted(camera: XRayCamera, depth_of: DepthFunction) -> NDArray[np.float3
     width, height = (high - low + 1).tolist()
     passed = np.exp(-depth_of(replace(projector, K=shift @ projector.K, width=width, height=height)))
     x, y = (ideal - low).astype(np.float32).T.reshape(2, projector.height, projector.width)
-    shown = cv2.remap(passed, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(shown, np.float32)
+    image = cv2.remap(passed, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(image, np.float32)
 
 
 def _every(projector: Projector, stride: int) -> Projector:

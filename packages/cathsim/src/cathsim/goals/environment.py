@@ -80,19 +80,19 @@ class NavigateGoalEnv(NavigateEnv):
         phantom = chosen("phantom", phantom, Phantom, partial(load_phantom, seed=arguments.pop("phantom_seed", None)))
         entry = arguments.get("entry", "descending")
         ways = centreline_goals(phantom, entry) if goals is None else {}
-        wanted = list(ways) if goals is None else [as_target(goal) for goal in goals]
+        targets = list(ways) if goals is None else [as_target(goal) for goal in goals]
         task = GoalTask() if task is None else described(task)
         if not isinstance(task, GoalTask):
             raise ValueError(f"task must be a GoalTask, got {task!r}")
         if arguments.get("observe_every", 1) != 1:
             raise ValueError("observe_every must be 1: a goal that is kept from an earlier step has another reward")
-        super().__init__(phantom, wanted[0], observation=names, task=task, **arguments)
+        super().__init__(phantom, targets[0], observation=names, task=task, **arguments)
         if goals is None:
             reach = self.simulation.max_insertion + PROTRUSION + self.task.success_radius
-            wanted = [goal for goal, way in ways.items() if way <= reach]
-        for goal in wanted if goals is not None else ():
+            targets = [goal for goal, way in ways.items() if way <= reach]
+        for goal in targets if goals is not None else ():
             require_reach(dataclasses.replace(self.task, target=goal), self.simulation)
-        self.goals = tuple(wanted)
+        self.goals = tuple(targets)
         assert isinstance(self.sensors.space, gymnasium.spaces.Dict)  # as the names were given in a list
         parts = self.sensors.space.spaces
         flat = all(space.dtype == np.float32 for space in parts.values())

@@ -84,12 +84,12 @@ class GoalTask(NavigationTask):
         if achieved.shape != desired.shape or achieved.shape[-1:] != (3,):
             raise ValueError(f"expected two arrays of one shape (..., 3), got {achieved.shape} and {desired.shape}")
         if not isinstance(self.reward, str):
-            given = self.reward(achieved, desired, info)
-            reward = np.asarray(given)
+            raw_reward = self.reward(achieved, desired, info)
+            reward = np.asarray(raw_reward)
             shape = achieved.shape[:-1]
             if reward.shape != shape or reward.dtype.kind not in "biuf" or not np.isfinite(reward).all():
                 raise ValueError(
-                    f"{reward_name(self.reward)} must give finite numbers of shape {shape}, gave {given!r}"
+                    f"{reward_name(self.reward)} must give finite numbers of shape {shape}, gave {raw_reward!r}"
                 )
             reward = reward.astype(np.float64)
         else:

@@ -121,13 +121,13 @@ class NodeBlocks:
         numbers = np.where(occupied, np.cumsum(occupied).reshape(occupied.shape) - 1, -1).astype(np.int32)
         counts = np.array(occupied.shape, dtype=np.int32)
         fill = np.array([constant], dtype=cores.dtype).view(np.uint32)
-        given = (address(counts), address(numbers))
+        block_addresses = (address(counts), address(numbers))
         stored = np.zeros(occupied.shape, dtype=np.uint8)
-        library().cathsim_mark_blocks(*given, address(cores), ctypes.c_uint32(int(fill[0])), address(stored))
+        library().cathsim_mark_blocks(*block_addresses, address(cores), ctypes.c_uint32(int(fill[0])), address(stored))
         table = np.where(stored, np.cumsum(stored, dtype=np.int32).reshape(stored.shape), 0).astype(np.int32)
         nodes = _mapped((int(stored.sum()) + 1, SIDE, SIDE, SIDE), cores.dtype)
         library().cathsim_fill_blocks(
-            *given, address(table), address(cores), ctypes.c_uint32(int(fill[0])), address(nodes)
+            *block_addresses, address(table), address(cores), ctypes.c_uint32(int(fill[0])), address(nodes)
         )
         return cls(shape, table, nodes)
 
@@ -161,22 +161,13 @@ class NodeBlocks:
         spans = [range(n)[s] for n, s in zip(self.shape, box or (slice(None),) * 3, strict=True)]
         if any(span.step != 1 for span in spans):
             raise ValueError(f"a box is three slices without a step, got {box}.")
-        dense = np.full([len(span) for span in spans], self.constant, dtype=self.nodes.dtype)
-        if not dense.size:
-            return dense
-        first = [span.start // EDGE for span in spans]
-        last = [(span.stop - 1) // EDGE + 1 for span in spans]
-        blocks = tuple(slice(a, b) for a, b in zip(first, last, strict=True))
-        table = self.table[blocks]
-        for place in np.argwhere(table):
-            low = (place + first) * EDGE
-            into, of = [], []
-            for start, span in zip(low.tolist(), spans, strict=True):
-                a, b = max(start, span.start), min(start + EDGE, span.stop)
-                into.append(slice(a - span.start, b - span.start))
-                of.append(slice(a - start + 1, b - start + 1))
-            dense[tuple(into)] = self.nodes[(table[tuple(place)], *of)]
-        return dense
+        table = self.table[tuple(slice(span.start // EDGE, -(-span.stop // EDGE)) for span in spans)]
+        whole = np.full(EDGE * np.array(table.shape), self.constant, dtype=self.nodes.dtype)
+        split = whole.reshape([n for count in table.shape for n in (count, EDGE)]).transpose(0, 2, 4, 1, 3, 5)
+        stored = table > 0
+        split[stored] = self.own[table[stored] - 1]
+        within = tuple(slice(span.start % EDGE, span.start % EDGE + len(span)) for span in spans)
+        return np.ascontiguousarray(whole[within])
 
     def where(self, condition: Callable[[NDArray], NDArray[np.bool_]]) -> tuple[NDArray[np.int32], NDArray]:
         """Nodes whose values fulfil a condition.
@@ -220,8 +211,8 @@ class NodeBlocks:
         """Indices (n, 3) of nodes chosen among `own` (blocks - 1, 8, 8, 8), block by block."""
         places, pieces = self.places.astype(np.int32), [np.zeros((0, 3), dtype=np.int32)]
         for first in range(0, len(places), _BATCH // EDGE**3):
-            found = np.argwhere(chosen[first : first + _BATCH // EDGE**3])
-            pieces.append(places[first + found[:, 0]] + found[:, 1:].astype(np.int32))
+            indices = np.argwhere(chosen[first : first + _BATCH // EDGE**3])
+            pieces.append(places[first + indices[:, 0]] + indices[:, 1:].astype(np.int32))
         return np.concatenate(pieces)
 
     def mapped(self, change: Callable[[NDArray], NDArray]) -> NodeBlocks:

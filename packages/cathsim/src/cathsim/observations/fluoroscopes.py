@@ -261,6 +261,6 @@ def _nodes(simulation: Simulation, device: str | None) -> np.ndarray:
 def outside_sheath(points: np.ndarray, vessel: Vessel) -> np.ndarray:
     """Drops the nodes (k, 3) m, from the tip on, that lie deep inside the sheath, and closes the device there."""
     end = vessel.entry - SHOWN_SHEATH * vessel.direction
-    shown = np.flatnonzero(points @ vessel.direction > end @ vessel.direction)
+    visible_nodes = np.flatnonzero(points @ vessel.direction > end @ vessel.direction)
     # the nodes in the sheath are the last ones; others behind its end lie where the vessel has turned back
-    return np.concatenate((points[: shown[-1] + 1 if len(shown) else 0], end[None]))
+    return np.concatenate((points[: visible_nodes[-1] + 1 if len(visible_nodes) else 0], end[None]))

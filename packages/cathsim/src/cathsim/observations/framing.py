@@ -43,9 +43,9 @@ def raised_bath(phantom: Phantom, field: float) -> float:
 
     0 in an arch alone, about which it stands anyhow. In a whole aorta the arch lies far from the middle.
     """
-    room = max(_BATH_HALF_HEIGHT - _NEARER * field / 2, 0.0)
+    margin = max(_BATH_HALF_HEIGHT - _NEARER * field / 2, 0.0)
     away = float(arch_centre(phantom, field)[2] - phantom.bounds[:, 2].mean())
-    return away - min(max(away, -room), room)
+    return away - min(max(away, -margin), margin)
 
 
 def framed(phantom: Phantom, view: str, size: int, field: float | None = None) -> Projector:

@@ -109,9 +109,9 @@ class Roadmap:
 
     def _native(self) -> _RoadmapStruct:
         if self._struct is None:  # the geodesic field is only loaded when it is wanted
-            shown = self.simulation.phantom if self.scan is None else self.scan.phantom
-            grid = shown.grid
-            self._fields = grid, shown.geodesic_field(self.target)
+            phantom = self.simulation.phantom if self.scan is None else self.scan.phantom
+            grid = phantom.grid
+            self._fields = grid, phantom.geodesic_field(self.target)
             wall, remain = (LatticeStruct.of(field.blocks) for field in self._fields)
             self._struct = _RoadmapStruct(tuple(grid.origin.tolist()), 1.0 / grid.spacing, wall, remain)
             native = library()

@@ -55,9 +55,9 @@ class Sensors:
         view: tuple[float, float] = VIEW,
     ) -> None:
         self._simulation, self._remaining = simulation, remaining
-        given: Any = observation
-        several = isinstance(given, Iterable) and not isinstance(given, str)
-        names: list[str] = list(given) if several else [given]
+        selection: Any = observation
+        several = isinstance(selection, Iterable) and not isinstance(selection, str)
+        names: list[str] = list(selection) if several else [selection]
         if not names or not all(isinstance(name, str) for name in names):
             raise ValueError(f"observation must name at least one observable, got {observation!r}")
         self.reads_way = "history" in names

@@ -4,7 +4,7 @@ The view is frontal, or there are several (`cathsim.fluoroscopy.projector.VIEWS`
 they hold says `cathsim.observations.framing`. Before an episode there is a contrast run: an image of the vessels
 without wire or contrast medium, and one with contrast medium. While the wire moves, its images have neither. Nothing
 else shows where the wire is. Clutter, where it is asked for, stands still for an episode and its contrast run. What the
-vessels lie in is a water bath, or a room of one's own, as a patient's CT (`cathsim.fluoroscopy.ct_scene`).
+vessels lie in is a water bath, or an X-ray background such as a patient's CT (`cathsim.fluoroscopy.ct_scene`).
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def fluoroscope_of(
         view: one of `cathsim.fluoroscopy.projector.VIEWS`.
         clutter: (size, size) attenuation; None: there is none. With clutter the camera is made anew at each call.
         field: as of `cathsim.observations.framing.framed`.
-        room: what the vessels lie in; None: a water bath.
+        room: X-ray background of the vessels; None: a water bath.
     """
     shot = _Shot(size, wire_radius, view, field, room)
     if clutter is None:
@@ -182,7 +182,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         clutter: draws the clutter of each episode and view; None: there is none.
         views: names of `cathsim.fluoroscopy.projector.VIEWS`.
         field: of the views, m, as of `cathsim.observations.framing.framed`.
-        room: what the vessels of every episode lie in, as `cathsim.fluoroscopy.ct_scene` makes of the CT of the one
+        room: X-ray background of every episode, as `cathsim.fluoroscopy.ct_scene` makes of the CT of the one
             anatomy; None: a water bath.
         every: steps between two images, as with pulsed fluoroscopy; in between the observations keep the last one.
             The images that are drawn, at the reset and after every so many steps, are the same as with 1.
@@ -313,8 +313,8 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         return {**observation, **{name: picture.copy() for name, picture in self._pictures.items()}}
 
     def _drawn(self) -> dict[str, NDArray[np.uint8]]:
-        rooms = self._rooms or [self._seen_by(view, None) for view in self.views]
-        each = [self._drawn_in(place, *room) for place, room in enumerate(rooms)]
+        view_runs = self._rooms or [self._seen_by(view, None) for view in self.views]
+        each = [self._drawn_in(place, *view_run) for place, view_run in enumerate(view_runs)]
         return each[0] if len(each) == 1 else {name: np.concatenate([one[name] for one in each]) for name in each[0]}
 
     def _drawn_in(self, place: int, fluoroscope: BiplaneFluoroscope, run: ContrastRun) -> dict[str, NDArray[np.uint8]]:

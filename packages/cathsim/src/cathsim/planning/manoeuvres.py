@@ -19,7 +19,7 @@ _SPREAD, _NARROWING = 0.2, 0.75  # of a parameter about an elite's, of its range
 # Least and largest value of each parameter.
 _WIRE = np.array(
     (
-        (0.0, 0.10),  # m drawn back
+        (0.0, 0.10),  # m by which the wire is withdrawn
         (-np.pi, np.pi),  # rad turned meanwhile
         (-1.0, 1.0),  # rotation while the wire is fed, of the most in a step
     )
@@ -29,13 +29,13 @@ _TWO_DEVICES = np.array(
         (-0.10, 0.06),  # m of lead after the first phase
         (-0.08, 0.12),  # m by which the catheter is moved in it
         (-np.pi, np.pi),  # rad by which both are turned in it
-        (0.0, 0.06),  # m by which both are then drawn back, as a reverse curve is to engage
+        (0.0, 0.06),  # m by which both are then withdrawn, as a reverse curve is to engage
         (-np.pi, np.pi),  # rad by which both are turned meanwhile
         (-1.0, 1.0),  # rotation while the wire is fed, of the most in a step
         (-0.5, 0.7),  # translation of the catheter meanwhile, of the most in a step
     )
 )
-# Of a retreat: m by which the foremost tip is drawn back, rad of turn of each device, m of lead after it.
+# Of a retreat: m by which the foremost tip is withdrawn, rad of turn of each device, m of lead after it.
 _RETREAT, _TURN, _LEAD = (0.03, 0.10), (-np.pi, np.pi), (0.0, 0.05)
 
 
@@ -99,8 +99,8 @@ def search_manoeuvres(
             spread = _SPREAD * _NARROWING ** (number - 1) * (high - low)
             drawn = elites[generator.integers(0, len(elites), _VARIED)]
             drawn = np.clip(drawn + spread * generator.normal(size=drawn.shape), low, high)
-        tried = [manoeuvre(parameters, pace, lead=lead) for parameters in drawn]
-        endings += zip(evaluate(tried), tried, strict=True)
+        candidates = [manoeuvre(parameters, pace, lead=lead) for parameters in drawn]
+        endings += zip(evaluate(candidates), candidates, strict=True)
         endings.sort(key=lambda row: row[0])
         if endings[0][0][0] < 0:
             break
@@ -108,7 +108,7 @@ def search_manoeuvres(
 
 
 def retreat(generator: np.random.Generator, actions: int, pace: Pace, *, lead: float = 0.0) -> Array:
-    """The plan of a retreat: the end of what is fed is drawn back by a random length, each device turned at random.
+    """The plan of a retreat: the end of what is fed is withdrawn by a random length, each device turned at random.
 
     Args:
         actions: 2 for the wire, 4 for wire and catheter.

@@ -195,19 +195,19 @@ def _text(point: Array) -> str:
 def pull_taut(path: LumenPath, grid: SignedDistanceGrid, *, clearance: float = CLEARANCE) -> LumenPath:
     """Leaves out every point that a straight line can skip that keeps its clearance (m); both ends stay."""
     points = path.points
-    corners, here = [0], 0
-    while here < len(points) - 1:
-        visible, hidden = here + 1, len(points)
+    corners, corner = [0], 0
+    while corner < len(points) - 1:
+        visible, hidden = corner + 1, len(points)
         reach = 2
         while hidden - visible > 1:
             # gallop ahead while the line stays free, then halve the interval in which it ends
-            trial = min(here + reach, len(points) - 1) if hidden == len(points) else (visible + hidden) // 2
-            if _line_is_free(points[here], points[trial], grid, clearance):
+            trial = min(corner + reach, len(points) - 1) if hidden == len(points) else (visible + hidden) // 2
+            if _line_is_free(points[corner], points[trial], grid, clearance):
                 visible, reach = trial, 2 * reach
             else:
                 hidden = trial
         corners.append(visible)
-        here = visible
+        corner = visible
     return LumenPath(points[corners])
 
 
@@ -270,8 +270,8 @@ def picture(
         plot.set(title=name, xlabel=label, aspect="equal")
     axes[0].set_ylabel("z, superior (mm)")
     axes[0].legend(loc="lower left", frameon=False)
-    room = path.clearance(grid)
-    figure.suptitle(f"{title}: {path.length * 1e3:.1f} mm, at least {room * 1e3:.1f} mm from the wall")
+    clearance = path.clearance(grid)
+    figure.suptitle(f"{title}: {path.length * 1e3:.1f} mm, at least {clearance * 1e3:.1f} mm from the wall")
     figure.savefig(file, dpi=120)
     logger.debug("saved the picture of a path to %s", file)
     return FilePath(file)

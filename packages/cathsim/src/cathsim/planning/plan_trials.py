@@ -167,18 +167,18 @@ class PlanTrials:
         strayed = max(copy.device_lead - settings.most_lead, 0.0) if isinstance(copy, DualSimulation) else 0.0
         return self._remaining(copy) + settings.force_cost * force + strayed + excess
 
-    def _ending(self, copy: Simulation, state: np.ndarray, tried: Manoeuvre) -> Ending:
+    def _ending(self, copy: Simulation, state: np.ndarray, manoeuvre: Manoeuvre) -> Ending:
         settings = self.settings
         copy.restore(state)
-        force, nearest, best = 0.0, np.inf, (_REFUTED, len(tried.plan))
-        for step, action in enumerate(tried.plan.tolist()):
+        force, nearest, best = 0.0, np.inf, (_REFUTED, len(manoeuvre.plan))
+        for step, action in enumerate(manoeuvre.plan.tolist()):
             self._advance(copy, action)
             if not copy.valid or copy.summary.force_max > settings.most_force:
                 break
-            force += max(copy.summary.force_max - settings.free_force, 0.0) / len(tried.plan)
+            force += max(copy.summary.force_max - settings.free_force, 0.0) / len(manoeuvre.plan)
             if self._reached(copy):
                 return -1.0 + 0.001 * step + settings.force_cost * force, step + 1
-            if step >= tried.fed_from:
+            if step >= manoeuvre.fed_from:
                 remaining = self._remaining(copy)
                 nearest = min(nearest, remaining)
                 best = min(best, (remaining + settings.force_cost * force, step + 1))

@@ -35,14 +35,14 @@ _TWO_DEVICES = (
     ((1, 0.7, 0, 0), (1, 0.7, 0, 0)),
     ((1, -0.7, 0, 0), (1, -0.7, 0, 0)),
     ((0, 0, 1, 0), (0, 0, 1, 0)),  # the catheter follows over it
-    ((-1, 0, 0, 0), (1, 0, 0, 0)),  # the wire is drawn back, and out again
+    ((-1, 0, 0, 0), (1, 0, 0, 0)),  # the wire is withdrawn, and fed again
     ((-1, 0, 1, 0), (-1, 0, 1, 0)),  # the catheter's shape returns
     ((0, 0, 0, 1), (1, 0, 0, 0)),  # the catheter is turned, then the wire goes ahead
     ((0, 0, 0, -1), (1, 0, 0, 0)),
     ((0, 0, 0, 0.7), (1, 0, 1, 0.7)),
     ((0, 0, 0, -0.7), (1, 0, 1, -0.7)),
-    ((0, 0, -1, 0), (1, 0, 0, 0)),  # the catheter is drawn back, as a reverse curve is to engage
-    ((-1, 0, -1, 0), (1, 0, 0, 0)),  # both are drawn back, then the wire goes ahead
+    ((0, 0, -1, 0), (1, 0, 0, 0)),  # the catheter is withdrawn, as a reverse curve is to engage
+    ((-1, 0, -1, 0), (1, 0, 0, 0)),  # both are withdrawn, then the wire goes ahead
     ((-1, 0, -1, 0.5), (1, 0, 0, 0)),
     ((-1, 0, -1, -0.5), (1, 0, 0, 0)),
 )
@@ -74,7 +74,7 @@ def wire_advances(lead: float, step: float) -> NDArray[np.float64]:
         step: largest translation in a step, m.
 
     Returns:
-        Shape (k, steps, 4): the catheter is turned, or drawn back, or left; then the wire goes `BEYOND` its tip.
+        Shape (k, steps, 4): the catheter is turned, withdrawn, or not moved; then the wire goes `BEYOND` its tip.
     """
     firsts = _CATHETER_FIRST if lead < EMERGED else ()
     pushes = int(np.ceil((BEYOND - lead) / step)) if firsts else 0
@@ -94,8 +94,8 @@ class SamplingExpert:
     With `confirm`, a plan that reaches the target in the copies' coarser time steps is believed, and then carried out
     to its end, only when it does so in the environment's own. With `patience`, a tip that gets no nearer is taken to
     be in a local minimum of that distance. Manoeuvres are then searched, in which wire and catheter are brought to
-    another lead, turned and drawn back, and the wire is fed again; the one whose tip comes nearest is carried out.
-    Where none gains anything, all is drawn back and turned at random, and the search begins again from there.
+    another lead, turned and withdrawn, and the wire is fed again; the one whose tip comes nearest is carried out.
+    Where none gains anything, all is withdrawn and turned at random, and the search begins again from there.
 
     Args:
         environment: to be steered; its state is only read.
@@ -161,9 +161,9 @@ class SamplingExpert:
         settings, generator = self.settings, self._generator
         simulation = self.environment.simulation
         state = simulation.state()
-        here = self.environment.task.remaining(self.environment.phantom, simulation.tip_in_vessel)
-        if self._stalled(here):
-            self._leave_minimum(state, here)
+        remaining = self.environment.task.remaining(self.environment.phantom, simulation.tip_in_vessel)
+        if self._stalled(remaining):
+            self._leave_minimum(state, remaining)
             return
         knots = -(-settings.horizon // settings.hold)
         straight = np.tile([1.0, 0.0] * (self._actions // 2), (settings.horizon, 1))
@@ -176,7 +176,7 @@ class SamplingExpert:
         self._plan, cost = candidates[best], float(costs[best])
         if self._commits(cost):
             return
-        good = here - 0.85 * self._pace.translation * settings.horizon
+        good = remaining - 0.85 * self._pace.translation * settings.horizon
         if cost <= good:
             return
 
@@ -195,7 +195,7 @@ class SamplingExpert:
                 break
             mean = draws[order].mean(0)
             spread = 0.1 + 0.9 * draws[order].std(0)
-        if settings.primitives and isinstance(simulation, DualSimulation) and cost > here - STUCK:
+        if settings.primitives and isinstance(simulation, DualSimulation) and cost > remaining - STUCK:
             self._advance_wire(simulation, state, cost)
 
     def _advance_wire(self, simulation: DualSimulation, state: np.ndarray, cost: float) -> None:
@@ -213,25 +213,25 @@ class SamplingExpert:
             self._left = len(self._plan)
         return confirmed
 
-    def _stalled(self, here: float) -> bool:
-        """Whether the tip, `here` m from the target, has come no nearer for `patience` decisions."""
-        if here < self._nearest - STUCK:
-            self._nearest, self._waited = here, 0
+    def _stalled(self, remaining: float) -> bool:
+        """Whether the tip, `remaining` m from the target, has come no nearer for `patience` decisions."""
+        if remaining < self._nearest - STUCK:
+            self._nearest, self._waited = remaining, 0
             return False
         self._waited += 1
         return 0 < self.settings.patience <= self._waited
 
-    def _leave_minimum(self, state: np.ndarray, here: float) -> None:
+    def _leave_minimum(self, state: np.ndarray, remaining: float) -> None:
         """Plans the manoeuvre that brings the tip nearest to the target, or a retreat where none brings it nearer."""
         simulation = self.environment.simulation
         lead = simulation.device_lead if isinstance(simulation, DualSimulation) else 0.0
         evaluate = functools.partial(self.trials.endings, state)
         manoeuvre = search_manoeuvres(evaluate, self._generator, self._actions, self._pace, lead=lead)
         self._waited = 0
-        for ending, tried in manoeuvre[: max(self.settings.confirm, 1)]:
-            cost, steps = self.trials.confirmed(state, tried, ending)
-            if cost < min(self._nearest, here) - STUCK:
-                self._plan = tried.plan[:steps]
+        for ending, candidate in manoeuvre[: max(self.settings.confirm, 1)]:
+            cost, steps = self.trials.confirmed(state, candidate, ending)
+            if cost < min(self._nearest, remaining) - STUCK:
+                self._plan = candidate.plan[:steps]
                 break
         else:
             self._plan, self._nearest = self._gentle_retreat(state, lead), np.inf

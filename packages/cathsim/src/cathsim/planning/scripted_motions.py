@@ -90,7 +90,7 @@ def arch_branches(phantom: Phantom) -> tuple[str, ...]:
 
 @kept_with_owner
 def placement_paths(phantom: Phantom, target: str) -> tuple[np.ndarray, ...]:
-    """Plans the paths that a wire is laid along: to every end of a branch, or down the ascending aorta.
+    """Plans the paths along which a wire is inserted: to every end of a branch, or down the ascending aorta.
 
     Args:
         target: one of `arch_branches`, or `ROOT`.
@@ -175,7 +175,7 @@ class ScriptedOperator:
                 unseen += 1
             for _ in range(script.steps):
                 advance, turn = moves.next()
-                simulation.advance(advance if seen else -MAX_ADVANCE, turn)  # one that is out of view is drawn back
+                simulation.advance(advance if seen else -MAX_ADVANCE, turn)  # one that is out of view is withdrawn
         return shapes
 
     def _whole(self) -> np.ndarray:

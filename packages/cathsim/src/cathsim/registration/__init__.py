@@ -47,15 +47,15 @@ class _ThreadedArguments(dict[str, Any]):
     """
 
     def pop(self, key: str, *default: Any) -> Any:
-        given = super().pop(key, *default)
+        value = super().pop(key, *default)
         if key == "vectorization_mode":
-            self._threads = given in (None, "vector_entry_point")
-        if key in ("wrappers", "vector_kwargs") and given and getattr(self, "_threads", False):
+            self._threads = value in (None, "vector_entry_point")
+        if key in ("wrappers", "vector_kwargs") and value and getattr(self, "_threads", False):
             instead = "; autoreset_mode is an argument of make_vec itself" if key == "vector_kwargs" else ""
             raise ValueError(
                 f"{key} need environments of their own: pass vectorization_mode='sync' or 'async' to make_vec{instead}"
             )
-        return given
+        return value
 
 
 def register() -> None:

@@ -72,10 +72,10 @@ class NavigateCopiesEnv(NavigateManyEnv):
         super().__init__([int(seed) for seed in copies], targets, (guidewire,), resolution=resolution, **arguments)
 
     def laid_starts(self, case: int, seed: int = 0) -> np.ndarray:
-        """States of a case with the wire laid along the way to its target (`devices.wire_placement.laid_starts`).
+        """States of a case with the wire inserted along the way to its target (`devices.wire_placement.laid_starts`).
 
         Args:
-            seed: of the turns while it is drawn back, and of the leads.
+            seed: of the turns while it is withdrawn, and of the leads.
 
         Returns:
             As `reset(options={"start": row})` takes them, the case last. Shape (k, n).

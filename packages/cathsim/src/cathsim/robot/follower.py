@@ -106,11 +106,11 @@ class FeedCycle:
         """
         settings, step = self.settings, self.settings.timestep
         if self.phase == Phase.DRIVE:
-            wanted = measured.carriage + translation
-            goal = min(max(wanted, 0.0), settings.stroke)
+            raw_goal = measured.carriage + translation
+            goal = min(max(raw_goal, 0.0), settings.stroke)
             self.carriage = _towards(self.carriage, goal, settings.speed * step)
             self.wheel = _towards(self.wheel, measured.wheel + rotation, settings.rotation_speed * step)
-            spent = abs(wanted - goal) > SETTLED and abs(measured.carriage - goal) < 10 * SETTLED
+            spent = abs(raw_goal - goal) > SETTLED and abs(measured.carriage - goal) < 10 * SETTLED
             if spent:
                 self.phase = Phase.HOLD
                 self._back = 0.0 if translation > 0 else settings.stroke
@@ -135,8 +135,8 @@ class FeedCycle:
 
     def _jaw(self, name: str, goal: float, measured: Measured) -> bool:
         """Moves a jaw's set point to a goal; whether the jaw is there."""
-        here = _towards(getattr(self, name), goal, self.settings.jaw_speed * self.settings.timestep)
-        setattr(self, name, here)
+        set_point = _towards(getattr(self, name), goal, self.settings.jaw_speed * self.settings.timestep)
+        setattr(self, name, set_point)
         return abs(getattr(measured, name) - goal) < CLOSED / 2
 
 

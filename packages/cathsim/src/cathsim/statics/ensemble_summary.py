@@ -72,18 +72,18 @@ def summarise(members: Sequence[RestingContacts], insertion: float, rotation: fl
     }
     estimates = {name: _estimate(values, *weights) for name, values in sums.items()}
     away = sum(np.abs(_log(sums[name]) - _log(estimates[name].value)) for name in ("normal_sum", "resultant"))
-    shown = members[int(np.argmin(away))]
-    order = np.argsort(shown.from_tip)
-    force_90, place_90, presence = _contact_intervals(shown, members, *weights)
+    exemplar = members[int(np.argmin(away))]
+    order = np.argsort(exemplar.from_tip)
+    force_90, place_90, presence = _contact_intervals(exemplar, members, *weights)
     return ContactForces(
-        points=shown.points[order],
-        forces=shown.forces[order],
-        normal_forces=shown.normal_forces[order],
+        points=exemplar.points[order],
+        forces=exemplar.forces[order],
+        normal_forces=exemplar.normal_forces[order],
         normal_forces_90=force_90[order],
-        from_tip=shown.from_tip[order],
+        from_tip=exemplar.from_tip[order],
         from_tip_90=place_90[order],
         presence=presence[order],
-        resultant_vector=shown.resultant,
+        resultant_vector=exemplar.resultant,
         insertion=insertion,
         rotation=rotation,
         shape_error=float(np.median([member.shape_error for member in members])),
@@ -122,16 +122,16 @@ def _estimate(values: Array, weights: Array, interval_weights: Array) -> Estimat
 
 
 def _contact_intervals(
-    shown: RestingContacts, members: Sequence[RestingContacts], weights: Array, interval_weights: Array
+    exemplar: RestingContacts, members: Sequence[RestingContacts], weights: Array, interval_weights: Array
 ) -> tuple[Array, Array, Array]:
-    """Intervals of normal force (k, 2) N and place (k, 2) m of the shown contacts, and their presence (k,)."""
-    count = len(shown.from_tip)
+    """Intervals of normal force (k, 2) N and place (k, 2) m of the exemplar's contacts, and their presence (k,)."""
+    count = len(exemplar.from_tip)
     forces, places = np.zeros((len(members), count)), np.full((len(members), count), np.nan)
     for row, member in enumerate(members):
         if count == 0 or len(member.from_tip) == 0:
             continue
-        gap = np.abs(member.from_tip[:, None] - shown.from_tip)
-        gap[member.forces @ shown.forces.T < 0] = np.inf
+        gap = np.abs(member.from_tip[:, None] - exemplar.from_tip)
+        gap[member.forces @ exemplar.forces.T < 0] = np.inf
         nearest = gap.argmin(axis=1)
         matched = gap[np.arange(len(gap)), nearest] < MATCH
         np.add.at(forces[row], nearest[matched], member.normal_forces[matched])
@@ -142,11 +142,11 @@ def _contact_intervals(
     force_90, place_90 = np.empty((count, 2)), np.empty((count, 2))
     for contact in range(count):
         estimate = _estimate(forces[:, contact], weights, interval_weights)
-        own = shown.normal_forces[contact]
+        own = exemplar.normal_forces[contact]
         force_90[contact] = min(estimate.low, own), max(estimate.high, own)
         present = np.isfinite(places[:, contact])
-        place_90[contact] = shown.from_tip[contact]
+        place_90[contact] = exemplar.from_tip[contact]
         if present.any():
             ends = weighted_quantiles(places[present, contact], interval_weights[present], QUANTILES)
-            place_90[contact] = min(ends[0], shown.from_tip[contact]), max(ends[1], shown.from_tip[contact])
+            place_90[contact] = min(ends[0], exemplar.from_tip[contact]), max(ends[1], exemplar.from_tip[contact])
     return force_90, place_90, (forces > 0).mean(axis=0)

@@ -96,15 +96,15 @@ def found_rotation(simulation: Simulation, curve: ObservedCurve, insertion: floa
         insertion: of the feeder, m.
         last: rotation of the last frame, near which it is searched; None: around the circle.
     """
-    tried: dict[float, float] = {}
+    distances: dict[float, float] = {}
 
     def distance(rotation: float) -> float:
-        if rotation not in tried:
+        if rotation not in distances:
             lay_along(simulation, curve, Feeder(insertion, rotation))
             for _ in range(_REST_STEPS):
                 simulation.advance(0.0, 0.0)
-            tried[rotation] = distance_to(simulation, curve) if simulation.valid else math.inf
-        return tried[rotation]
+            distances[rotation] = distance_to(simulation, curve) if simulation.valid else math.inf
+        return distances[rotation]
 
     if last is not None:
         return min((last + step * NEAR for step in (0, -1, 1)), key=distance)

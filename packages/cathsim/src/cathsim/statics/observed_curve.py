@@ -88,16 +88,16 @@ def curve_from_entry(curve: ArrayLike, phantom: Phantom, entry: str = "descendin
         ValueError: another shape, numbers that are not finite, an unknown entry, or a curve that does not reach it.
     """
     points = _checked_points(curve)
-    gate = phantom.entry(entry)
-    at, nearest = _nearest_on(points, gate.position)
-    gap = float(np.linalg.norm(nearest - gate.position))
+    site = phantom.entry(entry)
+    at, nearest = _nearest_on(points, site.position)
+    gap = float(np.linalg.norm(nearest - site.position))
     if gap > MOST_GAP:
         raise ValueError(
             f"a curve passes within {1e3 * MOST_GAP:g} mm of the entry '{entry}', this one {1e3 * gap:.1f} mm from it: "
             "give the whole wire up to the sheath, in m, in the phantom's frame"
         )
     sides = [np.vstack((nearest, points[at + 1 :])), np.vstack((nearest, points[at::-1]))]
-    into = [float(((side - gate.position) @ gate.direction)[arc_length(side) <= _LOOK_AHEAD].mean()) for side in sides]
+    into = [float(((side - site.position) @ site.direction)[arc_length(side) <= _LOOK_AHEAD].mean()) for side in sides]
     return sides[int(np.argmax(into))]
 
 
@@ -119,8 +119,8 @@ def observed_curve(curve: ArrayLike, phantom: Phantom, entry: str, max_insertion
             far from the entry, or a length that the device does not have.
     """
     points = _checked_points(curve)
-    gate = phantom.entry(entry)
-    gap, other = (float(np.linalg.norm(points[end] - gate.position)) for end in (0, -1))
+    site = phantom.entry(entry)
+    gap, other = (float(np.linalg.norm(points[end] - site.position)) for end in (0, -1))
     if gap > MOST_GAP:
         hint = "reverse it, from the entry to the tip" if other <= MOST_GAP else "give it in m, in the phantom's frame"
         raise ValueError(
@@ -134,7 +134,7 @@ def observed_curve(curve: ArrayLike, phantom: Phantom, entry: str, max_insertion
             f"a curve lies in the lumen, point {deepest} of this one is {-1e3 * depth[deepest]:.1f} mm or more outside "
             "of it: register it to the phantom first"
         )
-    tied = _tied(points, gate.position, gate.direction)
+    tied = _tied(points, site.position, site.direction)
     if min(np.ptp(points, axis=0).max(), np.ptp(tied, axis=0).max()) < _SHORTEST:
         raise ValueError(
             f"a curve runs from the entry to the tip, the {len(points)} points of this one lie in one place: give all "

@@ -54,7 +54,7 @@ def add_robot(scene: mujoco.MjvScene, robot: FollowerRobot, entry: np.ndarray, d
         direction: unit vector into the vessel. Shape (3,).
 
     Raises:
-        RuntimeError: the scene has no room left.
+        RuntimeError: the scene cannot hold more geoms.
     """
     model, data = robot.model, robot.data
     origin, rotation = robot_pose(entry, direction)
@@ -89,9 +89,9 @@ def open_context(width: int, height: int) -> Any:
     Raises:
         RenderingUnavailableError: none works here.
     """
-    asked = os.environ.get("MUJOCO_GL", "").lower()
+    choice = os.environ.get("MUJOCO_GL", "").lower()
     names = (
-        [asked] if asked in ("egl", "osmesa", "glfw") else ["egl", "osmesa"] if sys.platform == "linux" else ["glfw"]
+        [choice] if choice in ("egl", "osmesa", "glfw") else ["egl", "osmesa"] if sys.platform == "linux" else ["glfw"]
     )
     reasons = []
     for name in names:

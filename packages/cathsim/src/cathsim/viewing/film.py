@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cathsim.fluoroscopy import XRayScene
     from cathsim.simulation import Simulation
 
-HEIGHT_PX, ROOM_PX = 400, 320  # usually; with both C-arms in a room
+HEIGHT_PX, ROOM_PX = 400, 320  # usually; with both C-arms and an X-ray background
 VIEW_WIDTH_PX = 300
 FRAMES_PER_SECOND = 12.5  # of playback; every second step is shown, so at 2.5 times the episode's own speed
 STRIDE = 2
@@ -32,7 +32,7 @@ class Film:
 
     Args:
         stride: of so many steps one is shown, and the last.
-        room: what X-ray images show around the vessels, such as a patient's CT (`cathsim.fluoroscopy.ct_scene`), from
+        room: X-ray background around the vessels, such as a patient's CT (`cathsim.fluoroscopy.ct_scene`), from
             the front and from the side; None: the usual fluoroscopy, frontal and without a body.
     """
 
@@ -103,10 +103,10 @@ def _usual_xray(simulation: Simulation) -> Callable[[], np.ndarray]:
     return image
 
 
-def _xray_in(room: XRayScene, simulation: Simulation) -> Callable[[], np.ndarray]:
+def _xray_in(background: XRayScene, simulation: Simulation) -> Callable[[], np.ndarray]:
     from cathsim.viewing.room_fluoroscope import RoomFluoroscope
 
-    return RoomFluoroscope(simulation, ROOM_PX, room).image
+    return RoomFluoroscope(simulation, ROOM_PX, background).image
 
 
 def film_states(

@@ -46,7 +46,7 @@ class RoomFluoroscope:
 
     Args:
         size: side of a view's image, px.
-        room: what the vessels lie in, such as of `cathsim.fluoroscopy.ct_scene`.
+        room: X-ray background of the vessels, such as of `cathsim.fluoroscopy.ct_scene`.
     """
 
     def __init__(self, simulation: Simulation, size: int, room: XRayScene) -> None:
@@ -75,7 +75,7 @@ class RoomFluoroscope:
 
 
 def contrast_picture(phantom: Phantom, size: int, room: XRayScene, views: Sequence[str] = VIEWS) -> NDArray[np.uint8]:
-    """The vessels full of contrast medium in a room, no device in them. Shape (size, views * size).
+    """The vessels full of contrast medium over an X-ray background, no device in them. Shape (size, views * size).
 
     Args:
         size: side of a view's image, px.

@@ -94,8 +94,8 @@ def write_report(calibration: CubeCalibration, source: str | Path, folder: str |
                 pictures[f"beads_{pose}_{detector}.png"] = (draw_beads(calibration, view), caption)
         for name, (picture, caption) in pictures.items():
             write_png(picture, folder / name)
-            shown = f'<img src="{html.escape(name)}" alt="{html.escape(caption)}">'
-            parts.append(f"<figure>{shown}<figcaption>{html.escape(caption)}</figcaption></figure>")
+            image_tag = f'<img src="{html.escape(name)}" alt="{html.escape(caption)}">'
+            parts.append(f"<figure>{image_tag}<figcaption>{html.escape(caption)}</figcaption></figure>")
     page = folder / "index.html"
     head = f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Calibration</title><style>{_STYLE}</style>'
     with whole_file(page, "w") as file:

@@ -143,7 +143,7 @@ def calibrate_cube(
     lattice = CubeLattice.of(points_mm)
     distortions = {detector: Distortion.from_holes(sheet, method) for detector, sheet in holes.items()}
     poses: dict[str, dict] = {}
-    found: dict[tuple[str, str], tuple[Attenuation, Beads, list[WireMark]]] = {}
+    detections: dict[tuple[str, str], tuple[Attenuation, Beads, list[WireMark]]] = {}
     for (pose, detector), image in images.items():
         distortion = distortions[detector]
         logger.info("%s: beads and marks", names[pose, detector])
@@ -156,7 +156,7 @@ def calibrate_cube(
         except ValueError as error:
             raise ValueError(f"{names[pose, detector]}: {error}") from None
         marks = find_marks(light, beads)
-        found[pose, detector] = light, beads, marks
+        detections[pose, detector] = light, beads, marks
         seen = [replace(mark, pixels=distortion.undistort_points(mark.pixels)) for mark in marks]
         poses.setdefault(pose, {})[detector] = (candidates(lattice, fit, field), seen, field)
     chosen, certain = decide(lattice, list(poses.values()), marked)
@@ -164,7 +164,7 @@ def calibrate_cube(
     views = {}
     for (pose, options), choice in zip(poses.items(), chosen, strict=True):
         for detector, (alternatives, _, _) in options.items():
-            light, beads, marks = found[pose, detector]
+            light, beads, marks = detections[pose, detector]
             pixels = distortions[detector].undistort_points(beads.centres_px)
             numbers = alternatives[choice[detector]].numbers
             views[pose, detector] = CubeView(
@@ -211,7 +211,7 @@ def _attitude_warnings(poses: Sequence[str], certain: Sequence[bool], marked: di
 
 def _sightings(views: Iterable[CubeView]) -> list[Sighting]:
     on = ((view, view.numbers >= 0) for view in views)
-    return [Sighting(view.pose, view.detector, view.numbers[kept], view.pixels[kept]) for view, kept in on]
+    return [Sighting(view.pose, view.detector, view.numbers[mask], view.pixels[mask]) for view, mask in on]
 
 
 def _second_look(view: CubeView, rig: RigCalibration, distortion: Distortion, points_mm: np.ndarray) -> CubeView:

@@ -116,7 +116,7 @@ def read_beads(path: str | Path) -> np.ndarray:
         if not rows and not any(map(numbers_in, cells)):
             order = [cell.lower()[:1] for cell in cells]  # a header: "x", "X (cm)"
             named = {
-                found[1].lower() for cell in cells if (found := re.fullmatch(r"[^(\[_]*[(\[_ ](\w+)[)\]]?\s*", cell))
+                match[1].lower() for cell in cells if (match := re.fullmatch(r"[^(\[_]*[(\[_ ](\w+)[)\]]?\s*", cell))
             }
             if named & UNITS_MM.keys() and named != {unit}:
                 raise ValueError(

@@ -40,36 +40,30 @@ def grow_lattice(centres: np.ndarray, pitch: float, shape: tuple[int, int]) -> t
     tree = cKDTree(centres)
     middle = np.array([shape[1] - 1, shape[0] - 1]) / 2
     seed, basis = _seed(centres, tree, middle, pitch)
+    around = NEIGHBOURS.tolist()
     site_of: dict[int, tuple[int, int]] = {seed: (0, 0)}
     hole_at: dict[tuple[int, int], int] = {(0, 0): seed}
     steps = {seed: basis}  # the local lattice vectors (2, 2) at each indexed hole
-    queue: list[tuple[float, int, int]] = []
+    queue: list[tuple[float, int, int, int]] = []
 
     def offer(hole: int) -> None:
         q, r = site_of[hole]
-        for number, (dq, dr) in enumerate(NEIGHBOURS):
-            if (q + dq, r + dr) in hole_at:
-                continue
-            expected = centres[hole] + np.array([dq, dr]) @ steps[hole]
-            distance, other = tree.query(expected)
-            if distance < _TOLERANCE * pitch and other not in site_of:
-                heapq.heappush(queue, (distance / pitch, hole, number))
+        distances, others = tree.query(centres[hole] + NEIGHBOURS @ steps[hole])
+        for number, (distance, other) in enumerate(zip(distances.tolist(), others.tolist(), strict=True)):
+            site = q + around[number][0], r + around[number][1]
+            if site not in hole_at and distance < _TOLERANCE * pitch and other not in site_of:
+                heapq.heappush(queue, (distance / pitch, hole, number, other))
 
     offer(seed)
     while queue:
-        _, hole, number = heapq.heappop(queue)
+        _, hole, number, other = heapq.heappop(queue)
         q, r = site_of[hole]
-        site = (q + int(NEIGHBOURS[number, 0]), r + int(NEIGHBOURS[number, 1]))
-        if site in hole_at:
-            continue
-        distance, other = tree.query(centres[hole] + NEIGHBOURS[number] @ steps[hole])
-        if other in site_of or distance > _TOLERANCE * pitch:
+        site = q + around[number][0], r + around[number][1]
+        if site in hole_at or other in site_of:
             continue
         site_of[other], hole_at[site] = site, other
         # lattice vectors at the new hole: those seen between it and its indexed neighbours, else its parent's
-        seen = [
-            (nb, hole_at[at]) for nb in NEIGHBOURS.tolist() if (at := (site[0] + nb[0], site[1] + nb[1])) in hole_at
-        ]
+        seen = [(nb, hole_at[at]) for nb in around if (at := (site[0] + nb[0], site[1] + nb[1])) in hole_at]
         A = np.array([nb for nb, _ in seen], float)
         B = centres[[index for _, index in seen]] - centres[other]
         steps[other] = np.linalg.solve(A.T @ A + np.eye(2), A.T @ B + steps[hole])  # its parent's as a prior
@@ -136,8 +130,9 @@ def missed_sites(centres: np.ndarray, indices: np.ndarray) -> tuple[np.ndarray, 
     """Lattice sites beside at least two holes where none was found (m, 2), and where they are expected (m, 2) px."""
     have = set(map(tuple, indices.tolist()))
     beside: dict[tuple[int, int], int] = {}
+    sides = NEIGHBOURS.tolist()
     for q, r in have:
-        for dq, dr in NEIGHBOURS.tolist():
+        for dq, dr in sides:
             if (q + dq, r + dr) not in have:
                 beside[q + dq, r + dr] = beside.get((q + dq, r + dr), 0) + 1
     missed = np.array(sorted(site for site, count in beside.items() if count >= 2)).reshape(-1, 2)

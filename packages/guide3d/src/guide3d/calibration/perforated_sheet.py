@@ -143,9 +143,13 @@ def _hole_shape(grey: np.ndarray, centres: np.ndarray, indices: np.ndarray) -> t
     """Radius of the holes and width of their edges, in pitches, from the holes in the middle of the sheet."""
     middle = np.argsort(np.linalg.norm(centres - centres.mean(axis=0), axis=1))[:200]
     shapes = local_lattice(centres, indices, indices[middle])
+    pixels = _pixels_around(shapes)
     radius, blur = 0.33, 0.1
     for _ in range(6):
-        _, _, _, step = _disc_step(grey, centres[middle], shapes, radius, blur)
+        discs = _Discs(grey, centres[middle], shapes, pixels, radius, blur)
+        by_blur = discs.steep * (discs.rho - radius) / blur
+        D = np.concatenate([discs.slopes, discs.steep[..., None], by_blur[..., None]], axis=-1)
+        step = np.median(_solve(D, discs.residual, discs.weight)[:, 8:], axis=0)
         radius, blur = float(np.clip(radius + step[0], 0.2, 0.48)), float(np.clip(blur + step[1], 0.03, 0.3))
     return radius, blur
 
@@ -156,71 +160,81 @@ def _measured(
     """Centres (n, 2) of blurred discs fitted from starts, which are partial (n,), and which are seen well (n,)."""
     pitch = np.sqrt(np.abs(np.linalg.det(shapes)))
     fitted = centres.copy()
-    share = likeness = np.zeros(len(centres))
-    for _ in range(3):
-        step, share, likeness, _ = _disc_step(grey, fitted, shapes, radius, blur)
-        fitted += np.clip(step, -0.1 * pitch[:, None], 0.1 * pitch[:, None])
+    share, likeness = np.zeros((2, len(centres)))
+    pixels = _pixels_around(shapes)
+    for start in range(0, len(centres), 64):  # so many stay in a processor's cache
+        part = slice(start, start + 64)
+        for _ in range(3):
+            discs = _Discs(grey, fitted[part], shapes[part], pixels, radius, blur)
+            step = _solve(discs.slopes, discs.residual, discs.weight)[:, 6:]
+            fitted[part] += np.clip(step, -0.1 * pitch[part, None], 0.1 * pitch[part, None])
+        share[part], likeness[part] = discs.share(), discs.likeness()
     near = np.linalg.norm(fitted - centres, axis=1) < 0.25 * pitch
     return fitted, share < 0.98, near & (share > 0.5) & (likeness > 0.7)
 
 
-def _disc_step(
-    grey: np.ndarray, centres: np.ndarray, shapes: np.ndarray, radius: float, blur: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """One Gauss-Newton step of the blurred discs, which are round on the lattice and lit by a plane.
+def _pixels_around(shapes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets right (m,) and down (m,) of the pixels that holes on lattices (n, 2, 2) are measured from."""
+    reach = int(np.ceil(_REACH * np.linalg.norm(shapes, 2, axis=(1, 2)).max(initial=0.0))) + 1
+    dy, dx = (grid.ravel() for grid in np.mgrid[-reach : reach + 1, -reach : reach + 1])
+    near = np.hypot(dx, dy) <= reach
+    return dx[near], dy[near]
+
+
+class _Discs:
+    """Blurred discs, which are round on the lattice and lit by a plane, with the light that fits an image best.
 
     Args:
         grey: (h, w).
         centres: (n, 2) px.
         shapes: (n, 2, 2) lattice to px.
+        pixels: Offsets right (m,) and down (m,) of those that count.
         radius: Of the holes, in pitches.
         blur: Width of their edges, in pitches.
 
-    Returns:
-        Steps of the centres (n, 2) px; share of each disc that lies in the image (n,); share of the variation that the
-        disc explains (n,); and the median step of (radius, blur) of the first holes.
+    rho: (n, m) distances from the centres, in pitches
+    steep: (n, m) slopes towards a larger radius
+    slopes: (n, m, 8) by the six parameters of the light and the centre's place, px
     """
-    steps, shares, likenesses, shapes_off = [np.empty((0, 2))], [np.empty(0)], [np.empty(0)], [np.empty((0, 2))]
-    if not len(centres):
-        return steps[0], shares[0], likenesses[0], np.zeros(2)
-    reach = int(np.ceil(_REACH * np.linalg.norm(shapes, 2, axis=(1, 2)).max())) + 1
-    dy, dx = (grid.ravel() for grid in np.mgrid[-reach : reach + 1, -reach : reach + 1])
-    near = np.hypot(dx, dy) <= reach
-    dy, dx = dy[near], dx[near]
-    for start in range(0, len(centres), 512):
-        c, J = centres[start : start + 512], np.linalg.inv(shapes[start : start + 512])
-        base = np.rint(c).astype(int)
-        x, y = base[:, :1] + dx, base[:, 1:] + dy
-        away = np.stack([x - c[:, :1], y - c[:, 1:]], axis=-1) @ J.transpose(0, 2, 1)  # in pitches
-        rho = np.maximum(np.hypot(away[..., 0], away[..., 1]), 1e-9)
+
+    def __init__(
+        self,
+        grey: np.ndarray,
+        centres: np.ndarray,
+        shapes: np.ndarray,
+        pixels: tuple[np.ndarray, np.ndarray],
+        radius: float,
+        blur: float,
+    ) -> None:
+        self.radius, self.to_lattice = radius, np.linalg.inv(shapes)
+        base = np.rint(centres).astype(int)
+        x, y = base[:, :1] + pixels[0], base[:, 1:] + pixels[1]
+        away = np.stack([x - centres[:, :1], y - centres[:, 1:]], axis=-1) @ self.to_lattice.transpose(0, 2, 1)
+        self.rho = np.maximum(np.hypot(away[..., 0], away[..., 1]), 1e-9)
         inside = (x >= 0) & (x < grey.shape[1]) & (y >= 0) & (y < grey.shape[0])
-        weight = (inside & (rho < _REACH)).astype(float)
-        values = grey[np.clip(y, 0, grey.shape[0] - 1), np.clip(x, 0, grey.shape[1] - 1)]
-        disc = 0.5 * (1 - np.tanh((rho - radius) / blur))
-        plane = np.stack([np.ones_like(rho), away[..., 0], away[..., 1]], axis=-1)
-        A = np.concatenate([plane, plane * disc[..., None]], axis=-1)
-        light = _solve(A, values, weight)
-        height = (plane @ light[:, 3:, None])[..., 0]
-        slope = height * 0.5 * (1 - np.tanh((rho - radius) / blur) ** 2) / blur  # towards a larger radius
-        outward = (away / rho[..., None]) @ J  # of rho along px
-        D = np.concatenate(
-            [A, slope[..., None] * outward, slope[..., None], (slope * (rho - radius) / blur)[..., None]], -1
-        )
-        residual = values - (A @ light[..., None])[..., 0]
-        steps.append(_solve(D[..., :8], residual, weight)[:, 6:8])
-        if start == 0:
-            shapes_off.append(_solve(D, residual, weight)[:, 8:])
-        shares.append((disc * weight).sum(axis=1) * np.abs(np.linalg.det(J)) / (np.pi * radius**2))
-        # how much of the variation that a lit plane leaves, the disc explains
-        flat = values - (plane @ _solve(plane, values, weight)[..., None])[..., 0]
-        explained = 1 - (weight * residual**2).sum(axis=1) / np.maximum((weight * flat**2).sum(axis=1), 1e-9)
-        likenesses.append(np.where(light[:, 3] > 0, explained, 0.0))
-    return (
-        np.concatenate(steps),
-        np.concatenate(shares),
-        np.concatenate(likenesses),
-        np.median(np.concatenate(shapes_off), axis=0),
-    )
+        self.weight = (inside & (self.rho < _REACH)).astype(float)
+        self.values = grey[np.clip(y, 0, grey.shape[0] - 1), np.clip(x, 0, grey.shape[1] - 1)]
+        edge = np.tanh((self.rho - radius) / blur)
+        self.disc = 0.5 * (1 - edge)
+        self.plane = np.stack([np.ones_like(self.rho), away[..., 0], away[..., 1]], axis=-1)
+        A = np.concatenate([self.plane, self.plane * self.disc[..., None]], axis=-1)
+        self.light = _solve(A, self.values, self.weight)
+        height = (self.plane @ self.light[:, 3:, None])[..., 0]
+        self.steep = height * 0.5 * (1 - edge**2) / blur
+        outward = (away / self.rho[..., None]) @ self.to_lattice  # of rho along px
+        self.slopes = np.concatenate([A, self.steep[..., None] * outward], axis=-1)
+        self.residual = self.values - (A @ self.light[..., None])[..., 0]
+
+    def share(self) -> np.ndarray:
+        """Of each disc that lies in the image (n,)."""
+        seen = (self.disc * self.weight).sum(axis=1) * np.abs(np.linalg.det(self.to_lattice))
+        return np.asarray(seen / (np.pi * self.radius**2))
+
+    def likeness(self) -> np.ndarray:
+        """How much (n,) of the variation that a lit plane leaves, the disc explains."""
+        flat = self.values - (self.plane @ _solve(self.plane, self.values, self.weight)[..., None])[..., 0]
+        left = (self.weight * self.residual**2).sum(axis=1) / np.maximum((self.weight * flat**2).sum(axis=1), 1e-9)
+        return np.where(self.light[:, 3] > 0, 1 - left, 0.0)
 
 
 def _solve(A: np.ndarray, b: np.ndarray, weight: np.ndarray) -> np.ndarray:

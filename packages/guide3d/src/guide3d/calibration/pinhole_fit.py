@@ -242,15 +242,15 @@ def refine_camera(
         if min(K2[0, 0], K2[1, 1]) <= 0 or (points_mm @ R2[2] + t2[2] <= 0).any():
             damping *= 10
             continue
-        tried = assembled(K2, R2, t2)
-        if tried[0] > cost:
+        trial = assembled(K2, R2, t2)
+        if trial[0] > cost:
             damping *= 10
             if damping > 1e8:
                 break
             continue
-        settled = cost - tried[0] < 1e-10 * cost
+        settled = cost - trial[0] < 1e-10 * cost
         K, R, t = K2, R2, t2
-        cost, gradient, normal = tried
+        cost, gradient, normal = trial
         damping = max(damping / 10, 1e-12)
         if settled:
             break

@@ -113,9 +113,9 @@ def calibrate_rig(
         starts.append(refine_camera(camera, own[agree], seen.pixels[agree], robust_px=2.0))
         used.append(agree)
     bundle = _Bundle(points_mm, sightings, starts, sizes)
-    kept, left_out = bundle.rigid(used)
-    bundle = _Bundle(points_mm, [sightings[k] for k in kept], [starts[k] for k in kept], sizes)
-    used = [used[k] for k in kept]
+    inliers, left_out = bundle.rigid(used)
+    bundle = _Bundle(points_mm, [sightings[k] for k in inliers], [starts[k] for k in inliers], sizes)
+    used = [used[k] for k in inliers]
     swirled = dict.fromkeys(bundle.detectors, swirl == "always")
     for attempt in range(4):
         bundle.solve(used, swirled)
@@ -126,9 +126,9 @@ def calibrate_rig(
         changed = any((a != u).any() for a, u in zip(again, used, strict=True))
         used = [a if a.sum() >= _LEAST_BEADS else u for a, u in zip(again, used, strict=True)]
         if swirl == "auto" and attempt < 3:
-            asked = {d: bundle.swirl_gain(used, swirled, d) > _SWIRL_SIGNIFICANT for d in bundle.detectors}
-            changed |= asked != swirled
-            swirled = asked
+            significance = {d: bundle.swirl_gain(used, swirled, d) > _SWIRL_SIGNIFICANT for d in bundle.detectors}
+            changed |= significance != swirled
+            swirled = significance
         if not changed:
             break
     bundle.solve(used, swirled)
@@ -257,15 +257,15 @@ class _Bundle:
             step[free] = -np.linalg.solve(N + damping * np.diag(np.diag(N)) + 1e-12 * np.eye(len(free)), gradient[free])
             before = self._state()
             taken = self._step(step)
-            tried = self._assembled(used, robust_px) if taken else None
-            if tried is None or not tried[0] < cost:
+            trial = self._assembled(used, robust_px) if taken else None
+            if trial is None or not trial[0] < cost:
                 self.cameras, self.poses, self.swirl = before
                 damping *= 10
                 if damping > 1e8:
                     break
                 continue
-            settled = cost - tried[0] < 1e-11 * cost
-            cost, gradient, normal, _ = tried
+            settled = cost - trial[0] < 1e-11 * cost
+            cost, gradient, normal, _ = trial
             damping = max(damping / 10, 1e-12)
             if settled:
                 break
@@ -313,9 +313,9 @@ class _Bundle:
                 camera.K, camera.R, camera.t_mm, *self.sizes[detector], detector, whole[np.ix_(rows, rows)]
             )
         keys = [(s.pose, s.detector) for s in self.sightings]
-        kept, residual = dict(zip(keys, used, strict=True)), dict(zip(keys, residuals, strict=True))
+        bead_masks, residual = dict(zip(keys, used, strict=True)), dict(zip(keys, residuals, strict=True))
         return RigCalibration(
-            cameras, dict(self.swirl), dict(self.poses), residual, kept, alone, float(np.sqrt(variance)), left_out
+            cameras, dict(self.swirl), dict(self.poses), residual, bead_masks, alone, float(np.sqrt(variance)), left_out
         )
 
 

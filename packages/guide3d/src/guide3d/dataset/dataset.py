@@ -123,10 +123,10 @@ class Dataset:
             _LOGGER.warning("left out: %s", sentence)
         if len(damaged) > _NAMED:
             _LOGGER.warning("left out: %d more entries", len(damaged) - _NAMED)
-        said = properties.get("undistorted") if undistorted is None else undistorted
+        is_undistorted = properties.get("undistorted") if undistorted is None else undistorted
         ordered = [frames[key] for key in sorted(frames)]
         camera_a, camera_b = cameras
-        return cls(folder, ordered, camera_a, camera_b, said, distortions_in(own), tuple(damaged))
+        return cls(folder, ordered, camera_a, camera_b, is_undistorted, distortions_in(own), tuple(damaged))
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -209,9 +209,9 @@ def _annotations(path: Path, folder: Path, damaged: list[str]) -> list[Annotatio
     raise FileNotFoundError(f"{folder} holds no annotation: expected {RAW} or an export of CVAT (*.xml)")
 
 
-def _curves(folder: Path, given: Path | None, damaged: list[str]) -> dict[tuple[str, int], Views]:
+def _curves(folder: Path, space_file: Path | None, damaged: list[str]) -> dict[tuple[str, int], Views]:
     curves: dict[tuple[str, int], Views] = {}
-    for file in (_find(folder, CURVES), given or _find(folder, SPACE)):  # the latter also holds curves in space
+    for file in (_find(folder, CURVES), space_file or _find(folder, SPACE)):  # the latter also holds curves in space
         if file is not None:
             curves |= read_curves(file, damaged)
     return curves

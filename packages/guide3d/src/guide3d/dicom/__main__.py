@@ -76,12 +76,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             warnings = [f"{runs[0].path.name}: {warning}" for warning in runs[0].warnings] + view_warnings(runs[0])
         # everything that can be refused is, before the first file is written
         cameras = [_camera(run, chosen.frame) for run in runs]
-        said = {}
+        records = {}
         for view, run, camera in zip("ab", runs, cameras, strict=False):
             frames = range(len(run)) if chosen.frame is None else [chosen.frame]
-            said[view] = write_run(run, camera, chosen.output, view, frames)
+            records[view] = write_run(run, camera, chosen.output, view, frames)
         with whole_file(chosen.output / "runs.json", "w") as file:
-            file.write(json.dumps(said, indent=1) + "\n")
+            file.write(json.dumps(records, indent=1) + "\n")
     except (OSError, ValueError, IndexError, ImportError) as error:
         sys.stderr.write(f"{in_words(error)}\n")
         return 1

@@ -86,9 +86,9 @@ def camera_of(run: XrayRun, frame: int = 0) -> Camera:
 
 def view_warnings(run: XrayRun) -> list[str]:
     """What speaks against `camera_of` for the first frame, a sentence each."""
-    said = []
+    warnings = []
     if run.beam_tilt_deg > 0.5:
-        said.append(
+        warnings.append(
             f"{run.path.name}: the beam stands {run.beam_tilt_deg:.1f} degrees askew on the detector, which the camera "
             "leaves out"
         )
@@ -96,8 +96,8 @@ def view_warnings(run: XrayRun) -> list[str]:
     for what, word, axis in zip(("rows", "columns"), run.orientation, axes[:2], strict=False):
         side = _SIDES.get(word[:1])
         if side is not None and np.isfinite(axis).all() and float(axis @ np.array(side)) < _AGAINST:
-            said.append(
+            warnings.append(
                 f"{run.path.name}: by the angles, {what} run away from the side {word[:1]} of the patient to which the "
                 "file says they run: the pictures seem mirrored or turned"
             )
-    return said
+    return warnings

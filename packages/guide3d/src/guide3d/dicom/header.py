@@ -150,14 +150,14 @@ class Header:
 def silent() -> Iterator[None]:
     """Keeps pydicom's messages from log and screen: they quote values of the file."""
     logger = logging.getLogger("pydicom")
-    kept = logger.handlers, logger.propagate
+    logger_state = logger.handlers, logger.propagate
     logger.handlers, logger.propagate = [logging.NullHandler()], False
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             yield
     finally:
-        logger.handlers, logger.propagate = kept
+        logger.handlers, logger.propagate = logger_state
 
 
 def pydicom_reader() -> Any:

@@ -153,5 +153,5 @@ def _moment(header: Header) -> datetime | None:
 
 
 def _names(paths: list[Path]) -> str:
-    shown = ", ".join(path.name for path in numeric_order(paths)[:_NAMED])
-    return f"{shown}, and {len(paths) - _NAMED} more" if len(paths) > _NAMED else shown
+    listing = ", ".join(path.name for path in numeric_order(paths)[:_NAMED])
+    return f"{listing}, and {len(paths) - _NAMED} more" if len(paths) > _NAMED else listing

@@ -82,18 +82,18 @@ def grey_tables(header: Header, frames: NDArray[np.generic]) -> tuple[NDArray[np
     levels = np.arange(2 ** stored_bits(header), dtype=float)
     inverse = header.word("PhotometricInterpretation") == "MONOCHROME1"
     inverse |= header.word("PresentationLUTShape") == "INVERSE"
-    tables, own, said = [], None, ""
+    tables, own, note = [], None, ""
     for frame in range(len(frames) if header.kind.startswith("enhanced") else 1):
-        shown = _shown(header, frame, levels)
-        if shown is not None:
-            bright = 1 - shown if inverse else shown
+        brightness = _brightness(header, frame, levels)
+        if brightness is not None:
+            bright = 1 - brightness if inverse else brightness
         else:
-            own, said = (own, said) if own is not None else _by_content(levels[::-1] if inverse else levels, frames)
+            own, note = (own, note) if own is not None else _by_content(levels[::-1] if inverse else levels, frames)
             bright = own
         tables.append(np.rint(255 * np.clip(bright, 0.0, 1.0)).astype(np.uint8))
     if all((table == tables[0]).all() for table in tables):
         tables = tables[:1]
-    return np.stack(tables), said
+    return np.stack(tables), note
 
 
 def _by_content(light: np.ndarray, frames: NDArray[np.generic]) -> tuple[np.ndarray, str]:
@@ -101,8 +101,8 @@ def _by_content(light: np.ndarray, frames: NDArray[np.generic]) -> tuple[np.ndar
     if len(light) <= 256:
         return light / (len(light) - 1), ""
     low, high = shown_range(light[frames[:: 1 + len(frames) // _SOME]])
-    said = f"it has no window: grey values of {low:g} to {high:g} are shown"
-    return (light - low) * (SHOWN_WHITE / 255 / max(high - low, 1.0)), said
+    note = f"it has no window: grey values of {low:g} to {high:g} are shown"
+    return (light - low) * (SHOWN_WHITE / 255 / max(high - low, 1.0)), note
 
 
 def has_empty_window(header: Header, frame: int) -> bool:
@@ -111,7 +111,7 @@ def has_empty_window(header: Header, frame: int) -> bool:
     return bool(width < 1 and (width <= 0 or header.word("VOILUTFunction") in ("", "LINEAR")))
 
 
-def _shown(header: Header, frame: int, levels: np.ndarray) -> np.ndarray | None:
+def _brightness(header: Header, frame: int, levels: np.ndarray) -> np.ndarray | None:
     """Brightness (levels,) of stored values, 0 to 1, beyond where the window cuts; None without a window or table."""
     items = header.find("VOILUTSequence", frame)
     if items is not None:

@@ -94,8 +94,8 @@ def run_of(header: Header) -> XrayRun:
         warnings.append("the file says that text is drawn into its pictures, which may name the patient")
     if any(has_empty_window(header, frame) for frame in range(n)):
         warnings.append("its window has no width and would show nothing: it is left out")
-    grey, said = grey_tables(header, frames)
-    warnings += [said] if said else []
+    grey, note = grey_tables(header, frames)
+    warnings += [note] if note else []
     warnings += _subtraction(header)
     if any(header.number("RescaleSlope", frame) < 0 for frame in range(n)):
         warnings.append("its RescaleSlope is below 0, which is not applied: are its pictures a negative?")
@@ -156,9 +156,9 @@ def _spacings(header: Header, n: int) -> Array:
     """(n, 2) mm from column to column and from row to row; DICOM has rows first."""
     spacing = np.full((n, 2), np.nan)
     for frame in range(n):
-        found = header.numbers("ImagerPixelSpacing", frame)
-        if len(found) == 2:
-            spacing[frame] = found[::-1]
+        spacings = header.numbers("ImagerPixelSpacing", frame)
+        if len(spacings) == 2:
+            spacing[frame] = spacings[::-1]
     return spacing
 
 
@@ -212,8 +212,8 @@ def _times(header: Header, n: int, warnings: list[str]) -> Array | None:
         warnings.append(f"its FrameTime is {step:g} ms, which is taken as not known")
         step = np.nan
     if n > 1 and abs(step * header.number("CineRate") / 1e3 - 1.0) > _RATES_APART:
-        said = f"its FrameTime is {step:g} ms, but its CineRate {header.number('CineRate'):g} frames/s"
-        warnings.append(f"{said}: the FrameTime is taken")
+        conflict = f"its FrameTime is {step:g} ms, but its CineRate {header.number('CineRate'):g} frames/s"
+        warnings.append(f"{conflict}: the FrameTime is taken")
     for keyword in ("CineRate", "RecommendedDisplayFrameRate"):
         rate = header.number(keyword)
         if np.isnan(step) and rate > 0:

@@ -46,8 +46,8 @@ class Camera:
                 continue
             value = np.asarray(value, float)
             if value.shape != shape or not np.isfinite(value).all():
-                found = f"shape {value.shape}" if value.shape != shape else "values that are not finite"
-                raise ValueError(f"{self._who()}: {field} should be {shape} of finite numbers, found {found}")
+                problem = f"shape {value.shape}" if value.shape != shape else "values that are not finite"
+                raise ValueError(f"{self._who()}: {field} should be {shape} of finite numbers, found {problem}")
             value = value.copy()
             value.flags.writeable = False
             object.__setattr__(self, field, value)
@@ -149,14 +149,14 @@ def read_camera(path: str | Path, unit: str = "cm") -> Camera:
 
     def section(title: str, rows: int, columns: int) -> np.ndarray:
         if title not in lines:
-            found = ", ".join(repr(line) for line in lines if re.fullmatch(r"[a-zA-Z ]{1,40}", line))[:200] or "none"
-            raise ValueError(f"{path}: expected a section {title!r}, found sections: {found}")
+            content = ", ".join(repr(line) for line in lines if re.fullmatch(r"[a-zA-Z ]{1,40}", line))[:200] or "none"
+            raise ValueError(f"{path}: expected a section {title!r}, found sections: {content}")
         start = lines.index(title) + 1
         body = lines[start : start + rows]
         values = [row for line in body if (row := numbers_in(line + separator)) is not None]
         if len(values) != rows or any(len(row) != columns for row in values):
-            found = " | ".join(body)[:200] or "nothing"
-            raise ValueError(f"{path}: expected {rows} x {columns} numbers under {title!r}, found {found!r}")
+            content = " | ".join(body)[:200] or "nothing"
+            raise ValueError(f"{path}: expected {rows} x {columns} numbers under {title!r}, found {content!r}")
         return np.array(values)
 
     size = section("image size", 1, 2)[0]
@@ -217,18 +217,18 @@ def read_opencv_yaml(path: str | Path, unit: str | None = None) -> Camera:
     def matrix(kind: str, shape: tuple[int, int]) -> np.ndarray | None:
         for name in _YAML_NAMES[kind]:
             pattern = rf"^{name}:\s*!!opencv-matrix\s*rows:\s*(\d+)\s*cols:\s*(\d+)\s*dt:\s*\S+\s*data:\s*\[([^\]]*)\]"
-            found = re.search(pattern, text, re.MULTILINE)
-            if found is None:
+            match = re.search(pattern, text, re.MULTILINE)
+            if match is None:
                 continue
-            rows, columns = int(found[1]), int(found[2])
-            cells = found[3].split(",")
+            rows, columns = int(match[1]), int(match[2])
+            cells = match[3].split(",")
             try:
                 values = np.array([float(cell) for cell in cells])
             except ValueError:
                 values = np.empty(0)
             if values.size != rows * columns or values.size != shape[0] * shape[1]:
-                found_text = f"{rows} x {columns} declared, {found[3].strip()[:60]!r} written"
-                raise ValueError(f"{path}: expected {shape[0]} x {shape[1]} numbers in {name}, found {found_text}")
+                content = f"{rows} x {columns} declared, {match[3].strip()[:60]!r} written"
+                raise ValueError(f"{path}: expected {shape[0]} x {shape[1]} numbers in {name}, found {content}")
             return values.reshape(shape)
         return None
 
@@ -248,9 +248,9 @@ def read_opencv_yaml(path: str | Path, unit: str | None = None) -> Camera:
                 "undistort the points first (guide3d.geometry.distortion)"
             )
     text_of = {
-        key: found[2]
+        key: match[2]
         for key, pattern in (("world_unit", "(?i:world_?)?(?i:units?)"), ("camera_name", "camera_name"))
-        if (found := re.search(f"^{pattern}:{_TEXT}", text, re.MULTILINE))
+        if (match := re.search(f"^{pattern}:{_TEXT}", text, re.MULTILINE))
     }
     try:
         scale = _scale_mm(unit or text_of.get("world_unit", "mm").lower())

@@ -118,8 +118,8 @@ class Distortion:
         raw = np.full_like(ideal, np.inf)
         near = np.abs(ideal - middle).max(axis=1) < 0.6 * size_px
         raw[near] = distort(ideal[near])
-        kept = (np.abs(raw - middle) <= size_px / 2 + pitch).all(axis=1)
-        return cls(raw[kept], ideal[kept], size_px, size_px)
+        inside = (np.abs(raw - middle) <= size_px / 2 + pitch).all(axis=1)
+        return cls(raw[inside], ideal[inside], size_px, size_px)
 
     @cached_property
     def _forward(self) -> LocalWeightedMean | SplineField:
@@ -149,10 +149,10 @@ class Distortion:
         # the two fits miss each other by hundredths of a pixel; the map is near enough to a shift for plain iteration
         missing = points - self._forward(raw)
         for _ in range(12):
-            tried = raw + missing
-            left = points - self._forward(tried)
-            better = (np.abs(left).max(axis=-1) < np.abs(missing).max(axis=-1))[..., None]
-            raw, missing = np.where(better, tried, raw), np.where(better, left, missing)
+            trial = raw + missing
+            remainder = points - self._forward(trial)
+            better = (np.abs(remainder).max(axis=-1) < np.abs(missing).max(axis=-1))[..., None]
+            raw, missing = np.where(better, trial, raw), np.where(better, remainder, missing)
             if not better.any() or np.abs(missing).max() < 1e-7:
                 break
         return raw

@@ -55,8 +55,8 @@ def at_length(points: ArrayLike, lengths: ArrayLike) -> Array:
     """Returns the points (m, d) at lengths (m,) along a polyline (n, d); lengths beyond an end give that end."""
     array = np.asarray(points, dtype=float)
     along = arc_length(array)
-    wanted = np.asarray(lengths, dtype=float)
-    return np.stack([np.interp(wanted, along, column) for column in array.T], axis=-1)
+    positions = np.asarray(lengths, dtype=float)
+    return np.stack([np.interp(positions, along, column) for column in array.T], axis=-1)
 
 
 def resample(points: ArrayLike, spacing: float | None = None, count: int | None = None) -> Array:

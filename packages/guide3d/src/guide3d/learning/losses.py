@@ -76,9 +76,9 @@ def stop_loss(logits: Tensor, last: Tensor) -> Tensor:
     """
     chance = logits.softmax(-1).clamp(max=1.0 - _SMALLEST)
     others = torch.log1p(-chance)
-    here = last[:, None]
-    right = logits.log_softmax(-1).gather(1, here).squeeze(1)
-    return -(right + others.sum(1) - others.gather(1, here).squeeze(1))
+    column = last[:, None]
+    right = logits.log_softmax(-1).gather(1, column).squeeze(1)
+    return -(right + others.sum(1) - others.gather(1, column).squeeze(1))
 
 
 def fgrn_loss(predicted_mm: Tensor, points_mm: Tensor, last: Tensor, *, spacing_mm: float = 2.0) -> Tensor:

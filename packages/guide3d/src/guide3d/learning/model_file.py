@@ -118,8 +118,8 @@ def read_model(path: Path | str, kind: str) -> dict[str, Any]:
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ValueError(f"{path} is no network of format {FORMAT}: train it again")
     if content.get("kind") != kind:
-        found = f"{content.get('kind')!a:.80}"
-        raise ValueError(f"{path} is a network of kind {found}, expected {kind}: give the other file")
+        file_kind = f"{content.get('kind')!a:.80}"
+        raise ValueError(f"{path} is a network of kind {file_kind}, expected {kind}: give the other file")
     missing = [name for name in _PARTS if not isinstance(content.get(name), dict)]
     if missing:
         raise ValueError(f"{path} is no whole network, without {', '.join(missing)}: train it again")

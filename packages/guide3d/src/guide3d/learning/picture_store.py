@@ -222,6 +222,6 @@ def _shared(path: Path, count: int, size_px: int) -> NDArray[np.uint8]:
         temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
         temporary.unlink(missing_ok=True)  # a link of that name would be written through
         with temporary.open("wb") as file:
-            file.truncate(size)  # sparse: takes no room until it is written
+            file.truncate(size)  # sparse: takes no disk space until it is written
         os.replace(temporary, path)
     return np.memmap(path, np.uint8, "r+", shape=(size,))

@@ -112,17 +112,17 @@ class SegmentationObjective:
         return segmentation_loss(logits.float(), batch["masks"], dice=self.dice)
 
     def _crop(self, mask: NDArray[np.uint8], generator: np.random.Generator | None) -> tuple[slice, slice]:
-        room = mask.shape[0] - self.crop_px
+        slack = mask.shape[0] - self.crop_px
         on_wire = generator is None or generator.uniform() < self.augmentation.on_wire
-        places = np.argwhere(mask) if on_wire and room else np.zeros((0, 2), int)
+        places = np.argwhere(mask) if on_wire and slack else np.zeros((0, 2), int)
         if len(places):
             near = places[len(places) // 2 if generator is None else generator.integers(len(places))]
             jitter = 0 if generator is None else generator.integers(-self.crop_px // 3, self.crop_px // 3 + 1, 2)
-            corner = np.clip(near + jitter - self.crop_px // 2, 0, room)
+            corner = np.clip(near + jitter - self.crop_px // 2, 0, slack)
         elif generator is None:
-            corner = np.array([room // 2, room // 2])
+            corner = np.array([slack // 2, slack // 2])
         else:
-            corner = generator.integers(0, room + 1, 2)
+            corner = generator.integers(0, slack + 1, 2)
         return slice(corner[0], corner[0] + self.crop_px), slice(corner[1], corner[1] + self.crop_px)
 
     def _varied(

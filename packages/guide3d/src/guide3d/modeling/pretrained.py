@@ -97,9 +97,9 @@ def _renamed(content: Mapping[Any, Any], file: Path) -> dict[str, Tensor]:
         weights = {new: content[name] for name in names if (new := _translated(name, rules)) is not None}
         if {"class_token", "positions", "patches.weight"} <= weights.keys():
             return weights
-    shown = ", ".join(names[:3]) or "nothing"
+    excerpt = ", ".join(names[:3]) or "nothing"
     raise ValueError(
-        f"{file} has the weights of no vision transformer that timm or torchvision makes: it has {shown} …"
+        f"{file} has the weights of no vision transformer that timm or torchvision makes: it has {excerpt} …"
     )
 
 

@@ -32,7 +32,7 @@ from guide3d.setting_kinds import seed
 from guide3d.text_file import json_fields, read_json
 
 RECORD = "fluoroscopy.json"  # in the folder of the images
-_TOLD_EVERY_S = 10.0
+_REPORT_EVERY_S = 10.0
 _VIEWS = ("a", "b")
 # one wire, as annotated, and no edge of the field that hides a part of it
 _AS_ANNOTATED = FluoroscopySettings(no_wire=0.0, two_devices=0.0, field=0.0)
@@ -64,7 +64,7 @@ def draw(given: argparse.Namespace) -> int:
     images = [_image(data, place, camera, given.output) for place in places for camera in _VIEWS]
     content = {"seed": given.seed, "side_px": data.side_px, "settings": asdict(fluoroscopy.settings)}
     _claim(given.output, content, images)
-    written, told = 0, time.monotonic()
+    written, report_time = 0, time.monotonic()
     for place in places:
         frame = data.frames[place]
         for number, camera in enumerate(_VIEWS):
@@ -74,8 +74,8 @@ def draw(given: argparse.Namespace) -> int:
                 image = cv2.resize(drawn.image, (data.side_px, data.side_px), interpolation=cv2.INTER_AREA)
                 write_image(image, path)
             written += 1
-        if time.monotonic() - told > _TOLD_EVERY_S:
-            told = time.monotonic()
+        if time.monotonic() - report_time > _REPORT_EVERY_S:
+            report_time = time.monotonic()
             print(f"{written} of {len(_VIEWS) * count} images", file=sys.stderr)
     return written
 
@@ -102,9 +102,9 @@ def _claim(folder: Path, content: dict[str, object], images: list[Path]) -> None
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command line; returns its exit code, 2 where it was refused."""
-    given = arguments(sys.argv[1:] if words is None else words)
+    options = arguments(sys.argv[1:] if words is None else words)
     try:
-        print(f"{draw(given)} images in {given.output}")
+        print(f"{draw(options)} images in {options.output}")
     except (ValueError, OSError) as error:
         print(in_words(error), file=sys.stderr)
         return 2

@@ -148,10 +148,10 @@ class RandomFluoroscopy:
             kinds.add("two wires")
         return courses, kinds
 
-    def _window(self, index: int, left: int, top: int, size_px: int, given: list[Points] | None = None) -> RandomImage:
+    def _window(self, index: int, left: int, top: int, size_px: int, paths: list[Points] | None = None) -> RandomImage:
         generator = np.random.default_rng((self.seed, index, _SCENE))
         courses, kinds = self._courses(generator)
-        courses = courses if given is None else given
+        courses = courses if paths is None else paths
         canvas = Canvas(left, top, size_px, size_px)
         kinds |= self._scenery(canvas, generator)
         chosen, side = self.settings, self.settings.image_px

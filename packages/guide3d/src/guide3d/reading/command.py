@@ -60,7 +60,7 @@ from guide3d.reading.pair_reading import (
 )
 from guide3d.reconstruction.matching import clearly_better
 
-_TOLD_EVERY_S = 5.0
+_REPORT_EVERY_S = 5.0
 _ONE = ("curve.csv", "curve.json", "overlay.png")
 _PAIR = ("curve.csv", "curve.json", "curve.mrk.json", "curve.vtp", "overlay_a.png", "overlay_b.png", "view.html")
 _SEQUENCE = ("frames.csv", "frames.json")
@@ -94,64 +94,64 @@ def arguments(words: Sequence[str] | None, program: str) -> argparse.Namespace:
 
 def main(words: Sequence[str] | None = None, program: str = _PROGRAM) -> int:
     """Runs the command line; returns its exit code."""
-    given = arguments(words, program)
+    options = arguments(words, program)
     try:
-        _run(given)
+        _run(options)
     except (ImportError, OSError, ValueError) as error:
         sys.stderr.write(f"guide3d.read: {in_words(error)}\n")
         return 1
     return 0
 
 
-def _run(given: argparse.Namespace) -> None:
-    if given.b is None and given.cameras is not None:
+def _run(options: argparse.Namespace) -> None:
+    if options.b is None and options.cameras is not None:
         raise ValueError("--cameras needs two images: python -m guide3d.read A B --cameras FOLDER")
-    if given.output.exists() and not given.output.is_dir():
-        raise ValueError(f"{given.output} is a file: --output needs a folder")
-    given.earlier = any((given.output / record).is_file() for record in ("curve.json", "frames.json"))
-    source_a = Source(given.a)
-    if given.b is None:
-        if given.video:
-            told = _told(read_sequence(source_a.images(), _reader(given)))
-            _say_of_sources(given, source_a)
-            _write_sequence(given, told, source_a, None)
+    if options.output.exists() and not options.output.is_dir():
+        raise ValueError(f"{options.output} is a file: --output needs a folder")
+    options.earlier = any((options.output / record).is_file() for record in ("curve.json", "frames.json"))
+    source_a = Source(options.a)
+    if options.b is None:
+        if options.video:
+            readings = _frame_readings(read_sequence(source_a.images(), _reader(options)))
+            _say_of_sources(options, source_a)
+            _write_sequence(options, readings, source_a, None)
         else:
-            _one(given, source_a)
-            _say_of_sources(given, source_a)
+            _one(options, source_a)
+            _say_of_sources(options, source_a)
         return
-    source_b = Source(given.b)
+    source_b = Source(options.b)
     first = (source_a.first(), source_b.first())  # before the cameras: their distortions take seconds
-    geometry = _geometry(given, source_a, source_b)
-    network = _reader(given)
-    if given.video:
+    geometry = _geometry(options, source_a, source_b)
+    network = _reader(options)
+    if options.video:
         rig = geometry.rigs[0]
         if len(geometry.rigs) > 1:
-            rig, _ = _fitting(given, first, geometry, network)
+            rig, _ = _fitting(options, first, geometry, network)
         frames = read_pairs(
-            source_a.images(), source_b.images(), rig.cameras, geometry.distortions, given.frame, network
+            source_a.images(), source_b.images(), rig.cameras, geometry.distortions, options.frame, network
         )
-        told = _told(frames)
-        _say_of_sources(given, source_a, source_b)
-        _write_sequence(given, told, source_a, source_b)
+        readings = _frame_readings(frames)
+        _say_of_sources(options, source_a, source_b)
+        _write_sequence(options, readings, source_a, source_b)
         return
-    _, reading = _fitting(given, first, geometry, network)
+    _, reading = _fitting(options, first, geometry, network)
     if not reading.accepted:
         raise ValueError(reading.refusal)
-    _write_pair(given, first, reading)
-    _say_of_sources(given, source_a, source_b)
+    _write_pair(options, first, reading)
+    _say_of_sources(options, source_a, source_b)
 
 
-def _say_of_sources(given: argparse.Namespace, *sources: Source) -> None:
+def _say_of_sources(options: argparse.Namespace, *sources: Source) -> None:
     """Says what is to be said about the files, and which of their images were not read."""
     _say([note for source in sources for note in source.notes])
     rates = [source.rate for source in sources]
-    if given.video and min(rates) > 0 and max(rates) > 1.1 * min(rates):
-        told = f"A has {rates[0]:.4g} frames a second and B {rates[1]:.4g}"
-        _say([f"{told}: frames of one number, taken as one moment, are not"])
+    if options.video and min(rates) > 0 and max(rates) > 1.1 * min(rates):
+        sentence = f"A has {rates[0]:.4g} frames a second and B {rates[1]:.4g}"
+        _say([f"{sentence}: frames of one number, taken as one moment, are not"])
     counts = [source.count for source in sources]
-    if given.video and len(set(counts)) > 1:
+    if options.video and len(set(counts)) > 1:
         _say([f"A has {counts[0]} frames and B {counts[1]}: those without a partner were not read"])
-    if not given.video:
+    if not options.video:
         _say(
             [
                 f"{source.path.name} holds {source.count} images, of which the first was read: add --video to read all"
@@ -161,55 +161,55 @@ def _say_of_sources(given: argparse.Namespace, *sources: Source) -> None:
         )
 
 
-def _told(frames: Iterable[FrameReading]) -> list[FrameReading]:
+def _frame_readings(frames: Iterable[FrameReading]) -> list[FrameReading]:
     """All frames of a sequence; every few seconds stderr says how many were read."""
     read_so_far: list[FrameReading] = []
-    told = time.monotonic()
+    report_time = time.monotonic()
     for frame in frames:
         read_so_far.append(frame)
-        if time.monotonic() - told > _TOLD_EVERY_S:
-            told = time.monotonic()
+        if time.monotonic() - report_time > _REPORT_EVERY_S:
+            report_time = time.monotonic()
             sys.stderr.write(f"guide3d.read: {len(read_so_far)} frames\n")
     return read_so_far
 
 
-def _one(given: argparse.Namespace, source: Source) -> None:
+def _one(options: argparse.Namespace, source: Source) -> None:
     image = source.first()
-    reading = read(image, _reader(given))
+    reading = read(image, _reader(options))
     if not reading.found:
         raise ValueError(f"{source.path}: {'; '.join(reading.messages)}")
-    write_text(curve_table(reading), given.output / "curve.csv")
-    write_record(image_record(reading), given.output / "curve.json")
-    write_png(draw_reading(image, reading), given.output / "overlay.png")
-    _remove_earlier(given, _ONE)
+    write_text(curve_table(reading), options.output / "curve.csv")
+    write_record(image_record(reading), options.output / "curve.json")
+    write_png(draw_reading(image, reading), options.output / "overlay.png")
+    _remove_earlier(options, _ONE)
     _say(reading.messages)
     x, y = reading.points_px[0]
     sys.stdout.write(
-        f"{given.output}: a wire of {len(reading.points_px)} points, tip at {x:.1f}, {y:.1f} px, "
+        f"{options.output}: a wire of {len(reading.points_px)} points, tip at {x:.1f}, {y:.1f} px, "
         f"confidence {reading.overall_confidence:.2f}\n"
     )
 
 
-def _write_pair(given: argparse.Namespace, images: Sequence[Image], reading: PairReading) -> None:
+def _write_pair(options: argparse.Namespace, images: Sequence[Image], reading: PairReading) -> None:
     pictures = [draw_reading(image, view) for image, view in zip(images, reading.views, strict=True)]
-    page = space_page([reading], pictures, f"Wire in {given.a.name} and {given.b.name}")
-    write_text(curve_table(reading), given.output / "curve.csv")
-    write_record(pair_record(reading), given.output / "curve.json")
-    write_record(curve_markups(reading), given.output / "curve.mrk.json")
-    write_text(curve_polydata(reading), given.output / "curve.vtp")
+    page = space_page([reading], pictures, f"Wire in {options.a.name} and {options.b.name}")
+    write_text(curve_table(reading), options.output / "curve.csv")
+    write_record(pair_record(reading), options.output / "curve.json")
+    write_record(curve_markups(reading), options.output / "curve.mrk.json")
+    write_text(curve_polydata(reading), options.output / "curve.vtp")
     for letter, picture in zip("ab", pictures, strict=True):
-        write_png(picture, given.output / f"overlay_{letter}.png")
-    write_text(page, given.output / "view.html")
-    _remove_earlier(given, _PAIR)
+        write_png(picture, options.output / f"overlay_{letter}.png")
+    write_text(page, options.output / "view.html")
+    _remove_earlier(options, _PAIR)
     _say(reading.messages)
     x, y, z = reading.curve_mm[0]
     sys.stdout.write(
-        f"{given.output}: {reading.reconstruction.length_mm:.0f} mm of wire, tip at {x:.1f}, {y:.1f}, {z:.1f} mm "
+        f"{options.output}: {reading.reconstruction.length_mm:.0f} mm of wire, tip at {x:.1f}, {y:.1f}, {z:.1f} mm "
         f"(standard deviation {reading.sd_mm[0]:.2f} mm), epipolar residual {reading.residual_px:.2f} px\n"
     )
 
 
-def _write_sequence(given: argparse.Namespace, frames: list[FrameReading], a: Source, b: Source | None) -> None:
+def _write_sequence(options: argparse.Namespace, frames: list[FrameReading], a: Source, b: Source | None) -> None:
     with_wire = [frame for frame in frames if _has_wire(frame.reading)]
     if not with_wire:
         raise ValueError(f"{a.path}: no wire was found in any of {len(frames)} frames ({frames[0].said or 'no wire'})")
@@ -218,25 +218,25 @@ def _write_sequence(given: argparse.Namespace, frames: list[FrameReading], a: So
     page = None
     if b is not None:
         readings = [frame.reading if isinstance(frame.reading, PairReading) else None for frame in frames]
-        shown = next(number for number, reading in enumerate(readings) if reading is not None)
+        frame_number = next(number for number, reading in enumerate(readings) if reading is not None)
         pictures = []
-        for source, view in zip((a, b), _views(readings[shown]), strict=True):
-            image = next(image for number, image in enumerate(source.images()) if number == shown)
+        for source, view in zip((a, b), _views(readings[frame_number]), strict=True):
+            image = next(image for number, image in enumerate(source.images()) if number == frame_number)
             pictures.append(draw_reading(image, view))
         page = space_page(readings, pictures, f"Wire in {len(frames)} frames of {a.path.name} and {b.path.name}")
-    write_text(frame_table(rows), given.output / "frames.csv")
-    write_record(records, given.output / "frames.json")
+    write_text(frame_table(rows), options.output / "frames.csv")
+    write_record(records, options.output / "frames.json")
     if page is not None:
-        write_text(page, given.output / "view.html")
-    _remove_earlier(given, (*_SEQUENCE, *(["view.html"] if page is not None else [])))
-    sys.stdout.write(f"{given.output}: {len(frames)} frames, a wire in {len(with_wire)} of them\n")
+        write_text(page, options.output / "view.html")
+    _remove_earlier(options, (*_SEQUENCE, *(["view.html"] if page is not None else [])))
+    sys.stdout.write(f"{options.output}: {len(frames)} frames, a wire in {len(with_wire)} of them\n")
 
 
-def _remove_earlier(given: argparse.Namespace, written: Sequence[str]) -> None:
+def _remove_earlier(options: argparse.Namespace, written: Sequence[str]) -> None:
     """Removes what an earlier reading wrote and this one did not: its record tells that there was one."""
-    names = sorted({*_ONE, *_PAIR, *_SEQUENCE} - set(written)) if given.earlier else []
-    kept = [one.resolve() for one in (given.a, given.b) if one is not None]
-    stale = [file for name in names if (file := given.output / name).is_file() and file.resolve() not in kept]
+    names = sorted({*_ONE, *_PAIR, *_SEQUENCE} - set(written)) if options.earlier else []
+    inputs = [one.resolve() for one in (options.a, options.b) if one is not None]
+    stale = [file for name in names if (file := options.output / name).is_file() and file.resolve() not in inputs]
     for file in stale:
         file.unlink()
     if stale:
@@ -258,22 +258,22 @@ def _record(frame: FrameReading) -> dict[str, object]:
     return pair_record(frame.reading) if isinstance(frame.reading, PairReading) else image_record(frame.reading)
 
 
-def _geometry(given: argparse.Namespace, a: Source, b: Source) -> _Geometry:
-    if given.cameras is not None:
-        rigs = rigs_in(given.cameras)
-        return _Geometry(rigs, None if given.frame == "undistorted" else distortions_of(given.cameras))
+def _geometry(options: argparse.Namespace, a: Source, b: Source) -> _Geometry:
+    if options.cameras is not None:
+        rigs = rigs_in(options.cameras)
+        return _Geometry(rigs, None if options.frame == "undistorted" else distortions_of(options.cameras))
     if a.is_dicom() and b.is_dicom():
-        if given.video and (a.run.moves or b.run.moves):
+        if options.video and (a.run.moves or b.run.moves):
             raise ValueError("a C-arm turns during its run, so that one camera is not enough for --video: leave it out")
         return _Geometry([Rig("of the DICOM runs", dicom_cameras(a, b))], None)
     raise ValueError("two images need the cameras that took them: add --cameras FOLDER (two DICOM runs need none)")
 
 
 def _fitting(
-    given: argparse.Namespace, images: Sequence[Image], geometry: _Geometry, network: MapReader
+    options: argparse.Namespace, images: Sequence[Image], geometry: _Geometry, network: MapReader
 ) -> tuple[Rig, PairReading]:
     """The set of cameras that fits two images, and their reading; the images are read once."""
-    for name, path, image, camera in zip("AB", (given.a, given.b), images, geometry.rigs[0].cameras, strict=True):
+    for name, path, image, camera in zip("AB", (options.a, options.b), images, geometry.rigs[0].cameras, strict=True):
         if image.shape[:2] != (camera.height, camera.width):
             raise ValueError(
                 f"{path} has {image.shape[1]} x {image.shape[0]} px, but camera {name} was calibrated for "
@@ -281,7 +281,7 @@ def _fitting(
             )
     check_different(*images)
     views = []
-    for path, image in zip((given.a, given.b), images, strict=True):
+    for path, image in zip((options.a, options.b), images, strict=True):
         try:
             view = read(image, network)
         except ValueError as error:
@@ -293,7 +293,7 @@ def _fitting(
     wrong: ValueError | None = None
     for rig in geometry.rigs:
         try:
-            fits.append((rig, combine(views, rig.cameras, geometry.distortions, given.frame)))
+            fits.append((rig, combine(views, rig.cameras, geometry.distortions, options.frame)))
         except ValueError as error:
             wrong = error
     if not fits:
@@ -308,12 +308,12 @@ def _fitting(
     return best
 
 
-def _reader(given: argparse.Namespace) -> MapReader:
-    if given.reader is None:
+def _reader(options: argparse.Namespace) -> MapReader:
+    if options.reader is None:
         return shipped_reader()
     from guide3d.reading.maps import Reader
 
-    return Reader.load(given.reader)
+    return Reader.load(options.reader)
 
 
 def _say(messages: Sequence[str]) -> None:

@@ -135,33 +135,33 @@ def read(
     scales = grey.at_known_scales()
     network = reader or shipped_reader()
     notes = list(grey.messages)
-    (seen, found), *tried = _read_at(scales, network, prior, settings)
-    faint = _score(found) < _FAINT_PX
-    if faint or not _is_whole(seen, found):
+    (seen, curves), *readings = _read_at(scales, network, prior, settings)
+    faint = _score(curves) < _FAINT_PX
+    if faint or not _is_whole(seen, curves):
         # a wire of a small image may be wide in it, too
         sized = [scales[0], grey] if faint and max(grey.pixels.shape) < READ_PX else scales[:1]
         smaller = [one.resampled(round(share * max(one.pixels.shape))) for one in sized for share in _WIDE_SCALES]
         known = [one.pixels.shape for one in scales]
         smaller = [one for one in smaller if min(one.pixels.shape) >= SMALLEST_PX and one.pixels.shape not in known]
-        tried += _read_at(smaller, network, prior, settings)
-        wires = [one for one in tried if _is_wide_wire(*one)]
-        better = [one for one in wires if _outdoes(*one, found) or _replaces(*one, seen, found)]
-        seen, found = better[0] if better else (seen, found)
-    if _score(found) < _FAINT_PX:
+        readings += _read_at(smaller, network, prior, settings)
+        wires = [one for one in readings if _is_wide_wire(*one)]
+        better = [one for one in wires if _outdoes(*one, curves) or _replaces(*one, seen, curves)]
+        seen, curves = better[0] if better else (seen, curves)
+    if _score(curves) < _FAINT_PX:
         negatives = [replace(one, pixels=255 - one.pixels, outside=np.zeros_like(one.outside)) for one in scales]
         seen_inverted, other = _read_at(negatives, network, prior, settings)[0]
-        if _outdoes(seen_inverted, other, found):
-            seen, found = seen_inverted, other
+        if _outdoes(seen_inverted, other, curves):
+            seen, curves = seen_inverted, other
             notes.append("the image looks like a negative (wire brighter than its surroundings) and was inverted")
-    if found.candidates:
-        points = found.candidates[0].points_px
+    if curves.candidates:
+        points = curves.candidates[0].points_px
         if _is_straight(points) and _at_border(seen, points[0]) and _at_border(seen, points[-1]):
             notes.append("the curve is as straight as a rod and crosses the whole field: look whether it is a wire")
-    if found.candidates and seen.pixels.shape != grey.pixels.shape:
+    if curves.candidates and seen.pixels.shape != grey.pixels.shape:
         of, at = (" x ".join(str(side) for side in one.pixels.shape[::-1]) for one in (grey, seen))
         notes.append(f"the image of {of} px was read at {at} px")
-    candidates = [_given(seen, curve) for curve in found.candidates]
-    return _reading(candidates, [_given(seen, curve) for curve in found.others], 0, notes)
+    candidates = [_given(seen, curve) for curve in curves.candidates]
+    return _reading(candidates, [_given(seen, curve) for curve in curves.others], 0, notes)
 
 
 def _read_at(
@@ -187,13 +187,13 @@ def _outdoes(grey: GreyImage, curves: CurvesOfImage, best: CurvesOfImage) -> boo
     return _score(curves) > 2.0 * max(_score(best), 0.0) + _CERTAIN_SHARE * min(grey.pixels.shape)
 
 
-def _replaces(coarse: GreyImage, other: CurvesOfImage, grey: GreyImage, found: CurvesOfImage) -> bool:
+def _replaces(coarse: GreyImage, other: CurvesOfImage, grey: GreyImage, curves: CurvesOfImage) -> bool:
     """Whether the wire that is read at a smaller scale goes on from what was found of it, or that is hardly a wire."""
-    if not found.candidates:
+    if not curves.candidates:
         return False
-    if not _is_seen(found.candidates[0]):
+    if not _is_seen(curves.candidates[0]):
         return _score(other) > _CERTAIN_SHARE * min(coarse.pixels.shape)
-    whole, part = coarse.to_given(other.candidates[0].points_px), grey.to_given(found.candidates[0].points_px)
+    whole, part = coarse.to_given(other.candidates[0].points_px), grey.to_given(curves.candidates[0].points_px)
     near = distances_to(whole, part) <= _NEAR * max(grey.pixels.shape) * grey.scale
     return bool(near.mean() > _COVERED and arc_length(whole)[-1] > _LONGER * arc_length(part)[-1])
 

@@ -270,17 +270,17 @@ def _doubt(
     if distortions is not None:
         moves = [distortions[1].undistort_points, distortions[0].undistort_points]
     whole = best.residual_px > settings.doubtful_px or not accepted
-    tried = [view.candidates if whole else [view.candidates[k]] for view, k in zip(views, best.numbers, strict=True)]
-    curves = [[move(curve.points_px) for curve in of_view] for of_view, move in zip(tried, moves, strict=True)]
+    options = [view.candidates if whole else [view.candidates[k]] for view, k in zip(views, best.numbers, strict=True)]
+    curves = [[move(curve.points_px) for curve in of_view] for of_view, move in zip(options, moves, strict=True)]
     swapped = _best(EpipolarGeometry(cameras[1], cameras[0]), views, curves, settings)
-    said = f"epipolar residual {best.residual_px:.1f} px, {best.coverage:.0%} of the wire matched"
+    evidence = f"epipolar residual {best.residual_px:.1f} px, {best.coverage:.0%} of the wire matched"
     if clearly_better(swapped.residual_px, best.residual_px) and swapped.coverage >= best.coverage - 0.05:
-        return f"the cameras look swapped: {said}, against {swapped.residual_px:.1f} px with A and B exchanged"
+        return f"the cameras look swapped: {evidence}, against {swapped.residual_px:.1f} px with A and B exchanged"
     if not whole:
         return ""
     if accepted:
-        return f"the two curves fit each other poorly: {said}; the depth is less certain than its deviation says"
-    return f"the two curves do not show one wire under these cameras: {said}; is each camera that of its image?"
+        return f"the two curves fit each other poorly: {evidence}; the depth is less certain than its deviation says"
+    return f"the two curves do not show one wire under these cameras: {evidence}; is each camera that of its image?"
 
 
 def _reading_covariance(

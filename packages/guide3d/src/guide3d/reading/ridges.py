@@ -83,8 +83,8 @@ def find_pieces(probability: Map, cuts: Array, settings: RidgeSettings) -> Piece
     if width == 0:
         return _described([], probability, settings)
     box = (slice(y, y + height), slice(x, x + width))
-    kept = _with_peak(mask[box], probability[box], settings.high)
-    skeleton = np.pad(skeletonize(kept), _MARGIN_PX).astype(np.uint8)
+    components = _with_peak(mask[box], probability[box], settings.high)
+    skeleton = np.pad(skeletonize(components), _MARGIN_PX).astype(np.uint8)
     corner = np.array([x - _MARGIN_PX, y - _MARGIN_PX], float)
     traced = _split_at_junctions(skeleton, settings)
     pieces = [(points + corner, joined) for points, joined in traced]
@@ -132,13 +132,13 @@ def _simple_paths(rows: NDArray[np.int64], columns: NDArray[np.int64]) -> list[N
         halves = []
         for _ in range(2):
             half: list[tuple[int, int]] = []
-            here: tuple[int, int] | None = start
-            while here is not None:
-                x, y = here
-                here = next((place for dx, dy in steps if (place := (x + dx, y + dy)) in left), None)
-                if here is not None:
-                    left.remove(here)
-                    half.append(here)
+            pixel: tuple[int, int] | None = start
+            while pixel is not None:
+                x, y = pixel
+                pixel = next((place for dx, dy in steps if (place := (x + dx, y + dy)) in left), None)
+                if pixel is not None:
+                    left.remove(pixel)
+                    half.append(pixel)
             halves.append(half)
         paths.append(np.array([*reversed(halves[0]), start, *halves[1]]))
     return paths

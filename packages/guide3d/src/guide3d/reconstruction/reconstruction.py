@@ -164,20 +164,20 @@ def _read_in(
     geometry: EpipolarGeometry, points: tuple[ArrayLike, ArrayLike], settings: ReconstructionSettings
 ) -> tuple[list[Array], list[Array]]:
     annotations, curves = [], []
-    for camera, given, letter in zip(geometry.cameras, points, "AB", strict=True):
+    for camera, annotation, letter in zip(geometry.cameras, points, "AB", strict=True):
         what = f"annotation of camera {letter}"
-        kept = checked(given, 2, what)
-        outside = ~camera.contains(kept, settings.outside_px)
+        polyline = checked(annotation, 2, what)
+        outside = ~camera.contains(polyline, settings.outside_px)
         if outside.any():
             first = int(np.flatnonzero(outside)[0])
             raise ValueError(
-                f"{what}: point {first} at ({kept[first, 0]:.1f}, {kept[first, 1]:.1f}) px lies outside the image of "
-                f"{camera.width} x {camera.height}; check the image's size and the order of x and y"
+                f"{what}: point {first} at ({polyline[first, 0]:.1f}, {polyline[first, 1]:.1f}) px lies outside the "
+                f"image of {camera.width} x {camera.height}; check the image's size and the order of x and y"
             )
-        curve = image_curve(kept, settings.matching.sample_px, what)
-        if np.median(np.linalg.norm(np.diff(kept, axis=0), axis=1)) < settings.annotation_px:
-            kept = resample(kept, count=max(8, int(arc_length(kept)[-1] / settings.annotation_px)))
-        annotations.append(kept)
+        curve = image_curve(polyline, settings.matching.sample_px, what)
+        if np.median(np.linalg.norm(np.diff(polyline, axis=0), axis=1)) < settings.annotation_px:
+            polyline = resample(polyline, count=max(8, int(arc_length(polyline)[-1] / settings.annotation_px)))
+        annotations.append(polyline)
         curves.append(curve)
     return annotations, curves
 

@@ -65,9 +65,9 @@ def swapped_cameras(camera_a: Camera, camera_b: Camera, pairs: Sequence[Pair]) -
         camera_a, camera_b: thought to have taken the first and the second of each pair.
         pairs: annotations ((n, 2), (m, 2)) px, tip first.
     """
-    given = float(np.median(epipolar_residuals(camera_a, camera_b, pairs)))
+    baseline = float(np.median(epipolar_residuals(camera_a, camera_b, pairs)))
     other = float(np.median(epipolar_residuals(camera_b, camera_a, pairs)))
-    return _verdict(("as given", "swapped"), given, other, "the cameras are", len(pairs))
+    return _verdict(("as given", "swapped"), baseline, other, "the cameras are", len(pairs))
 
 
 def undistorted_or_raw(
@@ -84,15 +84,15 @@ def undistorted_or_raw(
         undistort_a, undistort_b: take raw px (n, 2) of A and B to undistorted ones.
     """
     moved = [(undistort_a(np.asarray(a, dtype=float)), undistort_b(np.asarray(b, dtype=float))) for a, b in pairs]
-    given = float(np.median(epipolar_residuals(camera_a, camera_b, pairs)))
+    baseline = float(np.median(epipolar_residuals(camera_a, camera_b, pairs)))
     other = float(np.median(epipolar_residuals(camera_a, camera_b, moved)))
-    return _verdict(("undistorted", "raw"), given, other, "the annotations are", len(pairs))
+    return _verdict(("undistorted", "raw"), baseline, other, "the annotations are", len(pairs))
 
 
-def _verdict(answers: tuple[str, str], given: float, other: float, subject: str, count: int) -> Verdict:
-    better = other < given
+def _verdict(answers: tuple[str, str], baseline: float, other: float, subject: str, count: int) -> Verdict:
+    better = other < baseline
     answer = answers[1] if better else answers[0]
-    residual, worse = (other, given) if better else (given, other)
+    residual, worse = (other, baseline) if better else (baseline, other)
     sure = clearly_better(residual, worse)
     tone = "" if sure else ", probably"
     sentence = (

@@ -131,7 +131,7 @@ COURSES: dict[str, tuple[Waypoint, ...]] = {
 def draw_course(
     name: str, start: Array, rng: np.random.Generator, *, parent: Knot | None = None, calibre: float = 1.0
 ) -> tuple[Knot, ...]:
-    """Draws the knots of a vessel's course.
+    """Draws the knots of a vessel's path.
 
     Args:
         name: a key of COURSES.
@@ -324,10 +324,10 @@ def _grow(
     origin: Origin, parent: Branch, arc: float, knots: dict[str, Knot], rng: np.random.Generator, calibre: float
 ) -> tuple[Branch, Knot]:
     """The vessel of an origin at an arc length (m) along its parent, and its last knot."""
-    course = draw_course(origin.course, parent.point_at(arc), rng, parent=knots.get(origin.parent), calibre=calibre)
-    points, radius = course_curve(course)
+    path_knots = draw_course(origin.course, parent.point_at(arc), rng, parent=knots.get(origin.parent), calibre=calibre)
+    points, radius = course_curve(path_knots)
     end = origin.vessel not in TRUNKS
-    return Branch(origin.vessel, points, radius, parent.name, arc, open_end=end), course[-1]
+    return Branch(origin.vessel, points, radius, parent.name, arc, open_end=end), path_knots[-1]
 
 
 def _tightest(branch: Branch) -> float:

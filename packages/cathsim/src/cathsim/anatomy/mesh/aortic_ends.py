@@ -81,11 +81,11 @@ def aortic_ends(
     aorta = tube(*best)
     unsure = []
     for other in set(range(len(points) + 1)) - set(best):
-        for kept, left in (best, best[::-1]):
-            to_other, between = tube(kept, other), tube(left, other)
+        for fixed_end, replaced_end in (best, best[::-1]):
+            to_other, between = tube(fixed_end, other), tube(replaced_end, other)
             own, shared = _common(to_other, between, aorta), _common(to_other, aorta, between)
-            large = sizes[tuple(sorted((kept, other)))] >= _UNSURE * sizes[best]  # type: ignore[index]
-            if large and own >= _UNSURE * shared and radii[other] >= _END * radii[left]:
+            large = sizes[tuple(sorted((fixed_end, other)))] >= _UNSURE * sizes[best]  # type: ignore[index]
+            if large and own >= _UNSURE * shared and radii[other] >= _END * radii[replaced_end]:
                 unsure.append(other)
     return *best, tuple(sorted(set(unsure)))
 

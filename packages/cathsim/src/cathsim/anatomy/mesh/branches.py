@@ -88,18 +88,18 @@ class _Ways:
 
     def _groups(self, numbers: list[int], beyond: int) -> list[list[int]]:
         """Numbers whose ways go on together beyond a voxel."""
-        found: list[list[int]] = []
+        groups: list[list[int]] = []
         for number in numbers:
             arc = arc_length(self.points[number])
             limit = float(arc[min(beyond, len(arc) - 1)]) + _SAME_FORK
             least = int(np.searchsorted(arc, limit))
-            for group in found:
+            for group in groups:
                 if self.shared(number, group[0]) > least:
                     group.append(number)
                     break
             else:
-                found.append([number])
-        return found
+                groups.append([number])
+        return groups
 
     def _build(self, numbers: list[int], start: int) -> RoughVessel:
         sides: list[tuple[list[int], int]] = []
@@ -282,26 +282,26 @@ def _take_off_by_itself(narrow: RoughVessel, wide: RoughVessel, aorta: RoughVess
     A way prefers the wide mouth of its neighbour to a narrow one of its own. Returns False, and changes nothing, where
     the two have a trunk of more than its radius in common.
     """
-    here = next((i for i, point in enumerate(narrow.points) if _beside(wide, point) > 0), None)
-    if here is None:
+    fork_index = next((i for i, point in enumerate(narrow.points) if _beside(wide, point) > 0), None)
+    if fork_index is None:
         return False
-    place = narrow.points[here]
+    place = narrow.points[fork_index]
     if _beside(aorta, place) > _OWN_TAKE_OFF * wide.depth[leaving(wide, aorta)]:
         return False
-    _lead_straight(narrow, here, aorta)
+    _lead_straight(narrow, fork_index, aorta)
     return True
 
 
-def _lead_straight(vessel: RoughVessel, here: int, aorta: RoughVessel) -> None:
+def _lead_straight(vessel: RoughVessel, point_index: int, aorta: RoughVessel) -> None:
     """Lets a vessel leave the aorta on the straight line to one of its points, and be that point's from there on."""
-    place = vessel.points[here]
+    place = vessel.points[point_index]
     foot = int(np.argmin(np.linalg.norm(aorta.points - place, axis=1)))
     share = np.linspace(0.0, 1.0, max(int(np.linalg.norm(place - aorta.points[foot]) / 1e-3), 2), endpoint=False)
     back = aorta.points[foot] + share[:, None] * (place - aorta.points[foot])
-    depths = aorta.depth[foot] + share * (vessel.depth[here] - aorta.depth[foot])
-    shorter = float(arc_length(vessel.points)[here]) - float(np.linalg.norm(place - aorta.points[foot]))
-    vessel.points = np.concatenate([back, vessel.points[here:]])
-    vessel.depth = np.concatenate([depths, vessel.depth[here:]])
+    depths = aorta.depth[foot] + share * (vessel.depth[point_index] - aorta.depth[foot])
+    shorter = float(arc_length(vessel.points)[point_index]) - float(np.linalg.norm(place - aorta.points[foot]))
+    vessel.points = np.concatenate([back, vessel.points[point_index:]])
+    vessel.depth = np.concatenate([depths, vessel.depth[point_index:]])
     vessel.start = float(arc_length(aorta.points)[foot])
     for child in vessel.children:
         child.start = max(child.start - shorter, 0.0)
@@ -310,10 +310,10 @@ def _lead_straight(vessel: RoughVessel, here: int, aorta: RoughVessel) -> None:
 def _lead_out(aorta: RoughVessel) -> None:
     """Corrects ways that part from the aorta's long before they leave its lumen, as those of wide short branches do."""
     for child in aorta.children:
-        here = leaving(child, aorta)
-        foot = int(np.argmin(np.linalg.norm(aorta.points - child.points[here], axis=1)))
-        if here < len(child.points) - 2 and arc_length(child.points)[here] > _LONG_WITHIN * aorta.depth[foot]:
-            _lead_straight(child, here, aorta)
+        exit_node = leaving(child, aorta)
+        foot = int(np.argmin(np.linalg.norm(aorta.points - child.points[exit_node], axis=1)))
+        if exit_node < len(child.points) - 2 and arc_length(child.points)[exit_node] > _LONG_WITHIN * aorta.depth[foot]:
+            _lead_straight(child, exit_node, aorta)
     aorta.children.sort(key=lambda child: child.start)
 
 

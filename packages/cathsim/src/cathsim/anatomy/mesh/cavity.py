@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cathsim.anatomy.mesh.lattice import dilated
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.mesh.samples import SurfaceSamples
 
@@ -24,12 +25,12 @@ _ESCAPING = 0.2  # of all directions may lead out of a tunnel
 _LEAST_SPAN = 0.4  # of the surface's diagonal, which a lumen must span
 _PART_SPAN = 0.4  # of that, from which on a piece counts as a part of the lumen that was torn off ...
 _PART_SHARE = 0.05  # ... if it has this share of its volume
-_WALL_SHARE = 0.4  # of an enclosed room's radius: if a tunnel's is larger, that room is the tunnel's wall
+_WALL_SHARE = 0.4  # of an enclosed hollow's radius: if a tunnel's is larger, that hollow is the tunnel's wall
 _COVERED = 0.85  # of a lumen's border lies at its wall, but for its ends
 _WOUND = 0.7  # turns of the surface about a place, from which on it lies within it
 _GROWN = 3  # voxels by which a tunnel is grown up to its wall
 _LEAST_RADIUS = 2.5  # voxels, of the widest ball in a lumen
-_FINE_ROOM = 4_000_000  # voxels of a room's box up to which its widest ball is measured on all of them
+_FINE_HOLLOW = 4_000_000  # voxels of a hollow's box up to which its widest ball is measured on all of them
 _DIRECTIONS = tuple(
     step for step in product(range(-2, 3), repeat=3) if math.gcd(*step) == 1
 )  # 98, about even over the sphere
@@ -52,14 +53,14 @@ class Cavity:
     @cached_property
     def thick_wall(self) -> Mask:
         """The wall's voxels (nx, ny, nz), thickened so that no ray slips through."""
-        from scipy.ndimage import binary_dilation
-
-        return binary_dilation(self.wall)
+        return dilated(self.wall)
 
     def index(self, points: Array) -> NDArray[np.int64]:
         """Voxels (..., 3) that points (..., 3) m lie in; points outside the lattice get its border's."""
-        index = np.rint((points - self.origin) / self.spacing).astype(np.int64)
-        return np.clip(index, 0, np.array(self.inside.shape) - 1)
+        steps = points - self.origin
+        steps /= self.spacing
+        index = np.rint(steps, out=steps).astype(np.int64)
+        return np.clip(index, 0, np.array(self.inside.shape) - 1, out=index)
 
     def holds(self, mask: Mask, points: Array) -> Mask:
         """Whether points (..., 3) m lie in voxels of a mask."""
@@ -68,7 +69,7 @@ class Cavity:
 
 
 @dataclass(frozen=True, eq=False)
-class _Room:
+class _Hollow:
     """A connected part of the lattice: its voxels within a box, widest ball and extent in voxels."""
 
     part: Mask
@@ -99,27 +100,30 @@ def find_cavity(samples: SurfaceSamples, spacing: float, *, rough: bool = False)
     Raises:
         MeshRefusedError: there is no lumen, or several that are not connected.
     """
-    from scipy.ndimage import binary_dilation, label
+    from scipy.ndimage import label
 
     wall, origin = _drawn(samples, spacing)
-    diagonal = float(np.linalg.norm(np.ptp(samples.points, axis=0)))
+    diagonal = float(np.linalg.norm(np.ptp(samples.bounds, axis=0)))
     labels, _ = label(~wall)
     outside = labels == labels[0, 0, 0]
     span = _LEAST_SPAN * diagonal / spacing
-    enclosed = _rooms(~wall & ~outside, span)
-    tunnels = _rooms(binary_dilation(_enclosed_voxels(wall) & outside, iterations=_GROWN, mask=outside), span)
-    deep = [room for room in enclosed if _is_lumen(room, span)]
-    through = [room for room in tunnels if _is_lumen(room, span)]
+    enclosed = _hollows(~wall & ~outside, span)
+    grown = _enclosed_voxels(wall) & outside
+    for _ in range(_GROWN):
+        grown = dilated(grown) & outside
+    tunnels = _hollows(grown, span)
+    deep = [hollow for hollow in enclosed if _is_lumen(hollow, span)]
+    through = [hollow for hollow in tunnels if _is_lumen(hollow, span)]
     # Hollows between vessels pass for narrow tunnels: a lumen is not much narrower than what it lies in.
     if through and (not deep or through[0].radius - _GROWN > _WALL_SHARE * deep[0].radius):
         kind, chosen, rivals = "tunnel", through[0], [r for r in tunnels if r.radius > 0.4 * through[0].radius]
     elif deep:
         kind, chosen, rivals = "closed lumen", deep[0], enclosed
         around = [r for r in deep[1:] if _surrounds(r, chosen, wall.shape) or _covers(r, chosen, wall.shape)]
-        within = [room for room in deep[1:] if _surrounds(chosen, room, wall.shape)]
+        within = [hollow for hollow in deep[1:] if _surrounds(chosen, hollow, wall.shape)]
         if around or within:
             kind, chosen = "lumen in a closed wall", within[0] if within else chosen
-        rivals = [room for room in rivals if room not in [*around, *within]]
+        rivals = [hollow for hollow in rivals if hollow not in [*around, *within]]
     else:
         raise MeshRefusedError(_why_none([*enclosed, *tunnels], span, spacing, rough=rough))
     rivals = [r for r in rivals if r.radius >= _LEAST_RADIUS and r.volume >= _PART_SHARE * chosen.volume]
@@ -127,7 +131,7 @@ def find_cavity(samples: SurfaceSamples, spacing: float, *, rough: bool = False)
         # a hollow between vessels lies outside of the surface, a part of the lumen that was torn off within it
         rivals = [r for r in rivals if r is chosen or abs(_winding(r, samples, origin, spacing)) > 1 - _WOUND]
     if len(rivals) > 1 and not rough:
-        raise falls_apart([spacing * (np.array([s.stop - s.start for s in room.box])) for room in rivals])
+        raise falls_apart([spacing * (np.array([s.stop - s.start for s in hollow.box])) for hollow in rivals])
     return Cavity(chosen.whole(wall.shape), wall, origin, spacing, kind, chosen.radius * spacing)
 
 
@@ -154,11 +158,13 @@ def enclosed_by(samples: SurfaceSamples, spacing: float) -> Cavity | None:
 
 def _drawn(samples: SurfaceSamples, spacing: float) -> tuple[Mask, Array]:
     """The voxels that a surface passes through, and the middle (3,) of voxel (0, 0, 0)."""
-    low, high = samples.points.min(axis=0), samples.points.max(axis=0)
+    low, high = samples.bounds
     origin = low - _MARGIN * spacing
     nx, ny, nz = (int(n) for n in np.ceil((high - low) / spacing).astype(int) + 2 * _MARGIN + 1)
     wall = np.zeros((nx, ny, nz), dtype=bool)
-    i, j, k = np.rint((samples.points - origin) / spacing).astype(np.int64).T
+    i, j, k = (
+        np.rint((axis - first) / spacing).astype(np.int64) for axis, first in zip(samples.points.T, origin, strict=True)
+    )
     wall[i, j, k] = True
     return wall, origin
 
@@ -175,28 +181,28 @@ def largest_part(mask: Mask, structure: NDArray[Any] | None = None) -> Mask:
     return labels == int(np.argmax(sizes))
 
 
-def _rooms(mask: Mask, span: float) -> list[_Room]:
+def _hollows(mask: Mask, span: float) -> list[_Hollow]:
     """Connected parts that are not much shorter than a span, widest first."""
     from scipy.ndimage import distance_transform_edt, find_objects, label
 
     labels, _ = label(mask)
-    found = []
+    hollows = []
     for number, box in enumerate(find_objects(labels), start=1):
         extent = float(np.linalg.norm([s.stop - s.start for s in box]))
         if extent >= _PART_SPAN * span:
             part = labels[box] == number
-            step = 1 if part.size < _FINE_ROOM else 2  # the widest ball is large there
+            step = 1 if part.size < _FINE_HOLLOW else 2  # the widest ball is large there
             radius = step * float(distance_transform_edt(np.pad(part[::step, ::step, ::step], 1)).max())
-            found.append(_Room(part, box, radius, extent))
-    return sorted(found, key=lambda room: -room.radius)
+            hollows.append(_Hollow(part, box, radius, extent))
+    return sorted(hollows, key=lambda hollow: -hollow.radius)
 
 
-def _is_lumen(room: _Room, span: float) -> bool:
-    return room.span >= span and room.radius >= _LEAST_RADIUS
+def _is_lumen(hollow: _Hollow, span: float) -> bool:
+    return hollow.span >= span and hollow.radius >= _LEAST_RADIUS
 
 
-def _winding(room: _Room, samples: SurfaceSamples, origin: Array, spacing: float) -> float:
-    """Solid angle of the surface about a room's middle, in whole turns: 1 or -1 within it, 0 outside of it.
+def _winding(hollow: _Hollow, samples: SurfaceSamples, origin: Array, spacing: float) -> float:
+    """Solid angle of the surface about a hollow's middle, in whole turns: 1 or -1 within it, 0 outside of it.
 
     Holes take little from it. (A. Jacobson et al., "Robust inside-outside segmentation using generalized winding
     numbers", ACM Transactions on Graphics 32(4), 2013; a triangle's solid angle by A. van Oosterom and J. Strackee,
@@ -204,8 +210,8 @@ def _winding(room: _Room, samples: SurfaceSamples, origin: Array, spacing: float
     """
     from scipy.ndimage import distance_transform_edt
 
-    depth = distance_transform_edt(np.pad(room.part, 1))
-    place = np.array(np.unravel_index(int(np.argmax(depth)), depth.shape)) - 1 + [s.start for s in room.box]
+    depth = distance_transform_edt(np.pad(hollow.part, 1))
+    place = np.array(np.unravel_index(int(np.argmax(depth)), depth.shape)) - 1 + [s.start for s in hollow.box]
     a, b, c = (samples.corners - (origin + spacing * place)).transpose(1, 0, 2)
     la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
     volume = np.einsum("ij,ij->i", a, np.cross(b, c))
@@ -213,16 +219,16 @@ def _winding(room: _Room, samples: SurfaceSamples, origin: Array, spacing: float
     return float(np.arctan2(volume, below).sum()) / (2 * math.pi)
 
 
-def _surrounds(outer: _Room, inner: _Room, shape: tuple[int, ...]) -> bool:
-    """Whether a room lies all around another, walls between them left out of account."""
+def _surrounds(outer: _Hollow, inner: _Hollow, shape: tuple[int, ...]) -> bool:
+    """Whether a hollow lies all around another, walls between them left out of account."""
     from scipy.ndimage import binary_dilation, binary_fill_holes
 
     shell = binary_dilation(outer.whole(shape), iterations=3)
     return bool(binary_fill_holes(shell)[inner.box][inner.part].mean() > 0.95)
 
 
-def _covers(wall: _Room, lumen: _Room, shape: tuple[int, ...]) -> bool:
-    """Whether a room is the wall of a lumen, left open at the ends: a thin layer at most of its border."""
+def _covers(wall: _Hollow, lumen: _Hollow, shape: tuple[int, ...]) -> bool:
+    """Whether a hollow is the wall of a lumen, left open at the ends: a thin layer at most of its border."""
     from scipy.ndimage import binary_dilation, binary_erosion
 
     if wall.radius > _WALL_SHARE * lumen.radius:
@@ -231,8 +237,8 @@ def _covers(wall: _Room, lumen: _Room, shape: tuple[int, ...]) -> bool:
     return bool(near[lumen.part & ~binary_erosion(lumen.part)].mean() > _COVERED)
 
 
-def _why_none(rooms: list[_Room], span: float, spacing: float, *, rough: bool) -> str:
-    long = [room.radius for room in rooms if room.span >= span]
+def _why_none(hollows: list[_Hollow], span: float, spacing: float, *, rough: bool) -> str:
+    long = [hollow.radius for hollow in hollows if hollow.span >= span]
     if not long:
         return (
             "no lumen was found: no cavity of the surface is enclosed over its length; "
@@ -248,11 +254,10 @@ def _why_none(rooms: list[_Room], span: float, spacing: float, *, rough: bool) -
 
 def _enclosed_voxels(wall: Mask) -> Mask:
     """Voxels, not quite up to the wall, that see walls in most directions; found at half the resolution."""
-    from scipy.ndimage import binary_dilation
-
     even = np.pad(wall, [(0, n % 2) for n in wall.shape])
-    blocks = even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2, even.shape[2] // 2, 2).any(axis=(1, 3, 5))
-    few = ~blocks & (_escapes(binary_dilation(blocks)) <= _ESCAPING * len(_DIRECTIONS))
+    pairs = even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2, even.shape[2] // 2, 2)
+    blocks: Mask = np.logical_or.reduce(pairs, axis=(1, 3, 5))
+    few = ~blocks & (_escapes(dilated(blocks)) <= _ESCAPING * len(_DIRECTIONS))
     for axis in range(3):
         few = np.repeat(few, 2, axis=axis)
     return few[: wall.shape[0], : wall.shape[1], : wall.shape[2]]

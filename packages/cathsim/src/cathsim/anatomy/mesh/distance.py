@@ -13,7 +13,7 @@ from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.lumen import OUTSIDE, PADDING
 from cathsim.anatomy.mesh.cavity import Cavity, largest_part
 from cathsim.anatomy.mesh.ends import VesselEnd
-from cathsim.anatomy.mesh.lattice import short_distance
+from cathsim.anatomy.mesh.lattice import dilated, short_distance
 from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
 from cathsim.lattice.linked_parts import linked_parts
 from cathsim.presets import WIRE_RADIUS
@@ -25,7 +25,7 @@ _CLEARLY = 0.8  # voxels by which a triangle's two sides must differ in their di
 _LOOSE = 1.8  # voxels: nearer to a triangle than this a point is in or out as that triangle says
 _SEEN = 4  # voxels from the lumen up to which distances are told apart
 _THIN = 7e-4  # m between the points on the surface to which far distances are measured
-_SHUT = 0.95  # of a wire's radius: distance to the wall in rooms that no wire gets into
+_SHUT = 0.95  # of a wire's radius: distance to the wall in cavities that no wire gets into
 _AROUND = 10  # voxels around places whose slope is taken: more than the smoothing reaches
 _FACING = 2.0  # voxels between the lumen's voxels and the triangles that bound it, at most
 
@@ -96,8 +96,6 @@ def lumen_samples(
     Returns:
         Samples of triangles whose normals point into the lumen.
     """
-    from scipy.ndimage import binary_dilation
-
     near = samples.chosen(cavity.holds(away <= _FACING, samples.points))
     normals = near.normals[near.face]
     step = 1.2 * cavity.spacing
@@ -113,7 +111,7 @@ def lumen_samples(
     faces = corners[seen & facing]
 
     covered = cavity.wall | inside
-    gaps = np.argwhere(inside & binary_dilation(~covered))
+    gaps = np.argwhere(inside & dilated(~covered))
     gap_points = cavity.origin + gaps * cavity.spacing
     for end in ends:
         beside = np.linalg.norm(gap_points - end.centre, axis=1) < 1.6 * end.radius
@@ -221,7 +219,7 @@ def distance_grid(
     positive = np.flatnonzero(distance > 0)
     loose = positive[~_largest_component(chosen[positive], shape)]
     distance[loose] *= -1
-    # What lies beyond a passage that no wire passes is no room for one, either.
+    # A cavity beyond a passage that no wire passes is closed to wires as well.
     open_ = np.flatnonzero(distance > WIRE_RADIUS)
     shut = open_[~_largest_component(chosen[open_], shape)]
     distance[shut] = _SHUT * WIRE_RADIUS
@@ -254,9 +252,9 @@ def _largest_component(nodes: NDArray[np.int64], shape: NDArray[np.int64]) -> Ma
     first, second = [], []
     for stride in strides:  # the lattice has a border of other nodes, so that no neighbour is beyond it
         place = np.minimum(np.searchsorted(keys, keys + stride), len(keys) - 1)
-        here = np.flatnonzero(keys[place] == keys + stride)
-        first.append(here)
-        second.append(place[here])
+        pair_starts = np.flatnonzero(keys[place] == keys + stride)
+        first.append(pair_starts)
+        second.append(place[pair_starts])
     labels = linked_parts(np.concatenate(first), np.concatenate(second), len(keys))
     chosen = np.zeros(len(nodes), dtype=bool)
     if len(labels):

@@ -240,8 +240,8 @@ def _further(end: VesselEnd, other: VesselEnd | None, tip: Array) -> bool:
     """Whether an end lies clearly nearer to where its way leads than another one of the same vessel."""
     if other is None or _gap(other, tip) > _BEYOND:
         return True
-    here, there = (float(np.linalg.norm(one.centre - tip)) for one in (end, other))
-    return here < there - _CLEARLY_NEARER and float(end.normal @ other.normal) > 0.5
+    end_distance, other_distance = (float(np.linalg.norm(one.centre - tip)) for one in (end, other))
+    return end_distance < other_distance - _CLEARLY_NEARER and float(end.normal @ other.normal) > 0.5
 
 
 def _gap(end: VesselEnd, place: Array) -> float:

@@ -141,19 +141,19 @@ def _build(
         )
         return _with_note_of_lost_parts(phantom, {part.name for part in parts} - {"", *ACCESS})
     except MeshRefusedError as error:
-        shown = error.picture
-        if shown is None:
+        refusal_picture = error.picture
+        if refusal_picture is None:
             centres = np.concatenate([part.mesh.corners.mean(axis=1) for part in parts])
-            shown = draw_refusal(centres, np.zeros((0, 3)), f"{path.name}: {error.reason}", picture)
+            refusal_picture = draw_refusal(centres, np.zeros((0, 3)), f"{path.name}: {error.reason}", picture)
         reason = error.reason if unit is None else _with_unit_hint(error.reason, parts, unit)
-        raise MeshRefusedError(reason, shown) from None
+        raise MeshRefusedError(reason, refusal_picture) from None
 
 
-def _with_note_of_lost_parts(phantom: Phantom, given: set[str]) -> Phantom:
+def _with_note_of_lost_parts(phantom: Phantom, part_names: set[str]) -> Phantom:
     """The phantom, with a note on vessels of which there are parts (by name), but which neither it nor a note has."""
     report = phantom.imported
     assert report is not None
-    lost = sorted(given - {AORTA, *report.automatic_names})
+    lost = sorted(part_names - {AORTA, *report.automatic_names})
     lost = [name for name in lost if not any(vessels_named(note, (name,)) for note in report.notes)]
     if not lost:
         return phantom

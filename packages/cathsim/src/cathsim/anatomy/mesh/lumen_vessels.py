@@ -69,12 +69,12 @@ def find_ends(cavity: Cavity, openings: Array, *, rings: bool = False) -> tuple[
         raise MeshRefusedError("the lumen is no vessel: it has no two ends; expected an aorta with its branches.")
     ways = paths.ways(voxels[0], voxels[1:])
     longest = max(ways, key=len)
-    found: list[tuple[VesselEnd, Voxels]] = []
+    end_ways: list[tuple[VesselEnd, Voxels]] = []
     lost: set[tuple[int, ...]] = set()  # far ends of the ways whose vessel's end is not surrounded, or cut off
     for way in [longest[::-1], *ways]:
         points, depth = paths.points(way), paths.depth[tuple(way.T)]
         end = find_end(cavity, points, depth)
-        if end is not None and (others := [o for o, _ in found if same_end(end, o) and _is_beside(o, points[-1])]):
+        if end is not None and (others := [o for o, _ in end_ways if same_end(end, o) and _is_beside(o, points[-1])]):
             # A short vessel beside a wide one: what was found is that one's end.
             end = end_at_opening(cavity, points, depth, openings, flared=True)
             end = end or find_end(cavity, points, depth, _one_of(others))
@@ -89,13 +89,13 @@ def find_ends(cavity: Cavity, openings: Array, *, rings: bool = False) -> tuple[
             end = end_before(cavity, points, depth)
         if rings and end is not None and goes_on(cavity, end):
             continue
-        if end is not None and not any(same_end(end, other) for other, _ in found):
-            found.append((end, way))
-    whole = _whole_ends(cavity, paths, found, ways)
-    hidden, kept = _hidden_ends(cavity, paths, whole, voxels[0])
-    ends = [*kept, *hidden]
-    lost |= {_far_end(way) for _, way in found} - {
-        _far_end(way) for end, way in whole if any(end is one for one in kept)
+        if end is not None and not any(same_end(end, other) for other, _ in end_ways):
+            end_ways.append((end, way))
+    whole = _whole_ends(cavity, paths, end_ways, ways)
+    hidden, uncut_ends = _hidden_ends(cavity, paths, whole, voxels[0])
+    ends = [*uncut_ends, *hidden]
+    lost |= {_far_end(way) for _, way in end_ways} - {
+        _far_end(way) for end, way in whole if any(end is one for one in uncut_ends)
     }
     if len(lost) > len(voxels) // 2:
         raise MeshRefusedError(
@@ -115,12 +115,12 @@ def find_ends(cavity: Cavity, openings: Array, *, rings: bool = False) -> tuple[
 def _whole_ends(
     cavity: Cavity,
     paths: LumenPaths,
-    found: Sequence[tuple[VesselEnd, Voxels]],
+    end_ways: Sequence[tuple[VesselEnd, Voxels]],
     ways: Sequence[Voxels],
 ) -> list[tuple[VesselEnd, Voxels]]:
-    """The found ends that sever no other way; of a short vessel whose cut would go through a wide one, a nearer one."""
+    """The ends that sever no other way; of a short vessel whose cut would go through a wide one, a nearer one."""
     whole = []
-    for end, own in found:
+    for end, own in end_ways:
 
         def severing(other: VesselEnd, own: Voxels = own) -> bool:
             return any(severs(other, paths.points(way)) for way in ways if _leads_elsewhere(way, own))
@@ -128,7 +128,7 @@ def _whole_ends(
         if not severing(end):
             whole.append((end, own))
             continue
-        of_others = _one_of([one for one, _ in found if one is not end])
+        of_others = _one_of([one for one, _ in end_ways if one is not end])
 
         def refused(other: VesselEnd, severing: Refusal = severing, of_others: Refusal = of_others) -> bool:
             return severing(other) or of_others(other)
@@ -142,20 +142,20 @@ def _whole_ends(
 def _hidden_ends(
     cavity: Cavity,
     paths: LumenPaths,
-    found: Sequence[tuple[VesselEnd, Voxels]],
+    end_ways: Sequence[tuple[VesselEnd, Voxels]],
     root: Voxels,
 ) -> tuple[list[VesselEnd], list[VesselEnd]]:
     """Ends of the wide vessel that others hide, which leave it just before: a coronary artery, the first of the arch.
 
     Returns:
-        Those ends, and those of the found ones that are left: a narrow vessel that a wide one's end cuts off is not.
+        Those ends, and the others without those of narrow vessels that a wide one's end cuts off.
     """
     tips, radius = paths.wide_tips
     hidden: list[VesselEnd] = []
-    kept = list(found)
+    uncut_ways = list(end_ways)
     for tip in tips:
         place = paths.points(tip)
-        known = [*(end for end, _ in kept), *hidden]
+        known = [*(end for end, _ in uncut_ways), *hidden]
         if any(one.radius > _AS_WIDE * radius and _near_tip(one, place, radius) for one in known):
             continue
         (way,) = paths.ways(root, tip[None])
@@ -163,11 +163,11 @@ def _hidden_ends(
         end = None if end is None else straightened(cavity, end)
         if end is None or end.radius < _AS_WIDE * radius or not _near_tip(end, place, radius):
             continue
-        cut = [one for one, own in kept if severs(end, paths.points(own))]
+        cut = [one for one, own in uncut_ways if severs(end, paths.points(own))]
         if all(one.radius < _NARROW * end.radius for one in cut):
             hidden.append(end)
-            kept = [(one, own) for one, own in kept if not any(one is other for other in cut)]
-    return hidden, [end for end, _ in kept]
+            uncut_ways = [(one, own) for one, own in uncut_ways if not any(one is other for other in cut)]
+    return hidden, [end for end, _ in uncut_ways]
 
 
 def _far_end(way: Voxels) -> tuple[int, ...]:

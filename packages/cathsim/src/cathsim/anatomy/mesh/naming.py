@@ -124,8 +124,8 @@ def pose_doubts(aorta: Array) -> tuple[str, ...]:
     descending = aorta[: top + 1][height[: top + 1] >= height[-1]]  # as far down as the ascending one
     in_front = aorta[top:, 1].mean() - descending[:, 1].mean() > _CLEARLY_FRONT
     seen = [("its arch points to the feet", below > above), ("its descending aorta lies in front", in_front)]
-    told = " and ".join(words for words, is_so in seen if is_so)
-    return (f"by the file's axes {told}: they turn or mirror the patient; check the header",) if told else ()
+    doubts = " and ".join(words for words, is_so in seen if is_so)
+    return (f"by the file's axes {doubts}: they turn or mirror the patient; check the header",) if doubts else ()
 
 
 def arch_branches(aorta: RoughVessel, up: Array | None = None) -> list[RoughVessel]:
@@ -138,7 +138,7 @@ def arch_branches(aorta: RoughVessel, up: Array | None = None) -> list[RoughVess
     height = aorta.points @ up
     arc = arc_length(aorta.points)
     top = int(np.argmax(height))
-    found, low = [], []
+    branches, low = [], []
     for child in aorta.children:
         at = int(np.argmin(np.abs(arc - child.start)))
         radius = float(aorta.depth[at])
@@ -150,14 +150,14 @@ def arch_branches(aorta: RoughVessel, up: Array | None = None) -> list[RoughVess
         ostium = child.points[leaving(child, aorta)]  # the way of a wide branch parts from the aorta's long before
         beside = float(height[np.argmin(np.linalg.norm(aorta.points - ostium, axis=1))])
         if highest >= max(min(height[at], beside) + 0.7 * radius, height[top] - radius):
-            found.append(child)
+            branches.append(child)
         elif (child.tip - ostium) @ up > -_DOWNWARD:
             low.append(child)
-    if 0 < len(found) < _USUAL:  # a wide vessel that is cut soon after it leaves a limb of the arch aslant
-        widest = max(child.radius for child in found)
-        found += [child for child in low if child.radius > _MAIN * widest]
-        found.sort(key=lambda child: child.start)
-    return found or [child for child in aorta.children if (child.tip - child.points[0]) @ up > 0]
+    if 0 < len(branches) < _USUAL:  # a wide vessel that is cut soon after it leaves a limb of the arch aslant
+        widest = max(child.radius for child in branches)
+        branches += [child for child in low if child.radius > _MAIN * widest]
+        branches.sort(key=lambda child: child.start)
+    return branches or [child for child in aorta.children if (child.tip - child.points[0]) @ up > 0]
 
 
 def renamed(names: dict[int, str], own: Mapping[str, str] | None) -> dict[int, str]:
@@ -187,32 +187,32 @@ def ordered_names(aorta: RoughVessel, names: Mapping[int, str], own: list[str]) 
     Raises:
         MeshRefusedError: there are not as many branches.
     """
-    found = [names[id(child)] for child in sorted(aorta.children, key=lambda child: -child.start)]
-    if len(own) != len(found):
+    automatic = [names[id(child)] for child in sorted(aorta.children, key=lambda child: -child.start)]
+    if len(own) != len(automatic):
         raise MeshRefusedError(
-            f"{len(own)} names were given for the {len(found)} branches of the aorta ({', '.join(found)}); "
+            f"{len(own)} names were given for the {len(automatic)} branches of the aorta ({', '.join(automatic)}); "
             "give as many, or a mapping."
         )
-    return dict(zip(found, own, strict=True))
+    return dict(zip(automatic, own, strict=True))
 
 
 def propose_targets(tree: VesselTree) -> tuple[dict[str, Target], tuple[str, ...]]:
     """Targets by name, one in every branch, and notes on those that were moved or left out."""
     targets, notes = {}, []
     for branch in tree.branches[1:]:
-        wanted = TARGET_DISTANCE.get(branch.name, DEPTH)
+        usual_depth = TARGET_DISTANCE.get(branch.name, DEPTH)
         try:
             ostium = tree.ostium_arc(branch.name)
         except ValueError:  # it never leaves its parent's lumen
             continue
         clearance = END_CLEARANCE if branch.open_end else 0.0
-        distance = min(wanted, branch.length - clearance - ostium)
+        distance = min(usual_depth, branch.length - clearance - ostium)
         if distance < LEAST_DEPTH:
             notes.append(f"no target in {branch.name}: it is only {1e3 * (branch.length - ostium):.0f} mm long")
             continue
-        if distance < min(wanted, DEPTH) - 1e-9:
+        if distance < min(usual_depth, DEPTH) - 1e-9:
             notes.append(
-                f"target {branch.name} lies {1e3 * distance:.0f} mm up its branch instead of {1e3 * wanted:.0f}: "
+                f"target {branch.name} lies {1e3 * distance:.0f} mm up its branch instead of {1e3 * usual_depth:.0f}: "
                 "the branch is short"
             )
         targets[branch.name] = Target(branch.name, branch.name, branch.point_at(ostium + distance), ostium + distance)

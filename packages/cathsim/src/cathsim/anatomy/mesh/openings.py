@@ -71,12 +71,12 @@ def _missing_triangles(mesh: Triangles, border: Indices) -> Indices:
     keys = border[:, 0] * size + border[:, 1]  # in order
     place = np.minimum(np.searchsorted(keys, a * size + third), len(keys) - 1)
     ring = keys[place] == a * size + third
-    found = np.stack([a, b, third], axis=1)[ring]
+    candidates = np.stack([a, b, third], axis=1)[ring]
     corners = np.sort(mesh.faces, axis=1)
-    known = set(map(tuple, corners[np.isin(corners[:, 0], found[:, 0])].tolist()))
+    known = set(map(tuple, corners[np.isin(corners[:, 0], candidates[:, 0])].tolist()))
     used: set[tuple[int, int]] = set()
     chosen = []
-    for a, b, c in found.tolist():
+    for a, b, c in candidates.tolist():
         own = {(a, b), (b, c), (a, c)}
         if (a, b, c) not in known and not own & used:
             used |= own

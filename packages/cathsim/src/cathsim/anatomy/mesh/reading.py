@@ -19,7 +19,7 @@ from cathsim.anatomy.mesh.files.vtk_legacy import read_legacy_vtk
 from cathsim.anatomy.mesh.files.vtp import read_vtp
 from cathsim.anatomy.mesh.lattice import Budget
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.mesh.samples import sample_surface
+from cathsim.anatomy.mesh.samples import bounds_of, sample_surface
 from cathsim.guarded_reading import UnreadableFileError, check_regular, open_regular
 
 SCENES = (".glb", ".gltf")
@@ -76,8 +76,7 @@ class Triangles:
     @property
     def bounds(self) -> Array:
         """Lowest and highest corner (2, 3) of the vertices that faces use."""
-        used = self.vertices[self._used]
-        return np.stack([used.min(axis=0), used.max(axis=0)])
+        return bounds_of(self.vertices[self._used])
 
     @property
     def extent(self) -> float:
@@ -159,12 +158,12 @@ def read_surfaces(path: Path) -> list[NamedSurface]:
     suffix = path.suffix.lower()
     try:
         if suffix in SCENES:
-            found = read_scene(path)
+            raw_surfaces = read_scene(path)
         elif suffix in _OWN:
             with open_regular(path, MOST_BYTES) as file:
-                found = _OWN[suffix](file.read())
+                raw_surfaces = _OWN[suffix](file.read())
         else:
-            found = read_mesh(path)
+            raw_surfaces = read_mesh(path)
     except (MemoryError, MeshRefusedError):
         raise
     except UnreadableFileError as error:
@@ -174,10 +173,10 @@ def read_surfaces(path: Path) -> list[NamedSurface]:
         raise MeshRefusedError(
             f"{path.name} cannot be read as a mesh: {f'{error}; export it again' if own else _expected(path)}."
         ) from error
-    if not found:
+    if not raw_surfaces:
         raise MeshRefusedError(f"{path.name} holds no surface: {_expected(path)}.")
     surfaces = []
-    for name, one in found:
+    for name, one in raw_surfaces:
         mesh = checked_triangles(one.vertices, one.faces, path)
         lost = len(one.faces) - len(mesh.faces)
         notes = (f"{lost} of its {len(one.faces)} faces lack finite coordinates and are left out",) if lost else ()

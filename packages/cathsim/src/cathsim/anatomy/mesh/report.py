@@ -85,7 +85,7 @@ def draw_refusal(surface: Array, found: Array, reason: str, path: Path) -> Path 
         found: (m, 3) points inside the lumen, in the same unit; may be empty.
 
     Returns:
-        The PNG file, or None where it cannot be drawn (no matplotlib, no room).
+        The PNG file, or None where it cannot be drawn (no matplotlib, no disk space).
     """
     try:
         figure = new_figure(figsize=(12.0, 5.2), dpi=100, facecolor="white", layout="constrained")
@@ -93,11 +93,11 @@ def draw_refusal(surface: Array, found: Array, reason: str, path: Path) -> Path 
         logger.warning("no picture of the refused mesh: %s", error)
         return None
     rng = np.random.default_rng(0)
-    shown = surface[rng.permutation(len(surface))[:_MOST_POINTS]]
+    sample = surface[rng.permutation(len(surface))[:_MOST_POINTS]]
     inner = found[rng.permutation(len(found))[:_MOST_POINTS]]
     for panel, (across, up, depth) in zip(figure.subplots(1, 3), ((0, 2, 1), (1, 2, 0), (0, 1, 2)), strict=True):
-        order = np.argsort(shown[:, depth])
-        panel.scatter(*shown[order][:, [across, up]].T, c=shown[order][:, depth], s=0.4, cmap="Greys", alpha=0.5)
+        order = np.argsort(sample[:, depth])
+        panel.scatter(*sample[order][:, [across, up]].T, c=sample[order][:, depth], s=0.4, cmap="Greys", alpha=0.5)
         if len(inner):
             panel.scatter(*inner[:, [across, up]].T, s=0.6, color="#cc4438", alpha=0.3, label="lumen found")
             panel.legend(loc="upper right", fontsize=8, markerscale=8)

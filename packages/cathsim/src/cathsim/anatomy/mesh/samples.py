@@ -28,6 +28,11 @@ class SurfaceSamples:
     corners: Array  # (m, 3, 3) m, all triangles
 
     @cached_property
+    def bounds(self) -> Array:
+        """Lowest and highest place (2, 3) m of the points."""
+        return bounds_of(self.points)
+
+    @cached_property
     def tree(self) -> cKDTree:
         """Search tree over the points."""
         from scipy.spatial import cKDTree
@@ -74,11 +79,16 @@ class SurfaceSamples:
         return distance, place, face
 
 
+def bounds_of(points: Array) -> Array:
+    """Lowest and highest corner (2, 3) of a box about points (n, 3)."""
+    return np.array([(axis.min(), axis.max()) for axis in points.T]).T  # several times as fast as along the first axis
+
+
 def sample_surface(corners: Array, spacing: float, budget: Budget | None = None) -> SurfaceSamples:
     """Points on triangles (m, 3, 3) m at a distance of at most `spacing` (m) along their edges.
 
     Raises:
-        MeshRefusedError: there would be more points than the budget has room for.
+        MeshRefusedError: there would be more points than the budget allows.
     """
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     ratio = np.maximum(np.ceil(edges / spacing), 1.0)
@@ -91,7 +101,10 @@ def sample_surface(corners: Array, spacing: float, budget: Budget | None = None)
         within = i + j <= count
         weights = np.stack([count - i - j, i, j], axis=-1)[within] / count
         for some in np.array_split(chosen, max(1, len(chosen) * len(weights) // 2_000_000)):
-            points.append(np.einsum("wc,mcx->mwx", weights, corners[some]).reshape(-1, 3))
+            made = np.empty((len(some), len(weights), 3))
+            for axis, (a, b, c) in enumerate(corners[some].T[..., None]):
+                made[..., axis] = a * weights[:, 0] + b * weights[:, 1] + c * weights[:, 2]
+            points.append(made.reshape(-1, 3))
             face.append(np.repeat(some, len(weights)))
     return SurfaceSamples(np.concatenate(points), np.concatenate(face), corners)
 

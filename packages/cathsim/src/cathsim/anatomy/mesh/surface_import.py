@@ -254,14 +254,14 @@ class SurfaceImport:
         """How the lumen (n, 3) m is turned into the patient's axes and centred."""
         if self.frame is None:
             leftward = None if self.label_of is None else labelled_sides(aorta, self.label_of)
-            rotation, kept = world_rotation(aorta, leftward)
-            if not kept:
+            rotation, axis_aligned = world_rotation(aorta, leftward)
+            if not axis_aligned:
                 self.notes.append("the file's axes are not the patient's: the pose is estimated from the vessels")
         else:
             rotation = np.asarray(self.frame, dtype=np.float64)
-            kept = bool(np.isclose(np.abs(rotation).max(axis=1), 1.0).all())
+            axis_aligned = bool(np.isclose(np.abs(rotation).max(axis=1), 1.0).all())
         lumen = lumen @ rotation.T
-        return _Pose(rotation, -(lumen.min(axis=0) + lumen.max(axis=0)) / 2, kept)
+        return _Pose(rotation, -(lumen.min(axis=0) + lumen.max(axis=0)) / 2, axis_aligned)
 
     def _named(self, aorta: RoughVessel, pose: _Pose) -> tuple[dict[int, str], dict[int, str], tuple[str, ...]]:
         """Automatic and final names of the vessels, and notes on them."""
@@ -311,8 +311,8 @@ class SurfaceImport:
         """Draws what came."""
         if self.surface is None or len(self.surface) == 0:
             return None
-        found = np.zeros((0, 3))
+        lumen_points = np.zeros((0, 3))
         surface = self.surface if self.samples is None else self.samples.points
         if self.cavity is not None:
-            found = self.cavity.origin + np.argwhere(self.cavity.inside) * self.cavity.spacing
-        return draw_refusal(surface, found, f"{self.facts.file}: {reason}", path)
+            lumen_points = self.cavity.origin + np.argwhere(self.cavity.inside) * self.cavity.spacing
+        return draw_refusal(surface, lumen_points, f"{self.facts.file}: {reason}", path)

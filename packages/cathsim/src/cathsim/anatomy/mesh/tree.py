@@ -54,10 +54,10 @@ def grow_tree(
         if vessel.end is not None and vessel.end < 0:
             in_rings.add(name)
         queue += [(child, branch) for child in vessel.children]
-    kept = in_rings.union(branch.parent for branch in branches if branch.parent)
+    joined_names = in_rings.union(branch.parent for branch in branches if branch.parent)
     # A trunk whose fork was left out ends where it ends.
     whole = [
-        b if b.open_end or b.name in kept else Branch(b.name, b.points, b.radius, b.parent, b.parent_arc, True)
+        b if b.open_end or b.name in joined_names else Branch(b.name, b.points, b.radius, b.parent, b.parent_arc, True)
         for b in branches
     ]
     return VesselTree(tuple(whole)), tuple(notes)

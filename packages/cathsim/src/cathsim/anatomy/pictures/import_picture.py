@@ -140,7 +140,7 @@ def with_picture_of_doubts(phantom: Phantom, path: Path) -> Phantom:
     Any other phantom stays as it is.
 
     Args:
-        path: PNG file to draw. Where it cannot be drawn (no matplotlib, no room) there is no such note.
+        path: PNG file to draw. Where it cannot be drawn (no matplotlib, no disk space) there is no such note.
     """
     report = phantom.imported
     if report is None or not (unsure := doubts(report.notes)):

@@ -82,11 +82,11 @@ def published_folder(folder: str | Path | None = None) -> Path:
     Raises:
         ValueError: it is not given, or lacks a file; says where to get them and what to set.
     """
-    given = folder or os.environ.get(FOLDER)
-    found = Path(given).expanduser() if given else None
-    if found is not None and is_published(found):
-        return found
-    where = "no folder is given" if found is None else f"{found} holds no {SURFACE} beside a folder {CURVES}"
+    location = folder or os.environ.get(FOLDER)
+    path = Path(location).expanduser() if location else None
+    if path is not None and is_published(path):
+        return path
+    where = "no folder is given" if path is None else f"{path} holds no {SURFACE} beside a folder {CURVES}"
     raise ValueError(
         f"the vessels of DualDeviceNav are not part of this package and {where}: get data/dualdevicenav of "
         f"https://github.com/lkarstensen/stEVE_bench (MIT license) and set {FOLDER} to that folder."

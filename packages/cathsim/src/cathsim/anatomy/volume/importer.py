@@ -90,9 +90,9 @@ def volume_digest(
 ) -> str:  # fmt: skip
     """The hash of the phantom that an import gives: of the files' content and the settings."""
     if path.is_dir():
-        asked = {str(label) for label, _ in labels or ()}
+        label_names = {str(label) for label, _ in labels or ()}
         volumes = volume_files(path)
-        files = [f for f in volumes if vessel_name(file_stem(f)) or file_stem(f) in asked] or dicom_files(path)
+        files = [f for f in volumes if vessel_name(file_stem(f)) or file_stem(f) in label_names] or dicom_files(path)
     elif path.exists():
         try:
             check_regular(path)
@@ -139,11 +139,11 @@ def build_volume_phantom(
     if not volume.named:
         return _of_one_piece(volume, file_stem(path), digest, names, resolution, extend)
     lumen = LabelledLumen(volume, resolution)
-    grid, aorta, found, volumes = lumen.build()
+    grid, aorta, automatic_names, volumes = lumen.build()
     own = names if names is None or isinstance(names, Mapping) else None
     if names is not None and own is None:
-        own = ordered_names(aorta, found, list(names))
-    final = renamed(found, own)
+        own = ordered_names(aorta, automatic_names, list(names))
+    final = renamed(automatic_names, own)
     least = max(LEAST_WIDTH, 1.25 * resolution)
     tree, left_out = grow_tree(aorta, final, grid, least)
     narrowest = float(tree.root.radius.min())
@@ -174,7 +174,7 @@ def build_volume_phantom(
         offset=tuple(float(x) for x in lumen.world_offset),  # type: ignore[arg-type]
         scale=volume.metres,
         axes_kept=True,
-        automatic_names={found[key]: name for key, name in final.items() if name in tree},
+        automatic_names={automatic_names[key]: name for key, name in final.items() if name in tree},
         way_length={name: round(phantom.way_length(name), 4) for name in phantom.targets},
         notes=(
             *volume.notes,

@@ -73,8 +73,8 @@ def _away_from_ends(tree: VesselTree, points: Array) -> Array:
     share = np.ones(len(points))
     for centre, normal, radius in open_ends(tree):
         height, aside = plane_coordinates(points, centre, normal)
-        here = (aside < 1.5 * radius) & (np.abs(height) < _FLAT)
-        share[here] = np.minimum(share[here], np.clip(-height[here] / _FLAT, 0.0, 1.0))
+        end_zone = (aside < 1.5 * radius) & (np.abs(height) < _FLAT)
+        share[end_zone] = np.minimum(share[end_zone], np.clip(-height[end_zone] / _FLAT, 0.0, 1.0))
     return share
 
 

@@ -90,13 +90,13 @@ def _balls(grid: SignedDistanceGrid, thinnest: float, narrowest: float) -> tuple
 
 def _first(grid: SignedDistanceGrid, start: Array, way: Array, steps: Array, *, lumen: bool) -> Array:
     """The first of some steps (m) along a way (n, 3) at which there is lumen, or none, once it was the other; inf."""
-    found = np.full(len(start), np.inf)
+    distances = np.full(len(start), np.inf)
     been = np.zeros(len(start), dtype=bool)
     for step in steps:
         met = (grid.sample(start + step * way) > 0) == lumen
-        found[been & met & np.isinf(found)] = step
+        distances[been & met & np.isinf(distances)] = step
         been |= ~met
-    return found
+    return distances
 
 
 def _apart(grid: SignedDistanceGrid, first: Array, second: Array) -> NDArray[np.bool_]:

@@ -142,8 +142,8 @@ def _sentence(error: ValidationError) -> str:
         return "a request must be JSON"
     kind = first["loc"][0] if first["loc"] else ""
     if not kind:
-        given = first["input"].get("type") if isinstance(first["input"], dict) else None
-        return f"a request needs a type, one of {', '.join(KINDS)}, got {_shown(given)}"
+        request_type = first["input"].get("type") if isinstance(first["input"], dict) else None
+        return f"a request needs a type, one of {', '.join(KINDS)}, got {_shown(request_type)}"
     field = ".".join(str(part) for part in first["loc"][1:])[:_LONGEST_VALUE]
     if first["type"] == "missing":
         return f"request '{kind}' needs the field {field}"

@@ -76,12 +76,12 @@ class FluoroscopyMonitor:
             contrast: medium in the lumen, 0 to 1; transmissions multiply.
             roadmap: lays the vessels over the image, brighter than their surroundings.
         """
-        shown = outside_sheath(wire, self._vessel)
+        visible_wire = outside_sheath(wire, self._vessel)
         if isinstance(self._renderer, FluoroscopyRenderer):
-            self._renderer.render_into(shown, self._image, None)
+            self._renderer.render_into(visible_wire, self._image, None)
         else:
             assert catheter is not None
-            self._renderer.render_into(shown, outside_sheath(catheter, self._vessel), self._image, *self._masks)
+            self._renderer.render_into(visible_wire, outside_sheath(catheter, self._vessel), self._image, *self._masks)
         share = (ROADMAP if roadmap else 0.0) - contrast
         if not share:
             return self._image

@@ -83,10 +83,10 @@ class Views:
             catheter: those of the catheter, or None.
             held: the last pictures are shown, whatever has moved since.
         """
-        shown = (*moment, self._room.contrast, self._room.roadmap)
-        if self._drawn is None or not (held or self._drawn[0] == shown):
+        picture_key = (*moment, self._room.contrast, self._room.roadmap)
+        if self._drawn is None or not (held or self._drawn[0] == picture_key):
             further: dict[str, Any] = {"contrast": self._room.contrast, "roadmap": self._room.roadmap}
-            self._drawn = shown, tuple(one.jpeg(wire, catheter, **further) for one in self._monitors.values())
+            self._drawn = picture_key, tuple(one.jpeg(wire, catheter, **further) for one in self._monitors.values())
         return self._drawn[1]
 
     def close(self) -> None:

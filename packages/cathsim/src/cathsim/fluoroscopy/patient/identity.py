@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -116,7 +117,7 @@ def _standing_out(values: NDArray[np.int16], places: tuple[Array, Array], to_ind
     means = []
     for part, least in zip(places, (_STILL_INSIDE, 0.0), strict=True):
         at = _indices(part + shift, to_index)
-        within = ((at >= 0) & (at <= np.array(values.shape) - 1)).all(axis=1)
+        within = np.logical_and.reduce([(x >= 0) & (x <= n - 1) for x, n in zip(at.T, values.shape, strict=True)])
         if not within.any() or within.mean() < least:
             return -np.inf
         means.append(float(map_coordinates(values, at[within].T, order=1, output=np.float64).mean()))
@@ -124,18 +125,23 @@ def _standing_out(values: NDArray[np.int16], places: tuple[Array, Array], to_ind
 
 
 def _best_shift(
-    values: NDArray[np.int16], places: tuple[Array, Array], to_index: Array, here: float
+    values: NDArray[np.int16], places: tuple[Array, Array], to_index: Array, excess: float
 ) -> tuple[Array, float]:
     """Where the lumen stands out most, (3,) m, by a search over ever smaller steps, and by how much."""
-    shift, most = np.zeros(3), here
+
+    @cache
+    def outcome(*by: float) -> float:
+        return _standing_out(values, places, to_index, np.array(by))
+
+    shift, most = np.zeros(3), excess
     for step in _STEPS:
         better = True
         while better and np.linalg.norm(shift) < _MOST_SHIFT:
-            tried = [shift + step * np.array(way) for way in itertools.product((-1, 0, 1), repeat=3) if any(way)]
-            outcomes = [_standing_out(values, places, to_index, one) for one in tried]
+            candidates = [shift + step * np.array(way) for way in itertools.product((-1, 0, 1), repeat=3) if any(way)]
+            outcomes = [outcome(*one.tolist()) for one in candidates]
             better = max(outcomes) > most
             if better:
-                shift, most = tried[int(np.argmax(outcomes))], max(outcomes)
+                shift, most = candidates[int(np.argmax(outcomes))], max(outcomes)
     return shift, most
 
 

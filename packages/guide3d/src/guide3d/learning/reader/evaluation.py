@@ -86,10 +86,10 @@ def evaluate_reader(reader: Reader, fluoroscopy: RandomFluoroscopy, indices: Ite
         elif len(places):
             hits += int((apart.min(axis=0) <= _TIP_NEAR_PX).sum())
             false += int((apart.min(axis=1) > _TIP_NEAR_PX).sum())
-        said = maps.wire > 0.02
-        part = np.minimum((maps.wire[said] * 10).astype(int), 9)
-        sums[0] += np.bincount(part, maps.wire[said], 10)
-        sums[1] += np.bincount(part, drawn.wire[said] / 255.0, 10)
+        wire_mask = maps.wire > 0.02
+        part = np.minimum((maps.wire[wire_mask] * 10).astype(int), 9)
+        sums[0] += np.bincount(part, maps.wire[wire_mask], 10)
+        sums[1] += np.bincount(part, drawn.wire[wire_mask] / 255.0, 10)
         sums[2] += np.bincount(part, minlength=10)
         count += 1
     return ReaderScores(
@@ -114,12 +114,12 @@ def calibrate(network: ReaderNetwork, fluoroscopy: RandomFluoroscopy, indices: I
         drawn = fluoroscopy.image(index)
         seen = torch.from_numpy(reader_input(drawn.image))[None].contiguous(memory_format=torch.channels_last)
         with torch.inference_mode():
-            given = network(seen)[0].numpy().reshape(len(CLASSES), -1)
+            outputs = network(seen)[0].numpy().reshape(len(CLASSES), -1)
         target = reader_target(drawn).reshape(len(CLASSES), -1)
         chosen = np.random.default_rng(index).integers(0, target.shape[1], _PIXELS)
         for name in CALIBRATED:
             row = CLASSES.index(name)
-            logits[name].append(given[row, chosen].astype(float))
+            logits[name].append(outputs[row, chosen].astype(float))
             truth[name].append(target[row, chosen].astype(float))
     shares = {}
     pixels = network.block_px**2

@@ -190,9 +190,9 @@ def train_reader(
     averaged = _made(recipe)
     averaged.load_state_dict(network.state_dict())
     optimiser = torch.optim.AdamW(network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay)
-    given = _digest([*courses, *backgrounds, *(value.numpy() for value in (start or {}).values())])
+    digest = _digest([*courses, *backgrounds, *(value.numpy() for value in (start or {}).values())])
     counts = [len(courses), len(backgrounds), len(start or {})]
-    identity = json.dumps({"recipe": asdict(recipe), "seed": seed, "counts": counts, "given": given})
+    identity = json.dumps({"recipe": asdict(recipe), "seed": seed, "counts": counts, "given": digest})
     path = folder / CHECKPOINT
     step = 0
     if path.is_file():

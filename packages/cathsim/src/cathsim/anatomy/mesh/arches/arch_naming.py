@@ -86,12 +86,12 @@ def labelled_names(aorta: RoughVessel, label_of: LabelOf) -> NamesAndNotes:
         for one in (part, *part.inner):
             labels = Counter(label for label in label_of(one.points) if label not in ("", AORTA))
             votes += [(count, label, one) for label, count in labels.items() if count >= 0.5 * labels.total()]
-    given: dict[Subtree, str] = {}
+    part_names: dict[Subtree, str] = {}
     for _, label, one in sorted(votes, key=lambda vote: -vote[0]):
-        trunk = any(other in one.inner for other in given) or any(one in other.inner for other in given)
-        if label not in given.values() and not trunk and not (label == "bca" and _forks_into_labels(one, votes)):
-            given[one] = label
-    _give_names(aorta, parts, given, names)
+        trunk = any(other in one.inner for other in part_names) or any(one in other.inner for other in part_names)
+        if label not in part_names.values() and not trunk and not (label == "bca" and _forks_into_labels(one, votes)):
+            part_names[one] = label
+    _give_names(aorta, parts, part_names, names)
     unnamed = _number_others(aorta, names)
     if is_mirrored(aorta):
         notes.append(
@@ -130,7 +130,7 @@ def _forks_into_labels(trunk: Subtree, votes: Sequence[tuple[int, str, Subtree]]
 
 
 def _give_names(
-    aorta: RoughVessel, parts: Mapping[int, Subtree], given: Mapping[Subtree, str], names: dict[int, str]
+    aorta: RoughVessel, parts: Mapping[int, Subtree], part_names: Mapping[Subtree, str], names: dict[int, str]
 ) -> None:
     """Makes vessels of the aorta's branches so that each named part is one, and names them and their trunks."""
     children = []
@@ -139,18 +139,18 @@ def _give_names(
         if part is None:
             children.append(child)
             continue
-        own = {one: name for one, name in given.items() if one is part or one in part.inner}
+        own = {one: name for one, name in part_names.items() if one is part or one in part.inner}
         short = set(own.values()) == {"lcca", "lsa"} and part.length < _MOUTH * part.radius
         vessel, named = rebuilt(part, own)
         if short and all(child.from_fork for child in vessel.children):  # one mouth of two vessels
             children += parted(vessel)
-            named = [(found, within) for found, within in named if found is not vessel]
+            named = [(named_vessel, within) for named_vessel, within in named if named_vessel is not vessel]
         else:
             children.append(vessel)
-        for found, within in named:
+        for named_vessel, within in named:
             name = _trunk_name({own[one] for one in within})
             if name and name not in names.values():
-                names[id(found)] = name
+                names[id(named_vessel)] = name
     aorta.children = children
 
 
@@ -217,16 +217,16 @@ def _trunk_name(names: set[str]) -> str:
 
 def _number_others(aorta: RoughVessel, names: dict[int, str]) -> list[str]:
     number = 1
-    queue, given = [aorta], []
+    queue, new_names = [aorta], []
     while queue:
         vessel = queue.pop(0)
         for child in vessel.children:
             if id(child) not in names:
                 names[id(child)] = f"branch_{number}"
-                given.append(names[id(child)])
+                new_names.append(names[id(child)])
                 number += 1
             queue.append(child)
-    return given
+    return new_names
 
 
 def _doubts(readings: Sequence[Reading], parts: Iterable[Subtree]) -> list[str]:
@@ -234,9 +234,9 @@ def _doubts(readings: Sequence[Reading], parts: Iterable[Subtree]) -> list[str]:
     best = readings[0]
     notes = []
     of_aorta = [name for _, name in best.names]
-    given = dict(best.names)
+    part_names = dict(best.names)
     for part in parts:
-        within = {given[one] for one in (part, *part.inner) if one in given}
+        within = {part_names[one] for one in (part, *part.inner) if one in part_names}
         if "lcca" in within and within & {"rsa", RIGHT}:
             notes.append("the first branch of the arch looks like the common trunk of BCA and LCCA")
     missing = [name for name in ("lcca", "lsa") if name not in of_aorta]

@@ -79,7 +79,7 @@ def read_arch(parts: Sequence[Subtree], *, sides_known: bool) -> list[Reading]:
     """
     parts = sorted(parts, key=lambda part: -part.radius)[:_MOST]
     parts.sort(key=lambda part: -part.vessel.start)
-    found = []
+    readings = []
     for groups, against in _TYPES:
         for chosen in combinations(parts, len(groups)):
             dropped = [part for part in parts if part not in chosen]
@@ -89,8 +89,8 @@ def read_arch(parts: Sequence[Subtree], *, sides_known: bool) -> list[Reading]:
                     fit = _fit(names) - _against(order, groups) - _left_over(order, names) - against - loss
                     for mirrored in (False,) if sides_known else (False, True):
                         side = _sides(names, order, groups, -1.0 if mirrored else 1.0)
-                        found.append(Reading(fit + side - MIRRORED * mirrored, names, mirrored))
-    return sorted(found, key=lambda reading: -reading.score)
+                        readings.append(Reading(fit + side - MIRRORED * mirrored, names, mirrored))
+    return sorted(readings, key=lambda reading: -reading.score)
 
 
 def _orders(chosen: Sequence[Subtree]) -> Iterator[tuple[Subtree, ...]]:

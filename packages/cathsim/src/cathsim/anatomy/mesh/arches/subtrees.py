@@ -113,25 +113,25 @@ def rebuilt(part: Subtree, names: Mapping[Subtree, str], *, from_fork: bool = Fa
     Returns:
         The first vessel; and for each named part, and each trunk of named parts, the vessel and those parts.
     """
-    found: Named = []
+    named_vessels: Named = []
     pieces: list[Subtree] = []
     children: list[RoughVessel] = []
     length = 0.0
-    here: Subtree | None = part
+    piece: Subtree | None = part
     own = part if part in names else None
     within = [named for named in names if named is part or named in part.inner]
-    while here is not None:
-        pieces.append(here)
-        length += here.split - here.start
-        onward = _onward(here, here if own is not None else None, names)
-        for daughter in here.daughters:
+    while piece is not None:
+        pieces.append(piece)
+        length += piece.split - piece.start
+        onward = _onward(piece, piece if own is not None else None, names)
+        for daughter in piece.daughters:
             if daughter is onward:
                 continue
             child, more = rebuilt(daughter, names, from_fork=onward is None)
             child.start = length
             children.append(child)
-            found += more
-        here = onward
+            named_vessels += more
+        piece = onward
     points, depth = _joined(pieces)
     last = pieces[-1]
     vessel = RoughVessel(
@@ -144,25 +144,25 @@ def rebuilt(part: Subtree, names: Mapping[Subtree, str], *, from_fork: bool = Fa
     for child in children:
         child.start = arc if child.from_fork else min(child.start, arc)
     if within:
-        found.insert(0, (vessel, tuple(within)))
-    return vessel, found
+        named_vessels.insert(0, (vessel, tuple(within)))
+    return vessel, named_vessels
 
 
-def _onward(here: Subtree, own: Subtree | None, names: Mapping[Subtree, str]) -> Subtree | None:
+def _onward(piece: Subtree, own: Subtree | None, names: Mapping[Subtree, str]) -> Subtree | None:
     """The daughter that a vessel goes on as; None where it ends, or parts into vessels of their own."""
-    if not here.daughters:
+    if not piece.daughters:
         return None
     if own is not None:
-        return next(d for d in here.daughters if here.main_leaf in d.leaves)
-    leading = next((d for d in here.daughters for named in (d, *d.inner) if names.get(named) == RIGHT), None)
+        return next(d for d in piece.daughters if piece.main_leaf in d.leaves)
+    leading = next((d for d in piece.daughters for named in (d, *d.inner) if names.get(named) == RIGHT), None)
     if leading is not None:  # the right side's trunk keeps its name beyond a left carotid
         return leading
-    counts = [sum(named is d or named in d.inner for named in names) for d in here.daughters]
+    counts = [sum(named is d or named in d.inner for named in names) for d in piece.daughters]
     if not any(counts):  # as it was: it goes on beyond side branches and ends in forks
-        return here.daughters[-1] if here.daughters[-1].vessel is here.vessel else None
+        return piece.daughters[-1] if piece.daughters[-1].vessel is piece.vessel else None
     if sum(count > 0 for count in counts) == 1:
-        return here.daughters[int(np.argmax(counts))]
-    several = [d for d, count in zip(here.daughters, counts, strict=True) if count > 1]
+        return piece.daughters[int(np.argmax(counts))]
+    several = [d for d, count in zip(piece.daughters, counts, strict=True) if count > 1]
     return several[0] if len(several) == 1 else None
 
 

@@ -191,8 +191,8 @@ def read_polygons(content: bytes) -> SurfaceFile:
             break  # other elements behind the faces are not needed
         kind = np.dtype([(field[1].decode(), sign + _TYPES[field[0]]) for field in fields])
         if words[1] == b"vertex":
-            found = np.frombuffer(data, kind, count, at)
-            vertices = np.stack([found[axis].astype(np.float64) for axis in "xyz"], axis=1)
+            records = np.frombuffer(data, kind, count, at)
+            vertices = np.stack([records[axis].astype(np.float64) for axis in "xyz"], axis=1)
         at += count * kind.itemsize
     return SurfaceFile(vertices, triangles_of_cells(corners, ends, strips=False), space_of_comment(content), notes)
 

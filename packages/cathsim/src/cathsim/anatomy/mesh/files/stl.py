@@ -31,13 +31,13 @@ def read_stl(content: bytes) -> list[tuple[str, SurfaceFile]]:
         return _solids(content)
     if size < 0:
         raise ValueError("it is shorter than the header of a binary STL file")
-    there, rest = divmod(size, _TRIANGLE.itemsize)
+    whole_triangles, rest = divmod(size, _TRIANGLE.itemsize)
     notes: tuple[str, ...] = ()
-    count = there if rest == 0 else promised
-    if count > there and b"\0" not in content[:_HEAD]:  # a count below 16 million has one
+    count = whole_triangles if rest == 0 else promised
+    if count > whole_triangles and b"\0" not in content[:_HEAD]:  # a count below 16 million has one
         raise ValueError("it begins as no STL file, binary or text")
-    if count > there:
-        raise ValueError(f"it is cut off: it promises {promised} triangles and holds {there}")
+    if count > whole_triangles:
+        raise ValueError(f"it is cut off: it promises {promised} triangles and holds {whole_triangles}")
     if count > MOST_TRIANGLES:
         raise ValueError(f"it has {count} triangles, at most {MOST_TRIANGLES} are read")
     if rest:

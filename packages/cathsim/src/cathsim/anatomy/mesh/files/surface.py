@@ -35,8 +35,8 @@ class SurfaceFile:
 
 def space_of_comment(data: bytes) -> str:
     """The space that 3D Slicer's comment at the beginning of a file names; empty where there is none."""
-    found = _SPACE.search(data[:_HEAD])
-    return found.group(1).decode() if found else ""
+    match = _SPACE.search(data[:_HEAD])
+    return match.group(1).decode() if match else ""
 
 
 def part_names(names: Iterable[bytes]) -> tuple[list[str], str]:
@@ -44,11 +44,11 @@ def part_names(names: Iterable[bytes]) -> tuple[list[str], str]:
 
     Groups such as "wall" and "inlet" are of one lumen and tell nothing.
     """
-    found = list(dict.fromkeys(name.decode(errors="replace").strip() for name in names))
-    if any(vessel_name(name) or (is_other(name) and "wall" not in name.lower()) for name in found):
-        return found, ""
-    shown = ", ".join(name[:_SHOWN] or "unnamed" for name in found[:_FEW]) + (", …" if len(found) > _FEW else "")
-    return [], f"its {len(found)} parts are taken together, no name is an artery's: {shown}" if len(found) > 1 else ""
+    parts = list(dict.fromkeys(name.decode(errors="replace").strip() for name in names))
+    if any(vessel_name(name) or (is_other(name) and "wall" not in name.lower()) for name in parts):
+        return parts, ""
+    listing = ", ".join(name[:_SHOWN] or "unnamed" for name in parts[:_FEW]) + (", …" if len(parts) > _FEW else "")
+    return [], f"its {len(parts)} parts are taken together, no name is an artery's: {listing}" if len(parts) > 1 else ""
 
 
 def numbers(text: str | bytes, kind: str) -> NDArray:

@@ -109,8 +109,8 @@ class _Legacy:
     def values(self, count: int, kind: str) -> NDArray:
         """The next numbers."""
         if self.text:
-            found = _KEYWORD.search(self.content, self.at)
-            end = found.start() if found else len(self.content)
+            match = _KEYWORD.search(self.content, self.at)
+            end = match.start() if match else len(self.content)
             values = numbers(self.content[self.at : end], kind)
             self.at = end
         else:

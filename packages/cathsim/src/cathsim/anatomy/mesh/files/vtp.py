@@ -47,13 +47,13 @@ def read_vtp(content: bytes) -> SurfaceFile:
         ValueError: it is no such file, or a damaged one, or needs a module that is not installed.
     """
     appended, raw = b"", True
-    if found := _APPENDED.search(content):
-        raw = b'encoding="base64"' not in found.group()
+    if match := _APPENDED.search(content):
+        raw = b'encoding="base64"' not in match.group()
         end = content.rfind(b"</AppendedData>")
-        if end < found.end():
+        if end < match.end():
             raise ValueError("its appended data is cut off")
-        appended = content[found.end() : end]
-        content = content[: found.end()] + content[end:]
+        appended = content[match.end() : end]
+        content = content[: match.end()] + content[end:]
     try:
         root = ElementTree.fromstring(content)
     except ElementTree.ParseError as error:

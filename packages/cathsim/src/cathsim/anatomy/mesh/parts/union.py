@@ -99,7 +99,6 @@ def _solid(part: Part, spacing: float, budget: Budget) -> _Solid | None:
         return None
     mesh = close_openings(mesh)[0]
     cavity: Cavity | None = None
-    samples = sample_surface(mesh.corners, 0.7 * spacing, budget)
     for finer in (1.0, 0.5):  # short parts are cheap, and narrow ones are lost on a coarse lattice
         if cavity is None and (finer == 1.0 or mesh.extent < _SHORT):
             samples = sample_surface(mesh.corners, 0.7 * finer * spacing, budget)
@@ -174,9 +173,9 @@ def _values_on(solid: _Solid, other: _Solid) -> NDArray[np.float32]:
     first = np.maximum(solid.low, other.low)
     last = np.minimum(solid.low + solid.grid.shape, other.low + other.grid.shape)
     if (last > first).all():
-        here = tuple(slice(a, b) for a, b in zip(first - other.low, last - other.low, strict=True))
+        other_window = tuple(slice(a, b) for a, b in zip(first - other.low, last - other.low, strict=True))
         window = tuple(slice(a, b) for a, b in zip(first - solid.low, last - solid.low, strict=True))
-        values[here] = solid.grid.dense((window[0], window[1], window[2]))
+        values[other_window] = solid.grid.dense((window[0], window[1], window[2]))
     return values
 
 

@@ -187,17 +187,17 @@ def pieces(mesh: Triangles) -> list[Triangles]:
         return [mesh]
     order = np.argsort(of_face, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(of_face[order])) + 1)
-    found = []
+    components = []
     for group in groups:
         corners = welded.vertices[welded.faces[group]].reshape(-1, 3)
         low, high = corners.min(axis=0), corners.max(axis=0)
         if len(group) >= _LEAST_FACES and (high - low).max() >= _LEAST_PIECE * mesh.extent:
-            found.append((group, low, high))
-    if not 2 <= len(found) <= _MOST_PIECES:
+            components.append((group, low, high))
+    if not 2 <= len(components) <= _MOST_PIECES:
         return [mesh]
-    found.sort(key=lambda one: -float(np.linalg.norm(one[2] - one[1])))
+    components.sort(key=lambda one: -float(np.linalg.norm(one[2] - one[1])))
     shells: list[tuple[list, np.ndarray, np.ndarray]] = []
-    for group, low, high in found:
+    for group, low, high in components:
         size = float(np.linalg.norm(high - low))
         slack = 0.02 * size
         for shell in shells:

@@ -70,8 +70,8 @@ def series_beside(path: Path, header: Any) -> list[tuple[Path, Any]]:
         for study in frame.get("RTReferencedStudySequence", []):
             for series in study.get("RTReferencedSeriesSequence", []):
                 uid = str(series.get("SeriesInstanceUID", ""))
-                if uid and (found := series_of(path.parent, uid)):
-                    return found
+                if uid and (series_files := series_of(path.parent, uid)):
+                    return series_files
     return []
 
 

@@ -44,9 +44,9 @@ def dicom_files(folder: Path) -> list[Path]:
 
 
 def _candidates(folder: Path) -> list[Path]:
-    found = (path for path in folder.iterdir() if not path.name.startswith(".") and path.name.upper() != "DICOMDIR")
+    paths = (path for path in folder.iterdir() if not path.name.startswith(".") and path.name.upper() != "DICOMDIR")
     # of slices named 1.2.840.113… the last number is no ending
-    return sorted(path for path in found if path.suffix.lower() in _SUFFIXES or path.suffix[1:].isdecimal())
+    return sorted(path for path in paths if path.suffix.lower() in _SUFFIXES or path.suffix[1:].isdecimal())
 
 
 def read_dicom(path: Path, pixels: bool = False) -> Any:
@@ -94,12 +94,12 @@ def numbers(path: Path, value: Any, count: int) -> Array:
         MeshRefusedError: they are others.
     """
     try:
-        found = np.array([float(one) for one in value], dtype=np.float64)
+        array = np.array([float(one) for one in value], dtype=np.float64)
     except (TypeError, ValueError):
-        found = np.empty(0)
-    if len(found) != count or not np.isfinite(found).all():
+        array = np.empty(0)
+    if len(array) != count or not np.isfinite(array).all():
         raise MeshRefusedError(f"{path.name} is damaged: {value!s:.60} are not {count} numbers; export it again.")
-    return found
+    return array
 
 
 def axes_of(path: Path, orientation: Any, spacing: Any) -> Array:

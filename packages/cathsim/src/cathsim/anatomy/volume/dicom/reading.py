@@ -47,11 +47,11 @@ def _opened(path: Path, image: bool) -> VolumeSource:
                 "(RTSTRUCT): segment the vessels first, as TotalSegmentator and 3D Slicer do."
             )
         return _LABELS[kind](path)
-    found = [(file, kind_of(read_dicom(file))) for file in dicom_files(path)]
-    labels = [(file, kind) for file, kind in found if kind in _LABELS]
+    file_kinds = [(file, kind_of(read_dicom(file))) for file in dicom_files(path)]
+    labels = [(file, kind) for file, kind in file_kinds if kind in _LABELS]
     if len(labels) != 1:
         names = ", ".join(file.name for file, _ in labels[:_SHOWN])
-        kinds = ", ".join(sorted({kind or "none" for _, kind in found}))
+        kinds = ", ".join(sorted({kind or "none" for _, kind in file_kinds}))
         raise MeshRefusedError(
             f"{path.name} holds {len(labels)} segmentations and structure sets ({names}); give the path of one of them."
             if labels

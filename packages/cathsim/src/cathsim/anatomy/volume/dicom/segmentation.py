@@ -52,8 +52,8 @@ def open_segmentation(path: Path) -> VolumeSource:
     )
     places = np.array([numbers(path, of_frame(g, "PlanePositionSequence", "ImagePositionPatient"), 3) for g in groups])
     measures = (groups[0] if "PixelMeasuresSequence" in groups[0] else shared).get("PixelMeasuresSequence", [{}])[0]
-    told = float(measures.get("SpacingBetweenSlices", 0) or measures.get("SliceThickness", 0) or 0)
-    affine, at = _lattice(path, axes, places, told)
+    header_step = float(measures.get("SpacingBetweenSlices", 0) or measures.get("SliceThickness", 0) or 0)
+    affine, at = _lattice(path, axes, places, header_step)
     layers = Layers((columns, rows, int(at.max()) + 1), path.name)
     names: dict[tuple[int, int], str] = {}
     segments = {int(one.SegmentNumber): _name(one) for one in header.get("SegmentSequence", [])}
@@ -86,17 +86,17 @@ def open_segmentation(path: Path) -> VolumeSource:
     )  # fmt: skip
 
 
-def _lattice(path: Path, axes: Array, places: Array, told: float) -> tuple[Array, NDArray[np.int64]]:
+def _lattice(path: Path, axes: Array, places: Array, header_step: float) -> tuple[Array, NDArray[np.int64]]:
     """The affine (4, 4), and the slice of every frame; slices without any segment have no frame."""
     along = places @ axes[:, 2]
     first, away = places[int(np.argmin(along))], along - along.min()
     apart = np.diff(np.unique(np.round(along, 3)))
-    step = told
+    step = header_step
     if len(apart):  # the places tell, but for segments that leave out whole slices
         step = float(apart[apart < 1.5 * apart.min()].mean())
         step = float(away.max() / np.rint(away.max() / step))
-        if told > 0 and _beside(away, step) > _OFF_GRID > _beside(away, told):
-            step = told
+        if header_step > 0 and _beside(away, step) > _OFF_GRID > _beside(away, header_step):
+            step = header_step
     if not step > 0 or away.max() / step > _MOST_SLICES:
         raise MeshRefusedError(f"{path.name} does not say how far its slices lie apart; {CONVERTERS}.")
     at = np.rint(away / step)

@@ -39,14 +39,14 @@ def series_of(folder: Path, uid: str | None = None) -> list[tuple[Path, Any]]:
     if uid is not None:
         return series.get(uid, [])
     if len(series) > 1:
-        told = [
+        descriptions = [
             f"{some[0][1].get('SeriesNumber', '?')} {some[0][1].get('SeriesDescription', '')}".strip()
             + f" ({len(some)} files)"
             for some in series.values()
         ]
         raise MeshRefusedError(
-            f"{folder.name} holds {len(series)} series of a CT: {', '.join(told[:_SHOWN])}"
-            f"{', …' if len(told) > _SHOWN else ''}; put the one of the labels into a folder of its own."
+            f"{folder.name} holds {len(series)} series of a CT: {', '.join(descriptions[:_SHOWN])}"
+            f"{', …' if len(descriptions) > _SHOWN else ''}; put the one of the labels into a folder of its own."
         )
     if not series:
         raise MeshRefusedError(

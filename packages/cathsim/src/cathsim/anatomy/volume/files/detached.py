@@ -63,14 +63,14 @@ def named_files(path: Path) -> list[str]:
 
 def with_detached_data(files: Iterable[Path]) -> list[Path]:
     """The same files, each followed by those that it refers to: a header by its data, contours by their slices."""
-    found = []
+    all_files = []
     for file in files:
-        found.append(file)
+        all_files.append(file)
         if file.suffix.lower() not in HEADERS:
-            found += beside(file)
+            all_files += beside(file)
         elif file.is_file():
             try:
-                found += [referenced_file(file, name) for name in named_files(file)]
+                all_files += [referenced_file(file, name) for name in named_files(file)]
             except UnreadableFileError:
                 continue  # its reader says what is wrong
-    return found
+    return all_files

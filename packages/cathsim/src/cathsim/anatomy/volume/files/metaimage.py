@@ -107,9 +107,9 @@ def _beside(path: Path, name: str) -> Path:
     except UnreadableFileError as error:
         if " refers to " in str(error) or "regular" in str(error):
             raise
-        shown = " ".join(name.split())[:80]
+        short_name = " ".join(name.split())[:80]
         raise MeshRefusedError(
-            f"{path.name} is damaged, or its data are not beside it ({shown}); copy or export it again."
+            f"{path.name} is damaged, or its data are not beside it ({short_name}); copy or export it again."
         ) from None
 
 
@@ -135,21 +135,21 @@ def _check_values(path: Path, fields: dict[str, str], data: Path, start: int, si
 def _fault_of_packed(data: Path, start: int, size: int) -> str:
     """Why what zlib has packed cannot be the values: ITK does not come to the checksum at its end."""
     unpacker = zlib.decompressobj(zlib.MAX_WBITS | 32)  # zlib or gzip
-    found = 0
+    unpacked_size = 0
     with open_regular(data) as file:
         file.seek(start)
         try:
             while not unpacker.eof and (block := file.read(HEADER_BYTES)):
                 while block and not unpacker.eof:
-                    found += len(unpacker.decompress(block, SLAB_BYTES))
+                    unpacked_size += len(unpacker.decompress(block, SLAB_BYTES))
                     block = unpacker.unconsumed_tail
-                if found > size:
+                if unpacked_size > size:
                     return f"it holds more values than the {size} bytes that its header says"
         except zlib.error as error:
             return str(error)
         behind = unpacker.unused_data + file.read(HEADER_BYTES)
     if not unpacker.eof:
         return "it ends before its last value"
-    if found != size:
-        return f"it holds {found} bytes of values, its header says {size}"
+    if unpacked_size != size:
+        return f"it holds {unpacked_size} bytes of values, its header says {size}"
     return "something follows its values" if any(behind) else ""

@@ -94,18 +94,18 @@ def _affine(
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """The affine that counts, and notes on what else the header says."""
     codes = {name: int(header[f"{name}_code"]) for name in TRANSFORMS}
-    given = [name for name in TRANSFORMS if codes[name] > 0]
-    if transform is not None and transform not in given:
+    transform_names = [name for name in TRANSFORMS if codes[name] > 0]
+    if transform is not None and transform not in transform_names:
         raise MeshRefusedError(f"{path.name} has no {transform}; leave transform={transform!r} out.")
-    if not given:
+    if not transform_names:
         note = "the file says nothing of the patient's axes: its voxels' order is taken for left, front, up"
         return np.asarray(header.get_best_affine(), dtype=np.float64), (note,)
-    affines = {name: np.asarray(getattr(header, f"get_{name}")(), dtype=np.float64) for name in given}
-    taken = transform or given[0]
+    affines = {name: np.asarray(getattr(header, f"get_{name}")(), dtype=np.float64) for name in transform_names}
+    taken = transform or transform_names[0]
     affine = affines[taken]
     three = (*shape, 1, 1, 1)[:3]
     notes = []
-    for other in given:
+    for other in transform_names:
         if other != taken and (apart := disagreement(affine, affines[other], three)):
             mirrored = np.linalg.det(affine[:3, :3]) * np.linalg.det(affines[other][:3, :3]) < 0
             sides = " and exchange two sides of the patient" if mirrored else ""
@@ -114,11 +114,11 @@ def _affine(
                 f"transform={other!r} takes the other"
             )
     sides = np.linalg.norm(affine[:3, :3], axis=0)
-    told = np.abs(np.asarray(header["pixdim"][1:4], dtype=np.float64))
+    pitch = np.abs(np.asarray(header["pixdim"][1:4], dtype=np.float64))
     scaled = affine.copy()
-    scaled[:3, :3] *= told / np.where(sides > 0, sides, 1.0)
+    scaled[:3, :3] *= pitch / np.where(sides > 0, sides, 1.0)
     if disagreement(affine, scaled, three):
-        notes.append(f"the header's spacing {_listed(told)} is not that of its axes, {_listed(sides)}, which is taken")
+        notes.append(f"the header's spacing {_listed(pitch)} is not that of its axes, {_listed(sides)}, which is taken")
     return affine, tuple(notes)
 
 
@@ -128,9 +128,9 @@ def _listed(sides: NDArray[np.float64]) -> str:
 
 def _labels(header: Any) -> list[tuple[str, str]]:
     """Numbers and names of labels in a header's extensions."""
-    found = []
+    labels = []
     for extension in header.extensions:
         content = extension.get_content()
         text = content.decode("utf-8", errors="replace") if isinstance(content, bytes) else str(content)
-        found += _LABEL.findall(text)
-    return found
+        labels += _LABEL.findall(text)
+    return labels

@@ -166,10 +166,10 @@ def _misfit(source: VolumeSource, present: dict[Key, int], scheme: str, vessels:
     """Why a file's labels cannot be a scheme's vessels; empty if they can."""
     keys = list(vessels)
     names = [str(key) for key in keys]
-    found = _collect(source, LabelChoice(dict(zip(keys, names, strict=True)), scheme), names, np.zeros(3, np.int64))
+    pieces = _collect(source, LabelChoice(dict(zip(keys, names, strict=True)), scheme), names, np.zeros(3, np.int64))
     turn = source.metres * source.frame @ source.affine[:3, :3]
     places: dict[Key, Array] = {}
-    for voxels, number, _ in found:
+    for voxels, number, _ in pieces:
         cells = np.unique(np.floor(voxels @ turn.T / CELL).astype(np.int32), axis=0)
         places[keys[number - 1]] = CELL * (cells.astype(np.float64) + 0.5)
     return misfit(scheme, vessels, places, present)
@@ -209,9 +209,9 @@ def _folder(path: Path, labels: Labels, transform: str | None) -> LabelVolume:
             continue
         others = {label for label in present if is_other(source.names.get(label, ""))}
         if len(present) > 1:
-            told = ", ".join(source.names.get(label, "") or str(label[1]) for label in sorted(present.keys() - others))
+            text = ", ".join(source.names.get(label, "") or str(label[1]) for label in sorted(present.keys() - others))
             left = ", ".join(source.names[label] for label in sorted(others))
-            notes.append(f"{source.path.name} holds labels {told}, taken together" + (f", without {left}" * bool(left)))
+            notes.append(f"{source.path.name} holds labels {text}, taken together" + (f", without {left}" * bool(left)))
             present = {label: count for label, count in present.items() if label not in others}
         total.update(present)
         parts.append((source, LabelChoice(dict.fromkeys(present, vessel), choice.scheme)))
@@ -268,7 +268,7 @@ def _box(parts: list[tuple[VolumeSource, LabelChoice]], file: str, present: dict
     """The part of the lattice that holds vessels, from one file or several of one lattice."""
     first = parts[0][0]
     names: list[str] = []
-    found: list[tuple[NDArray[np.int32], int, int]] = []  # voxels, vessel's number, voxels of its label
+    vessel_voxels: list[tuple[NDArray[np.int32], int, int]] = []  # voxels, vessel's number, voxels of its label
     voxel = float(np.prod(first.spacing))
     for source, choice in parts:
         shift = _shift(source, first)
@@ -287,9 +287,9 @@ def _box(parts: list[tuple[VolumeSource, LabelChoice]], file: str, present: dict
         for name in choice.vessels.values():
             if name not in names:
                 names.append(name)
-        found += _collect(source, choice, names, shift)
-    low = np.min([voxels.min(axis=0) for voxels, _, _ in found], axis=0)
-    high = np.max([voxels.max(axis=0) for voxels, _, _ in found], axis=0) + 1
+        vessel_voxels += _collect(source, choice, names, shift)
+    low = np.min([voxels.min(axis=0) for voxels, _, _ in vessel_voxels], axis=0)
+    high = np.max([voxels.max(axis=0) for voxels, _, _ in vessel_voxels], axis=0) + 1
     if np.prod((high - low).astype(float)) > _MOST_VOXELS:
         raise MeshRefusedError(
             f"the vessels of {file} spread over {np.prod((high - low).astype(float)):.2g} voxels; cut the volume to "
@@ -297,7 +297,7 @@ def _box(parts: list[tuple[VolumeSource, LabelChoice]], file: str, present: dict
         )
     box = np.zeros(tuple(high - low), dtype=np.uint8)
     # where labels overlap the smaller vessel counts: an aorta's label may run on beneath its branches'
-    for voxels, number, _ in sorted(found, key=lambda item: -item[2]):
+    for voxels, number, _ in sorted(vessel_voxels, key=lambda item: -item[2]):
         i, j, k = (voxels - low).T
         box[i, j, k] = number
     affine = first.affine.copy()
@@ -319,19 +319,19 @@ def _collect(
     pieces: dict[int, list[NDArray[np.int32]]] = {}
     for start, slab in source.slabs():
         for layer, values in enumerate(slab):
-            wanted = {value: names.index(name) + 1 for (at, value), name in choice.vessels.items() if at == layer}
-            if not wanted:
+            numbering = {value: names.index(name) + 1 for (at, value), name in choice.vessels.items() if at == layer}
+            if not numbering:
                 continue
             table = np.zeros(_MOST_LABEL + 1, dtype=np.uint8)
-            table[list(wanted)] = list(wanted.values())
+            table[list(numbering)] = list(numbering.values())
             numbers = table[values.astype(np.uint16)]
             taken = np.argwhere(numbers)
             which = numbers[tuple(taken.T)]
             places = (taken + np.array([0, 0, start]) + shift).astype(np.int32)
             for number in np.unique(which):
                 pieces.setdefault(int(number), []).append(places[which == number])
-    found = [(np.concatenate(parts), number) for number, parts in pieces.items()]
-    return [(voxels, number, len(voxels)) for voxels, number in found]
+    vessel_voxels = [(np.concatenate(parts), number) for number, parts in pieces.items()]
+    return [(voxels, number, len(voxels)) for voxels, number in vessel_voxels]
 
 
 def _shift(source: VolumeSource, first: VolumeSource) -> NDArray[np.int64]:

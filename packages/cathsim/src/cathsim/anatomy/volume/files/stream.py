@@ -28,15 +28,15 @@ class _Bzip2:
         self._file, self._unpacker = file, bz2.BZ2Decompressor()
 
     def read(self, count: int) -> bytes:
-        found = bytearray()
-        while len(found) < count and not self._unpacker.eof:
+        data = bytearray()
+        while len(data) < count and not self._unpacker.eof:
             block = self._file.read(_PADDING) if self._unpacker.needs_input else b""
             if self._unpacker.needs_input and not block:
                 raise EOFError("it ends before its last value")
-            found += self._unpacker.decompress(block, count - len(found))
+            data += self._unpacker.decompress(block, count - len(data))
         if self._unpacker.eof and any(self._unpacker.unused_data + self._file.read(_PADDING)):
             raise OSError("something follows its values")
-        return bytes(found)
+        return bytes(data)
 
 
 class ValueStream:

@@ -61,10 +61,10 @@ def _refuse_noise(mask: Mask, file: str, of: str) -> None:
     filled = float(mask.mean())
     pairs = same = 0
     for axis in range(3):
-        here = mask[tuple(slice(None, -1) if a == axis else slice(None) for a in range(3))]
-        there = mask[tuple(slice(1, None) if a == axis else slice(None) for a in range(3))]
-        pairs += int(np.count_nonzero(here)) + int(np.count_nonzero(there))
-        same += 2 * int(np.count_nonzero(here & there))
+        lower = mask[tuple(slice(None, -1) if a == axis else slice(None) for a in range(3))]
+        upper = mask[tuple(slice(1, None) if a == axis else slice(None) for a in range(3))]
+        pairs += int(np.count_nonzero(lower)) + int(np.count_nonzero(upper))
+        same += 2 * int(np.count_nonzero(lower & upper))
     if filled < _SOLID and pairs and 1 - same / pairs > _NOISE * (1 - filled):
         raise MeshRefusedError(
             f"the label{of} of {file} is noise: {100 * same / pairs:.0f} % of its voxels' neighbours are its own, as "
@@ -108,7 +108,7 @@ def _size_notes(radius: float, volume: LabelVolume) -> list[str]:
 
 
 def _cut_notes(mask: Mask, window: Window, radius: float, volume: LabelVolume, name: str) -> list[str]:
-    """Notes on faces of the volume that cut a vessel along its course, rather than across its end."""
+    """Notes on faces of the volume that cut a vessel along its path, rather than across its end."""
     from scipy.ndimage import label
 
     largest = 0.0

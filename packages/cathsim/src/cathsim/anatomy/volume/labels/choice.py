@@ -113,9 +113,9 @@ def choose_labels(
         )
     because = f" ({'; '.join(doubts)})" if doubts else ""
     if names or len(present) > _FEW:
-        told = _listed(present, names)
+        text = _listed(present, names)
         raise MeshRefusedError(
-            f"{file} has no label that is known as the aorta ({told}){because}; say which is which by labels={{number: "
+            f"{file} has no label that is known as the aorta ({text}){because}; say which is which by labels={{number: "
             "'aorta', ...}."
         )
     note = (
@@ -152,9 +152,9 @@ def _own_choice(present: Mapping[Key, int], names: Mapping[Key, str], own: Label
             raise MeshRefusedError(f"{file} has no label {label!r}; it has {_listed(present, names)}.")
         if vessel is not None:
             if len({names.get(key, "") for key in keys}) > 1:
-                told = _listed({key: present[key] for key in keys}, names)
+                text = _listed({key: present[key] for key in keys}, names)
                 raise MeshRefusedError(
-                    f"{file} has the label {label} in {len(keys)} layers ({told}); give their names."
+                    f"{file} has the label {label} in {len(keys)} layers ({text}); give their names."
                 )
             chosen |= dict.fromkeys(keys, vessel_name(str(vessel)) or str(vessel))
     others = {key: vessel_name(names.get(key, "")) for key in present if not any(_is(w, key, names) for w in own)}
@@ -196,8 +196,8 @@ def _nameless(keys: Iterable[Key], names: Mapping[Key, str]) -> tuple[str, ...]:
 
 
 def _listed(present: Mapping[Key, int], names: Mapping[Key, str]) -> str:
-    shown = [names.get(key, "") or str(key[1]) for key in sorted(present, key=lambda key: -present[key])]
-    return ", ".join(shown[:8]) + (f" and {len(shown) - 8} more" if len(shown) > 8 else "")
+    label_names = [names.get(key, "") or str(key[1]) for key in sorted(present, key=lambda key: -present[key])]
+    return ", ".join(label_names[:8]) + (f" and {len(label_names) - 8} more" if len(label_names) > 8 else "")
 
 
 def misfit(scheme: str, vessels: Mapping[Key, str], places: Mapping[Key, Array], sizes: Mapping[Key, int]) -> str:

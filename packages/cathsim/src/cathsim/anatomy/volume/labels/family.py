@@ -176,14 +176,14 @@ def _contacts(box: Box, spacing: Array) -> Touching:
     offsets = [o for o in offsets if o > (0, 0, 0)]
     contacts: dict[tuple[int, int], list[tuple[Array, Array]]] = {}
     for offset in offsets:
-        here = tuple(slice(max(-o, 0), n - max(o, 0)) for o, n in zip(offset, box.shape, strict=True))
+        window = tuple(slice(max(-o, 0), n - max(o, 0)) for o, n in zip(offset, box.shape, strict=True))
         shifted = tuple(slice(max(o, 0), n - max(-o, 0)) for o, n in zip(offset, box.shape, strict=True))
-        a, b = box[here], box[shifted]
+        a, b = box[window], box[shifted]
         places = np.argwhere((a != b) & (a > 0) & (b > 0))
         if len(places) == 0:
             continue
         first, second = a[tuple(places.T)].astype(int), b[tuple(places.T)].astype(int)
-        middle = (places + [s.start for s in here] + np.array(offset) / 2) * spacing
+        middle = (places + [s.start for s in window] + np.array(offset) / 2) * spacing
         size = area[offset.index(1)] if offset in _AXES else 0.0
         for pair in {tuple(sorted(p)) for p in zip(first.tolist(), second.tolist(), strict=True)}:
             chosen = ((first == pair[0]) & (second == pair[1])) | ((first == pair[1]) & (second == pair[0]))

@@ -70,13 +70,13 @@ def _clean(box: Box, number: int, names: Sequence[str], spacing: Array) -> list[
             "segmentation again, or say which labels are vessels by labels=."
         )
     by_size = np.argsort(-sizes) + 1
-    kept, notes, dropped = [int(by_size[0])], [], 0
+    main_parts, notes, dropped = [int(by_size[0])], [], 0
     for part in by_size[1:].tolist():
         if sizes[part - 1] < max(_SPECK * whole, 8):
             dropped += int(sizes[part - 1])
             crop[parts == part] = 0
             continue
-        ours = np.argwhere(np.isin(parts, kept)) * spacing
+        ours = np.argwhere(np.isin(parts, main_parts)) * spacing
         theirs = np.argwhere(parts == part) * spacing
         other = _continued(crop, parts == part, number, spacing) if distances(theirs, ours).min() > _OWN_GAP else 0
         if other and _hang_together(name, names[other - 1]):
@@ -93,7 +93,7 @@ def _clean(box: Box, number: int, names: Sequence[str], spacing: Array) -> list[
             crop[parts == part] = 0
             notes.append(f"{name} is broken off: {_share(sizes[part - 1], whole)} of it lies too far from the rest")
         else:
-            kept.append(part)
+            main_parts.append(part)
             notes.append(f"a gap of {1e3 * gap:.1f} mm in {name} is closed")
     if dropped:
         notes.append(f"{_share(dropped, whole)} of {name} lies in separate parts and is left out")
@@ -118,9 +118,9 @@ def _continued(box: Box, part: NDArray[np.bool_], number: int, spacing: Array) -
     touching = np.zeros(256)
     for axis in range(3):
         for ahead in (False, True):
-            here, there = [slice(None)] * 3, [slice(None)] * 3
-            here[axis], there[axis] = (slice(None, -1), slice(1, None)) if ahead else (slice(1, None), slice(None, -1))
-            touching += area[axis] * np.bincount(box[tuple(there)][part[tuple(here)]], minlength=256)
+            own, other = [slice(None)] * 3, [slice(None)] * 3
+            own[axis], other[axis] = (slice(None, -1), slice(1, None)) if ahead else (slice(1, None), slice(None, -1))
+            touching += area[axis] * np.bincount(box[tuple(other)][part[tuple(own)]], minlength=256)
     touching[[0, number]] = 0.0
     places = np.argwhere(part) * spacing
     length = np.linalg.norm(np.ptp(places, axis=0)) + float(spacing.mean())

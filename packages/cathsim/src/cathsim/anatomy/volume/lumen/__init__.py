@@ -1,1 +1,1 @@
-"""The lumen of a label volume: smooth walls, their union, distances, courses and ends of vessels."""
+"""The lumen of a label volume: smooth walls, their union, distances, paths and ends of vessels."""

@@ -1,4 +1,4 @@
-"""Courses of labelled vessels: the aorta's and the ends of each vessel, and the rough vessels along them."""
+"""Paths of labelled vessels: the aorta's and the ends of each vessel, and the rough vessels along them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 _STEP = 1e-3  # m along ways
-_AWAY = (1.2, 6e-3)  # radii of the parent and m from its course: a take-off further off is at the end of a stub of it
+_AWAY = (1.2, 6e-3)  # radii of the parent and m from its path: a take-off further off is at the end of a stub of it
 
 
 @dataclass(eq=False)
@@ -38,8 +38,8 @@ class Courses:
     graph: LumenGraph
     which: NDArray[np.uint8]  # (n,) number of the vessel that each node belongs to
     family: Family
-    main: list[int]  # vessels that the main course follows, from where the wire comes in
-    start: int  # node of the main course's first end
+    main: list[int]  # vessels that the main path follows, from the access site
+    start: int  # node of the main path's first end
     last: int  # of its other end
     tips: dict[int, int] = field(default_factory=dict)  # node of the far end by vessel; none where others go on from it
     forks: dict[int, int] = field(default_factory=dict)  # node where a vessel's daughters part, by vessel
@@ -114,8 +114,8 @@ def _late_before_early(
     along = graph.away(heart)
 
     def mean_place(names: tuple[str, ...]) -> float:
-        found = [n for n, link in family.links.items() if link.parent == family.order[0]]
-        nodes = [graph.nearest(ostia[n], mine) for n in found if family.names[n].startswith(names)]
+        branches = [n for n, link in family.links.items() if link.parent == family.order[0]]
+        nodes = [graph.nearest(ostia[n], mine) for n in branches if family.names[n].startswith(names)]
         return float(np.mean(along[nodes])) if nodes else float("nan")
 
     return mean_place(_EARLY) - mean_place(_LATE) > _LEAST_APART  # not so where one of them is missing
@@ -167,11 +167,11 @@ def _farthest(away: Array) -> int:
 def rough_vessels(
     courses: Courses, ends: dict[int, FlatEnd], first: FlatEnd, ostia: dict[int, Array]
 ) -> tuple[RoughVessel, dict[int, str]]:
-    """The vessels' courses as a tree of rough vessels, and their names by `id()`.
+    """The vessels' paths as a tree of rough vessels, and their names by `id()`.
 
     Args:
-        ends: flat ends of vessels; that of the main course's upper end under the aorta's number.
-        first: flat end where the main course begins.
+        ends: flat ends of vessels; that of the main path's upper end under the aorta's number.
+        first: flat end where the main path begins.
     """
     graph, family = courses.graph, courses.family
     root = family.order[0]
@@ -192,7 +192,7 @@ def rough_vessels(
     points, depth = followed(root, lower, upper, head=first.centre, tail=ends[root].centre)
     aorta = RoughVessel(points, depth, root)
     names[id(aorta)] = AORTA
-    # a course from the groin on is the aorta's as a whole
+    # a path from the groin on is the aorta's as a whole
     made = dict.fromkeys(courses.main, aorta)
     for number in family.order:
         if number in courses.main or family.links[number].parent not in made:
@@ -248,7 +248,7 @@ def _leaves_end(courses: Courses, number: int, ostia: dict[int, Array]) -> bool:
 
 
 def narrow_places(courses: Courses, number: int, begin: int, end: int, least: float) -> tuple[Array, float]:
-    """Places (n, 3) m along a vessel's course where it is narrower than a radius (m), and the least depth there, m."""
+    """Places (n, 3) m along a vessel's path where it is narrower than a radius (m), and the least depth there, m."""
     from scipy.ndimage import binary_dilation
     from scipy.spatial import cKDTree
 

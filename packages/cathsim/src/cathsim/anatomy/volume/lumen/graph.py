@@ -96,11 +96,11 @@ class LumenGraph:
         from scipy.sparse import csr_matrix
         from scipy.sparse.csgraph import dijkstra
 
-        pairs = self.pairs
+        first, second = self.pairs.T
         if chosen is not None:
-            inside = chosen[pairs].all(axis=1)
-            pairs, cost = pairs[inside], cost[inside]
-        graph = csr_matrix((cost, (pairs[:, 0], pairs[:, 1])), shape=(len(self.points),) * 2)
+            inside = chosen[first] & chosen[second]
+            first, second, cost = first[inside], second[inside], cost[inside]
+        graph = csr_matrix((cost, (first, second)), shape=(len(self.points),) * 2)
         away, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
         return away, before.astype(np.int64)
 

@@ -1,4 +1,4 @@
-"""The lumen of labelled vessels in the patient's axes: level, distance to its wall, courses, flat ends."""
+"""The lumen of labelled vessels in the patient's axes: level, distance to its wall, paths, flat ends."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class LabelledLumen:
         return self.offset - self.volume.frame @ self.volume.affine[:3, 3]
 
     def build(self) -> tuple[SignedDistanceGrid, RoughVessel, dict[int, str], dict[str, tuple[float, float]]]:
-        """The distance grid, the vessels' courses with names by `id()`, and volumes (m^3) in voxels and in the grid."""
+        """The distance grid, the vessels' paths with names by `id()`, and volumes (m^3) in voxels and in the grid."""
         level, which, inside = self.level()
         if self.rejoin(inside):
             level, which, inside = self.level()
@@ -207,7 +207,7 @@ class LabelledLumen:
                 )
 
     def flatten(self, courses: Courses) -> tuple[FlatEnd, dict[int, FlatEnd], list[str]]:
-        """Cuts all ends flat: the main course's first, the others by vessel, and which the volume's edge cuts."""
+        """Cuts all ends flat: the main path's first, the others by vessel, and which the volume's edge cuts."""
         root = self.family.order[0]
         faces = []
         for axis, place, sign in self.union.faces:
@@ -223,9 +223,9 @@ class LabelledLumen:
             begin = courses.graph.nearest(ostia[number], courses.which == number)
             if begin != node:
                 tips[number] = flat_end(courses, number, node, begin, faces)
-        for number, found in tips.items():
-            if not found.flat:
-                self.union.ends.setdefault(root if number == -1 else number, []).append(self._in_box(found))
+        for number, tip in tips.items():
+            if not tip.flat:
+                self.union.ends.setdefault(root if number == -1 else number, []).append(self._in_box(tip))
         first = tips.pop(below if below != root else -1)
         cut = ["the aorta's lower end" if below == root else self.family.names[below]] if first.cut else []
         cut += [self.family.names[n] if n != root else "the ascending aorta" for n, tip in tips.items() if tip.cut]

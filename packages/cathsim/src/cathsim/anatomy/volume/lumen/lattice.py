@@ -55,12 +55,12 @@ class BlockLattice:
 
     def number(self, nodes: Nodes) -> Nodes:
         """Rows (n,) in `nodes` of nodes (n, 3); -1 where there is none."""
-        block = nodes // BLOCK
-        size = np.array(self.table.shape)
-        outside = np.any((block < 0) | (block >= size), axis=1)
-        i, j, k = np.clip(block, 0, size - 1).T
-        which = np.where(outside, -1, self.table[i, j, k]).astype(np.int64)
-        a, b, c = (nodes - block * BLOCK).T
+        i, j, k = (axis // BLOCK for axis in nodes.T)
+        nx, ny, nz = self.table.shape
+        known = np.flatnonzero((i >= 0) & (i < nx) & (j >= 0) & (j < ny) & (k >= 0) & (k < nz))
+        which = np.full(len(nodes), -1, dtype=np.int64)
+        which[known] = self.table[i[known], j[known], k[known]]
+        a, b, c = (axis - block * BLOCK for axis, block in zip(nodes.T, (i, j, k), strict=True))
         return np.where(which >= 0, ((which * BLOCK + a) * BLOCK + b) * BLOCK + c, -1)
 
     def neighbours(self, rows: Nodes, step: tuple[int, int, int]) -> Nodes:

@@ -56,7 +56,9 @@ class Union:
         levels = {}
         for number, one in self.fields.items():
             low, high = one.bounds
-            near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+            near = np.flatnonzero(
+                np.logical_and.reduce([(x >= a) & (x <= b) for x, a, b in zip(points.T, low, high, strict=True)])
+            )
             if len(near):
                 levels[number] = (near, self._capped(number, points[near]))
         for a, b, places in self.family.false:

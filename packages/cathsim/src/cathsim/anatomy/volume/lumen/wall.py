@@ -41,14 +41,14 @@ def signed_distance(lattice: BlockLattice, level: Field, rows: Nodes | None = No
 
     Args:
         level: (n,) of all nodes, of any slope, positive inside.
-        rows: (k,) of the nodes wanted; all where they are left out.
+        rows: (k,) of some nodes; all where they are left out.
     """
     from scipy.spatial import cKDTree
 
     points, normals = _wall_points(lattice, level)
     tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
     nodes = np.arange(len(level)) if rows is None else rows
-    found = np.full(len(nodes), OUTSIDE, dtype=np.float32)
+    distances = np.full(len(nodes), OUTSIDE, dtype=np.float32)
     for some in np.array_split(np.arange(len(nodes)), len(nodes) // _BATCH + 1):
         at = lattice.points(lattice.nodes[nodes[some]])
         outside = level[nodes[some]] <= 0
@@ -63,8 +63,8 @@ def signed_distance(lattice: BlockLattice, level: Field, rows: Nodes | None = No
         flat = np.clip((_ROUND - away / lattice.spacing) / (_ROUND - _FLAT), 0.0, 1.0)
         flat[aside > _LATERAL * lattice.spacing] = 0.0
         distance = flat * ahead + (1 - flat) * away
-        found[some] = np.where(outside, np.maximum(-distance, OUTSIDE), distance)
-    return found
+        distances[some] = np.where(outside, np.maximum(-distance, OUTSIDE), distance)
+    return distances
 
 
 def _wall_points(lattice: BlockLattice, level: Field) -> tuple[Array, Array]:
@@ -78,8 +78,8 @@ def _wall_points(lattice: BlockLattice, level: Field) -> tuple[Array, Array]:
         share = (level[a] / (level[a] - level[b])).astype(np.float64)
         place = lattice.points(lattice.nodes[a])
         place[:, axis] += share * lattice.spacing
-        here, there = _slope(lattice, level, a), _slope(lattice, level, b)
-        normal = here * (1 - share[:, None]) + there * share[:, None]
+        first_slope, second_slope = _slope(lattice, level, a), _slope(lattice, level, b)
+        normal = first_slope * (1 - share[:, None]) + second_slope * share[:, None]
         points.append(place)
         normals.append(normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12))
     return np.concatenate(points), np.concatenate(normals)
