@@ -63,18 +63,18 @@ def steps_to_the_end(steps: Sequence[Step]) -> list[int]:
 
 def chosen_value(overrides: Sequence[str], key: str, default: str) -> str:
     """The value of a setting among overrides: the last one counts."""
-    found = (word.partition("=")[2] for word in reversed(overrides) if word.startswith(f"{key}="))
-    return next(map(unquoted, found), default)
+    values = (word.partition("=")[2] for word in reversed(overrides) if word.startswith(f"{key}="))
+    return next(map(unquoted, values), default)
 
 
 def after_inputs(stages: Sequence[str]) -> list[str]:
     """The stages and all that they read, directly or not, in order."""
-    wanted, todo = set[str](), list(stages)
+    stage_names, todo = set[str](), list(stages)
     while todo:
         name = todo.pop()
-        wanted.add(name)
+        stage_names.add(name)
         todo += load_stage(name).reads
-    return [name for name in available_stages() if name in wanted]
+    return [name for name in available_stages() if name in stage_names]
 
 
 def concerns(override: str, stage: str) -> bool:
@@ -119,8 +119,8 @@ class _Running:
 
 def run(steps: Sequence[Step], overrides: Sequence[str], beside: int = 1) -> int:
     """Runs the steps, so many beside each other, until one fails, whose exit code it gives: 128 + N after signal N."""
-    room = shared_machine(available_workers(), available_bytes() / _GB) if beside > 1 else contextlib.nullcontext()
-    with room, _Processes() as processes:
+    machine = shared_machine(available_workers(), available_bytes() / _GB) if beside > 1 else contextlib.nullcontext()
+    with machine, _Processes() as processes:
         return _Chain(steps, overrides, beside, processes).run()
 
 
@@ -175,8 +175,8 @@ class _Chain:
     def _start(self, place: int) -> None:
         step = self._steps[place]
         self._started += 1
-        told = f"; {len(self._done)} done in {self._so_far()}" if self._done else ""
-        say(f"== stage {self._started} of {len(self._steps)}: {step}{told}")
+        progress = f"; {len(self._done)} done in {self._so_far()}" if self._done else ""
+        say(f"== stage {self._started} of {len(self._steps)}: {step}{progress}")
         command = [sys.executable, "-m", "pipeline", *words_of(step, self._overrides)]
         self._waiting.remove(place)
         self._processes.start(place, command, name=str(step) if self._beside > 1 else None)

@@ -84,12 +84,12 @@ def _models(arguments: list[str]) -> int:
     if not arguments:
         say("\n".join(f"{name}: {sentence}" for name, (sentence, _) in shipped.items()) or "no model is shipped")
         return _FINE
-    found = [(full.split()[1], package) for full, (_, package) in shipped.items() if full.split()[1] == arguments[-1]]
-    if not found:
+    matches = [(full.split()[1], package) for full, (_, package) in shipped.items() if full.split()[1] == arguments[-1]]
+    if not matches:
         known = ", ".join(full.split()[1] for full in shipped) or "none, as none is shipped"
         say(f"there is no model {arguments[-1]!r}: choose from {known}", error=True)
         return _USAGE
-    say("\n".join(package.card(name) for name, package in found))
+    say("\n".join(package.card(name) for name, package in matches))
     return _FINE
 
 
@@ -108,7 +108,7 @@ def _list(arguments: list[str]) -> int:
         "wires": list(cathsim.GUIDEWIRES), "catheters": list(cathsim.CATHETERS),
         "targets of type_1": list(cathsim.load_phantom("type_1").targets),
     }  # fmt: skip
-    say("\n".join(f"{kind}: {', '.join(found)}" for kind, found in names.items()))
+    say("\n".join(f"{kind}: {', '.join(entries)}" for kind, entries in names.items()))
     say("models:")
     return _models([])
 

@@ -15,14 +15,14 @@ from pipeline.store.errors import ConfigurationError
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the console until Ctrl-C."""
-    wanted = parser(written("console"), folder=None)
-    wanted.add_argument("--name", default="desk", metavar="RUN", help="run that the episodes belong to (default desk)")
-    wanted.add_argument("--runs-dir", type=Path, default=Path("runs"), help="folder of the runs (default runs)")
-    options = wanted.parse_args(arguments)
+    syntax = parser(written("console"), folder=None)
+    syntax.add_argument("--name", default="desk", metavar="RUN", help="run that the episodes belong to (default desk)")
+    syntax.add_argument("--runs-dir", type=Path, default=Path("runs"), help="folder of the runs (default runs)")
+    options = syntax.parse_args(arguments)
     try:
         RunConfig(name=options.name)
     except ConfigurationError as error:
-        wanted.error(str(error))
+        syntax.error(str(error))
     return start(options, McapRecorder, recordings(options.runs_dir, options.name))
 
 

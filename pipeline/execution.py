@@ -46,7 +46,7 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
     run_path = Path(config.runs_dir) / config.name
     request = RunRequest(tuple(overrides), in_sweep, config.seed, config.budget_name)
     inputs = {name: require_input(run_path, name, stage.name, request) for name in stage.reads}
-    identity = _identity(stage, config, run_path, {path.name: found.outputs_hash for path, found in inputs.values()})
+    identity = _identity(stage, config, run_path, {path.name: record.outputs_hash for path, record in inputs.values()})
     variant = request.variant(seeded=stage.seeded)
     folder = RunFolder(run_path / "@".join([stage.name, *([variant_of(variant)] if variant else [])]), identity)
     with folder.locked():
@@ -54,8 +54,8 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
         if not config.force and folder.is_up_to_date():
             _LOGGER.info("%s: up to date in %s%s", stage.name, folder.path, _other_commits(folder.path))
             return
-        kept = folder.prepare(force=config.force)
-        _LOGGER.info("%s: working in %s%s", stage.name, folder.path, f", {kept} finished items kept" if kept else "")
+        count = folder.prepare(force=config.force)
+        _LOGGER.info("%s: working in %s%s", stage.name, folder.path, f", {count} finished items kept" if count else "")
         started, meter = time.monotonic(), CostMeter()
         context = StageContext(
             folder=folder, run_path=run_path, inputs={name: path for name, (path, _) in inputs.items()},

@@ -32,12 +32,12 @@ def main(arguments: Sequence[str]) -> int:
     down = verbs.add_parser("download", help="all files of USER/NAME or datasets/USER/NAME")
     down.add_argument("address")
     down.add_argument("--to", type=Path, metavar="FOLDER", help="without: its name")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        if given.verb == "upload":
-            say(upload(given.path, given.address, private=given.private))
+        if options.verb == "upload":
+            say(upload(options.path, options.address, private=options.private))
         else:
-            say("\n".join(map(str, download(given.address, given.to or Path(given.address.rpartition("/")[2])))))
+            say("\n".join(map(str, download(options.address, options.to or Path(options.address.rpartition("/")[2])))))
     except ConfigurationError as error:
         say(f"endonav hub: {error}", error=True)
         return _USAGE
@@ -119,12 +119,12 @@ _HEAD = f"---\nlibrary_name: {_LIBRARY}\ntags: [robotics, reinforcement-learning
 
 
 def _card(name: str, policy: Any) -> str:
-    told = {
+    metadata = {
         "observations": list(policy.keys) or ["tracking"],
         "steps of an action": policy.action_repeat,
         **getattr(policy, "metadata", {}),
     }
-    rows = "\n".join(f"| {key} | `{json.dumps(value, default=str)}` |" for key, value in told.items())
+    rows = "\n".join(f"| {key} | `{json.dumps(value, default=str)}` |" for key, value in metadata.items())
     return (
         f"# {name}\n\nA policy of EndoNav, not for clinical use. `endonav evaluate --policy FILE` plays it.\n\n"
         f"| | |\n|---|---|\n{rows}\n"

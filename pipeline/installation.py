@@ -30,9 +30,9 @@ def missing_for_build(environment: str = ".venv") -> list[str]:
     """Lists what keeps the packages from being built and installed: a sentence a thing, saying how to get it."""
     missing = []
     if sys.version_info < OLDEST_PYTHON:
-        wanted, have = ".".join(map(str, OLDEST_PYTHON)), ".".join(map(str, sys.version_info[:3]))
+        minimum, have = ".".join(map(str, OLDEST_PYTHON)), ".".join(map(str, sys.version_info[:3]))
         missing.append(
-            f"Python {wanted} or newer is needed, this is {have}: install one and run `make PYTHON=/path/to/python`"
+            f"Python {minimum} or newer is needed, this is {have}: install one and run `make PYTHON=/path/to/python`"
         )
     if importlib.util.find_spec("venv") is None or importlib.util.find_spec("ensurepip") is None:
         version = f"{sys.version_info[0]}.{sys.version_info[1]}"

@@ -71,7 +71,7 @@ def one_line(error: BaseException, overrides: list[str]) -> str:
         return f"cannot read {override}: write key=value, and quote lists for the shell: 'key=[a,b]'{further}"
     if "You must specify 'stage'" in text:
         return f"no stage given: add stage=…, one of {', '.join(available_stages())}"
-    full = [found[1] for one in (cause, error) if (found := re.search(r"full_key: ([\w.\[\]]+)", str(one)))]
+    full = [match[1] for one in (cause, error) if (match := re.search(r"full_key: ([\w.\[\]]+)", str(one)))]
     if full and "is not a subclass of" in f"{text} {cause}":  # a value instead of a group of settings
         names = settings_beside(f"{full[0]}.", {})
         return f"{full[0]} has several settings: give {', '.join(f'{name}=…' for name in names)} one by one"
@@ -238,8 +238,8 @@ def usage() -> str:
 def _summary(stage: str) -> str:
     """The comment that opens the stage's configuration: reading it imports nothing."""
     text = (CONFIG_DIRECTORY / "stage" / f"{stage}.yaml").read_text(encoding="utf-8")
-    found = re.match(r"#\s*(.+)", text)
-    return found[1] if found else ""
+    match = re.match(r"#\s*(.+)", text)
+    return match[1] if match else ""
 
 
 def _say(sentence: str, code: int) -> int:

@@ -64,14 +64,14 @@ def _libc() -> str:
 
 def _rendering() -> str:
     """Which of MuJoCo's renderers without a screen open a context here; each is tried in a process of its own."""
-    tried = {
+    probes = {
         backend: subprocess.Popen(
             [sys.executable, "-c", _RENDER], env={**os.environ, "MUJOCO_GL": backend},
             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         )
         for backend in GL_LIBRARIES
     }  # fmt: skip
-    return ", ".join(f"{backend} {'works' if _ends_well(process) else 'fails'}" for backend, process in tried.items())
+    return ", ".join(f"{backend} {'works' if _ends_well(process) else 'fails'}" for backend, process in probes.items())
 
 
 def _ends_well(process: subprocess.Popen[bytes]) -> bool:
@@ -85,10 +85,10 @@ def _ends_well(process: subprocess.Popen[bytes]) -> bool:
 
 def _gpus() -> str:
     try:
-        found = find_gpus()
+        gpus = find_gpus()
     except (StageError, subprocess.TimeoutExpired) as error:
         return str(error)
-    return ", ".join(f"{gpu.name} with {gpu.total_bytes / 1e9:.0f} GB" for gpu in found) or "none that torch finds"
+    return ", ".join(f"{gpu.name} with {gpu.total_bytes / 1e9:.0f} GB" for gpu in gpus) or "none that torch finds"
 
 
 def _size(folder: Path) -> str:

@@ -179,9 +179,9 @@ class DeviceSettings:
 
     def __post_init__(self) -> None:
         """Takes the devices over into the task, and then the anatomies of a stage that has some."""
-        given = {name: value for name in ("wire", "catheter", "torsion") if (value := getattr(self, name)) is not None}
-        if given:
-            self.task = dataclasses.replace(self.task, **given)
+        values = {name: value for name in ("wire", "catheter", "torsion") if (value := getattr(self, name)) is not None}
+        if values:
+            self.task = dataclasses.replace(self.task, **values)
         self.wire = self.catheter = self.torsion = None  # so that either way counts as the same settings
         getattr(super(), "__post_init__", lambda: None)()
 
@@ -246,14 +246,14 @@ def require_feeder(task: Task, stage: str) -> None:
 
 def differences(one: Task, other: Task, parts: Sequence[str] = PARTS) -> list[str]:
     """Names of the parts in which two tasks differ."""
-    found = [name for name in parts if not _same(getattr(one, name), getattr(other, name))]
-    if LENGTH in found and one.wire == other.wire and (one.wire == NO_WIRE or one.guidewire() == other.guidewire()):
-        found.remove(LENGTH)  # wires are made of whole links: two lengths may be one wire
-    if "catheter" in found and _same_catheter(one, other):
-        found.remove("catheter")
-    if "torsion" in found and one.catheter is None and other.catheter is None:
-        found.remove("torsion")
-    return found
+    names = [name for name in parts if not _same(getattr(one, name), getattr(other, name))]
+    if LENGTH in names and one.wire == other.wire and (one.wire == NO_WIRE or one.guidewire() == other.guidewire()):
+        names.remove(LENGTH)  # wires are made of whole links: two lengths may be one wire
+    if "catheter" in names and _same_catheter(one, other):
+        names.remove("catheter")
+    if "torsion" in names and one.catheter is None and other.catheter is None:
+        names.remove("torsion")
+    return names
 
 
 def _same_catheter(one: Task, other: Task) -> bool:
@@ -277,8 +277,8 @@ def require_same_task(
     differing = differences(wanted, found, parts)
     if not differing:
         return
-    here, there = (", ".join(f"{name}={getattr(task, name)}" for name in differing) for task in (wanted, found))
+    request, result = (", ".join(f"{name}={getattr(task, name)}" for name in differing) for task in (wanted, found))
     raise StageError(
-        f"stage {stage} was asked for {here}, but {whose} was made by stage {maker} with {there}: give both stages the "
-        f"same task ({', '.join(f'task.{name}=…' for name in differing)}), or run stage={maker} again"
+        f"stage {stage} was asked for {request}, but {whose} was made by stage {maker} with {result}: give both stages "
+        f"the same task ({', '.join(f'task.{name}=…' for name in differing)}), or run stage={maker} again"
     )

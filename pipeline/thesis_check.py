@@ -39,27 +39,27 @@ def main(overrides: Sequence[str]) -> int:
     run = Path(chosen_value(overrides, "runs_dir", "runs")) / chosen_value(overrides, "name", EXPERIMENT)
     if not run.is_dir():
         return code
-    found = rows(run)
-    text = markdown(found, shlex.join(command))
+    table = rows(run)
+    text = markdown(table, shlex.join(command))
     write_text(run / MARKDOWN, text)
-    write_json(run / JSON, {"rows": [dict(zip(COLUMNS, row, strict=True)) for row in found], **provenance(command)})
+    write_json(run / JSON, {"rows": [dict(zip(COLUMNS, row, strict=True)) for row in table], **provenance(command)})
     print(text)  # noqa: T201 - the command's answer
-    return code or (0 if all(row[-1] == OK for row in found) else _EXIT_FAILED)
+    return code or (0 if all(row[-1] == OK for row in table) else _EXIT_FAILED)
 
 
 def rows(run: Path) -> list[Row]:
     """What every stage and its jobs took, in the order of the stages."""
-    found: list[Row] = []
+    table: list[Row] = []
     for stage in available_stages():
         manifest = read_manifest(run / stage)
         costs = manifest.jobs if manifest is not None else kept_costs(run / stage)
         own = costs.get(OWN_PROCESS)
         if own is None:
-            found.append((stage, "", "", None, None, None, None, UNFINISHED))
+            table.append((stage, "", "", None, None, None, None, UNFINISHED))
         else:
-            found.append(_row(stage, "", own))
-        found += [_row(stage, key, cost) for key, cost in sorted(costs.items()) if key != OWN_PROCESS]
-    return found
+            table.append(_row(stage, "", own))
+        table += [_row(stage, key, cost) for key, cost in sorted(costs.items()) if key != OWN_PROCESS]
+    return table
 
 
 def _row(stage: str, job: str, cost: Mapping[str, Any]) -> Row:

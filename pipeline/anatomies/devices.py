@@ -14,7 +14,7 @@ from pipeline.task import DESCENDING, NO_WIRE, Task, entry_place
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
     from cathsim.anatomy.point_target import TargetLike
-    from enn.device_trials import Tried
+    from enn.device_trials import TrialStatistics
     from enn.policy import Policy
 
 
@@ -72,7 +72,7 @@ _BETTER_MM = {("generalist_jb2", "lcca"): 0.0, ("generalist_jb2", "lsa"): 0.0}  
 
 
 def catheter_better_mm(policy: str, branch: str) -> float:
-    """The set-back, mm, from which on a policy reaches more targets in a branch with a catheter than without."""
+    """The ostium offset, mm, from which on a policy reaches more targets in a branch with a catheter than without."""
     return _BETTER_MM.get((policy, branch), CATHETER_BETTER_MM)
 
 
@@ -84,7 +84,7 @@ def set_back_mm(phantom: Phantom, target: TargetLike) -> float:
 
 
 def with_catheter_where_steep(phantom: Phantom, target: TargetLike, task: Task, *, choose: bool) -> Task:
-    """The task with a catheter over the wire, where a wire alone comes from below and the ostium is set back so far.
+    """The task with a catheter over the wire, where a wire alone comes from below and the ostium offset is so large.
 
     Says so in the log.
     """
@@ -126,9 +126,9 @@ def best_in_copies(
     """Number of the policy whose devices, their wires as long as the way asks for, do best in copies of an anatomy."""
     from cathsim.rehearsal.environment import NavigateCopiesEnv
     from cathsim.rehearsal.perturbation import Perturbation
-    from enn.device_trials import TRIALS, Tried, best_devices, try_in_copies
+    from enn.device_trials import TRIALS, TrialStatistics, best_devices, try_in_copies
 
-    def tried(policy: Policy, task: Task, copies: int) -> Tried:
+    def trial_statistics(policy: Policy, task: Task, copies: int) -> TrialStatistics:
         fitted = fitted_task(replace(task, wire_length_mm=0.0), phantom, [target])
         task = max(task, fitted, key=lambda one: one.guidewire().length)
         environment = NavigateCopiesEnv(
@@ -140,8 +140,8 @@ def best_in_copies(
             **task.devices(),
             **task.rules(),
         )
-        outcome = Tried.of(try_in_copies(policy, environment, seed, cases=range(copies)))
+        outcome = TrialStatistics.of(try_in_copies(policy, environment, seed, cases=range(copies)))
         environment.close()
         return outcome
 
-    return best_devices([partial(tried, *each) for each in zip(policies, tasks, strict=True)], usual)
+    return best_devices([partial(trial_statistics, *each) for each in zip(policies, tasks, strict=True)], usual)

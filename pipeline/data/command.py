@@ -27,12 +27,12 @@ def main(arguments: list[str]) -> int:
     verbs.add_parser("list", help="a line for each source")
     verbs.add_parser("fetch", help="download what is missing").add_argument("names", nargs="*", metavar="NAME")
     verbs.add_parser("add", help="take files by their content").add_argument("folder", type=Path, metavar="FOLDER")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        sources = read_sources(given.sources)
-        if given.verb == "list":
+        sources = read_sources(options.sources)
+        if options.verb == "list":
             return _list(sources)
-        return _fetch(sources, given.names) if given.verb == "fetch" else _add(sources, given.folder)
+        return _fetch(sources, options.names) if options.verb == "fetch" else _add(sources, options.folder)
     except (ConfigurationError, OSError) as error:
         say(f"endonav data: {error}", error=True)
         return _USAGE
@@ -41,8 +41,8 @@ def main(arguments: list[str]) -> int:
 def _list(sources: Sources) -> int:
     say(f"# in {sources.folder}")
     for name, source in sources.entries.items():
-        here = "missing" if sources.missing(name) else "here"
-        say(f"{name}: {here}, {source.use}, {source.vessels}, {source.size:,} bytes, {source.licence}, "
+        presence = "missing" if sources.missing(name) else "here"
+        say(f"{name}: {presence}, {source.use}, {source.vessels}, {source.size:,} bytes, {source.licence}, "
             f"github.com/{source.repository}")  # fmt: skip
     return _FINE
 
@@ -66,22 +66,22 @@ def _add(sources: Sources, folder: Path) -> int:
     """Copies the files of a folder whose content is a source's."""
     if not folder.is_dir():
         raise ConfigurationError(f"{folder} is no folder")
-    wanted = {file.sha256: (name, file) for name in sources.entries for file in sources.missing(name)}
-    sizes = {file.bytes for _, file in wanted.values()}
+    files_by_hash = {file.sha256: (name, file) for name in sources.entries for file in sources.missing(name)}
+    sizes = {file.bytes for _, file in files_by_hash.values()}
     taken = 0
     for path in sorted(path for path in folder.rglob("*") if path.is_file() and path.stat().st_size in sizes):
-        if found := wanted.pop(hash_file(path), None):
-            with atomic_path(sources.place(*found)) as temporary:
+        if entry := files_by_hash.pop(hash_file(path), None):
+            with atomic_path(sources.place(*entry)) as temporary:
                 shutil.copyfile(path, temporary)
             taken += 1
-            say(f"{found[0]}: {path.name}")
-    say(f"{taken} files taken; missing: {len(wanted)}")
-    return _FINE if taken or not wanted else _FAILED
+            say(f"{entry[0]}: {path.name}")
+    say(f"{taken} files taken; missing: {len(files_by_hash)}")
+    return _FINE if taken or not files_by_hash else _FAILED
 
 
 def _progress(what: str, size: int) -> Callable[[int], None]:
-    def tell(here: int) -> None:
+    def tell(byte_count: int) -> None:
         if sys.stderr.isatty():
-            sys.stderr.write(f"\r{what}: {_PERCENT * here // size} %" + "\n" * (here >= size))
+            sys.stderr.write(f"\r{what}: {_PERCENT * byte_count // size} %" + "\n" * (byte_count >= size))
 
     return tell

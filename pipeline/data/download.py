@@ -29,7 +29,7 @@ def download(url: str, place: Path, size: int, sha256: str, tell: Callable[[int]
         place: of the file; until it is whole and verified its content is beside it, in `.<name>.part`.
         size: that it has, bytes.
         sha256: of its content, hex.
-        tell: called with the bytes that are here.
+        tell: called with the number of bytes that have arrived.
 
     Raises:
         DownloadError: it did not arrive, or is not the file that was expected.
@@ -40,36 +40,36 @@ def download(url: str, place: Path, size: int, sha256: str, tell: Callable[[int]
         raise DownloadError("is no address of HTTPS")
     place.parent.mkdir(parents=True, exist_ok=True)
     part = place.with_name(f".{place.name}.part")
-    here = part.stat().st_size if part.is_file() else 0
-    if here < size:
-        here = _append(url, part, here, size, tell)
-    if here < size:
-        raise DownloadError(f"was cut off at {here:,} of {size:,} bytes: the same command goes on from there")
-    if here > size or hash_file(part) != sha256:
+    byte_count = part.stat().st_size if part.is_file() else 0
+    if byte_count < size:
+        byte_count = _append(url, part, byte_count, size, tell)
+    if byte_count < size:
+        raise DownloadError(f"was cut off at {byte_count:,} of {size:,} bytes: the same command goes on from there")
+    if byte_count > size or hash_file(part) != sha256:
         part.unlink()
         raise DownloadError("is another file than the one with which claims were measured: its SHA-256 or size differs")
     part.replace(place)
 
 
-def _append(url: str, part: Path, here: int, size: int, tell: Callable[[int], None]) -> int:
-    """Appends what the server has from `here` on, or all of it if it gives no parts; the bytes that are here then."""
-    before = here
-    request = urllib.request.Request(url, headers={"Range": f"bytes={here}-"} if here else {})
+def _append(url: str, part: Path, offset: int, size: int, tell: Callable[[int], None]) -> int:
+    """Appends what the server has from `offset` on, or all of it if it gives no parts; the bytes of the part then."""
+    before = offset
+    request = urllib.request.Request(url, headers={"Range": f"bytes={offset}-"} if offset else {})
     try:
-        with urllib.request.urlopen(request, timeout=_TIMEOUT_S) as answer:
-            goes_on = answer.status == _PARTIAL and answer.headers.get("Content-Range", "").startswith(f"bytes {here}-")
-            here = here if goes_on else 0
+        with urllib.request.urlopen(request, timeout=_TIMEOUT_S) as reply:
+            goes_on = reply.status == _PARTIAL and reply.headers.get("Content-Range", "").startswith(f"bytes {offset}-")
+            offset = offset if goes_on else 0
             with part.open("ab" if goes_on else "wb") as file:
-                while here <= size and (block := answer.read(_BLOCK)):
-                    here += file.write(block)
-                    tell(here)
+                while offset <= size and (block := reply.read(_BLOCK)):
+                    offset += file.write(block)
+                    tell(offset)
     except urllib.error.HTTPError as error:
         error.close()
-        if error.code == _NOTHING_LEFT and here:
+        if error.code == _NOTHING_LEFT and offset:
             part.unlink()
             return _append(url, part, 0, size, tell)
         raise DownloadError(f"was refused: {error.code} {error.reason}") from None
     except (urllib.error.URLError, http.client.HTTPException, ConnectionError, TimeoutError) as error:
-        if here == before:
+        if offset == before:
             raise DownloadError(f"cannot be reached ({getattr(error, 'reason', error)})") from None
-    return here
+    return offset

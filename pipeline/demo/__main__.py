@@ -74,9 +74,9 @@ def run(options: argparse.Namespace) -> None:
         scene.environment.close()
     page = write_page(folder, scene, asdict(metrics), film.curves, {"log": LOG, "gif": GIF, "mp4": MP4})
     outcome = "reached the target" if metrics.success else "did not reach the target"
-    tried = f" at attempt {scene.steer.attempts}" if scene.steer.attempts > 1 else ""
+    attempt = f" at attempt {scene.steer.attempts}" if scene.steer.attempts > 1 else ""
     print(
-        f"demo: {outcome}{tried} in {metrics.steps / 10:.1f} s of simulated time, "
+        f"demo: {outcome}{attempt} in {metrics.steps / 10:.1f} s of simulated time, "
         f"tip {1e3 * (metrics.depth or 0.0):.0f} mm deep in {metrics.branch}, "
         f"largest force {metrics.force_max:.2f} N; {time.monotonic() - began:.0f} s in all\nopen {page}"
     )

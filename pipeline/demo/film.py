@@ -87,8 +87,8 @@ class DemoFilm(Film):
 
     def _grey(self, image: np.ndarray, view: str) -> np.ndarray:
         """A grey image as a panel: with more contrast, the same through the film; its pixels stay visible."""
-        shown = self._window.shown(image, view)
-        large = cv2.resize(shown, (VIEW_PX, VIEW_PX), interpolation=cv2.INTER_NEAREST)
+        panel = self._window.shown(image, view)
+        large = cv2.resize(panel, (VIEW_PX, VIEW_PX), interpolation=cv2.INTER_NEAREST)
         return np.repeat(large[:, :, None], 3, axis=2)
 
     def _draw_reading(self, panel: np.ndarray, view: str) -> None:

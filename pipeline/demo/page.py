@@ -83,12 +83,12 @@ def _in_environment() -> str:
 
 def sections(card: str) -> dict[str, str]:
     """The parts of a model's card that the page shows: title to plain text; tables are left to the card."""
-    found = {}
+    texts = {}
     for part in card.split("\n**")[1:]:
         title, _, text = part.partition(".**")
         lines = [line for line in text.split("\n") if not line.startswith(("|", "```"))]
-        found[title] = " ".join(" ".join(lines).replace("`", "").split())
-    return {title: found[title] for title in ("What it sees", "Trained on", "Limits") if found.get(title)}
+        texts[title] = " ".join(" ".join(lines).replace("`", "").split())
+    return {title: texts[title] for title in ("What it sees", "Trained on", "Limits") if texts.get(title)}
 
 
 def plot(values: Sequence[float]) -> str:

@@ -65,7 +65,7 @@ class Scene:
         environment: as the policy sees it.
         anatomy: what it is, for people.
         start_seed: of the episode's start.
-        attempt_steps: after which the wire is drawn back and the policy tries again.
+        attempt_steps: after which the wire is withdrawn and the policy tries again.
         attempts: at most.
         room: what X-ray images show around the vessels; None: a water bath.
     """
@@ -171,7 +171,7 @@ def open_scene(
         seed: of the arch among the unseen ones, and of the episode's start.
         target: None: the first of `TARGETS` that the anatomy has.
         attempts: of the policy, each as long as an episode of its training.
-        catheter: where the target's ostium is set back far enough (`catheter_better_mm`), take the policy that steers a
+        catheter: where the target's ostium offset is large enough (`catheter_better_mm`), take the policy that steers a
             catheter over the wire, too, if there is one; in a file's anatomy with a model by a roadmap, what trials in
             copies of it say (`enn.device_trials`).
         ct: path of the CT that the anatomy was segmented from, which X-ray images then show around the vessels.
@@ -182,7 +182,7 @@ def open_scene(
     if ct is not None and anatomy is None:
         raise ConfigurationError("--ct is the CT of an anatomy of one's own: give --anatomy FILE, too")
     place: int | AnatomyFile
-    room = None
+    background = None
     if anatomy is None:
         place, described = unseen_arches(_ARCHES)[seed], f"random arch {unseen_arches(_ARCHES)[seed]}"
         known = list(GENERATED_TARGETS)
@@ -190,11 +190,11 @@ def open_scene(
         place, described = _file(anatomy, unit, ct), Path(anatomy).name
         phantom = place.load()
         known = list(phantom.targets)
-        room = place.room()
+        background = place.room()
     chosen = target or next((name for name in TARGETS if name in known), None)
     if chosen is None or chosen not in known:
-        wanted = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
-        raise ConfigurationError(f"{described} has {wanted}: choose --target from {', '.join(known) or 'none'}")
+        absence = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
+        raise ConfigurationError(f"{described} has {absence}: choose --target from {', '.join(known) or 'none'}")
     policy = enn.load(model)  # takes seconds, after all that can be refused at once
     known_models = enn.models()
     of_both = [name for one in WITH_POLICIES if (name := f"{model}_{one}") in known_models] if catheter else []
@@ -209,8 +209,8 @@ def open_scene(
     steps = rules.max_steps
     task = UnseenTask(TARGETS, replace(rules, max_steps=steps_of_attempts(steps, attempts)))
     start_seed = held_out_seeds(0, _ARCHES)[seed]
-    environment = _environment(task, place, chosen, policy, room)
-    return Scene(model, policy, environment, described, start_seed, steps, attempts, room)
+    environment = _environment(task, place, chosen, policy, background)
+    return Scene(model, policy, environment, described, start_seed, steps, attempts, background)
 
 
 def _best_model(
@@ -233,9 +233,9 @@ def _best_model(
     if len(trained) < len(names):  # what one without a task was trained for is not known
         return names[usual], policy, None
     softer = [(name, one, softened(task)) for name, one, task in trained if softened(task) != task]
-    tried = [*trained, *softer]
-    policies, tasks = [one for _, one, _ in tried], [task for _, _, task in tried]
-    return tried[best_in_copies(policies, tasks, load_anatomy(place), target, usual=usual, seed=_FIRST_TRIAL)]
+    candidates = [*trained, *softer]
+    policies, tasks = [one for _, one, _ in candidates], [task for _, _, task in candidates]
+    return candidates[best_in_copies(policies, tasks, load_anatomy(place), target, usual=usual, seed=_FIRST_TRIAL)]
 
 
 def _is_steep(place: int | AnatomyFile, target: str, policy: str) -> bool:
@@ -246,7 +246,7 @@ def _is_steep(place: int | AnatomyFile, target: str, policy: str) -> bool:
 
 
 def _environment(
-    task: UnseenTask, place: int | AnatomyFile, target: str, policy: Policy | ImagePolicy, room: XRayScene | None
+    task: UnseenTask, place: int | AnatomyFile, target: str, policy: Policy | ImagePolicy, background: XRayScene | None
 ) -> NavigateEnv:
     """The environment with what the policy sees among its observations."""
     from cathsim.observations.xray import XrayEnvironment
@@ -254,7 +254,7 @@ def _environment(
 
     if isinstance(policy, ImagePolicy):
         bare = task.test_environment(place, target, task.task.wire, ("goal_image",))
-        return XrayEnvironment(bare, task.task.image_size_px, room=room, **policy.imaging)  # type: ignore[return-value]
+        return XrayEnvironment(bare, task.task.image_size_px, room=background, **policy.imaging)  # type: ignore[return-value]
     return task.test_environment(place, target, task.task.wire, policy.keys)
 
 

@@ -48,10 +48,10 @@ def stacked(log: Any, *, pictures: bool) -> dict[str, NDArray[Any]]:
         arrays[f"extra/{key}"] = np.array([record.extra.get(key, np.nan) for record in records])
     for camera in log.cameras if pictures else ():
         for stream in filter(partial(log.has, camera), ("image", "mask", *DEVICE_MASKS)):
-            found = dict(log.pictures(camera, stream))
-            if list(found) != steps.tolist():
-                raise damaged(log.path, f"camera {camera} has {len(found)} {stream}s for {len(records)} records")
-            arrays[f"{stream}/{camera}"] = np.stack(list(found.values()))
+            images = dict(log.pictures(camera, stream))
+            if list(images) != steps.tolist():
+                raise damaged(log.path, f"camera {camera} has {len(images)} {stream}s for {len(records)} records")
+            arrays[f"{stream}/{camera}"] = np.stack(list(images.values()))
     return arrays
 
 

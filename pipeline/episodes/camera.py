@@ -57,10 +57,10 @@ class Camera:
         if not np.allclose(self.R @ self.R.T, np.eye(3), atol=1e-6):
             raise ValueError(f"R must be orthonormal, got R R^T = {(self.R @ self.R.T).tolist()}")
         product = self.K @ np.column_stack((self.R, self.t))
-        given = self.P / np.linalg.norm(self.P)
+        projection = self.P / np.linalg.norm(self.P)
         product /= np.linalg.norm(product)
-        if not np.allclose(given * np.sign(np.sum(given * product)), product, atol=1e-6):
-            raise ValueError(f"P must be K [R t] up to scale, got {given.tolist()} and {product.tolist()}")
+        if not np.allclose(projection * np.sign(np.sum(projection * product)), product, atol=1e-6):
+            raise ValueError(f"P must be K [R t] up to scale, got {projection.tolist()} and {product.tolist()}")
 
     def calibration(self, name: str, time_ns: int) -> bytes:
         """Serialise as `foxglove.CameraCalibration`; P is [K 0] there, and the pose is in `transform`."""

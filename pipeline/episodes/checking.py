@@ -64,7 +64,7 @@ def check(path: Path) -> CheckReport:
             _check_index(log, section, report)
             records = _check_steps(log, report)
             _check_times(log, [record.step for record in records], report)
-            _check_shown(log, records, report)
+            _check_drawings(log, records, report)
             _check_pictures(log, report)
             mesh = log.phantom_mesh()
             if mesh is None:
@@ -162,10 +162,10 @@ def _check_steps(log: EpisodeReader, report: CheckReport) -> list[StepRecord]:
                 _add(report, f"step {record.step} has a non-finite number in extra {key}")
         if not np.isclose(norm, record.resultant_force_norm, rtol=1e-9, atol=1e-12, equal_nan=True):
             _add(report, f"step {record.step} has force norm {norm}, its vector {record.resultant_force_norm}")
-        found = (record.action.shape, record.joint_positions.shape, record.joint_velocities.shape)
-        shapes = shapes or found
-        if found != shapes:
-            _add(report, f"step {record.step} has shapes {found}, the first record {shapes}")
+        record_shapes = (record.action.shape, record.joint_positions.shape, record.joint_velocities.shape)
+        shapes = shapes or record_shapes
+        if record_shapes != shapes:
+            _add(report, f"step {record.step} has shapes {record_shapes}, the first record {shapes}")
         records.append(record)
     report.records = len(records)
     while expected in missing:
@@ -185,39 +185,39 @@ def _check_times(log: EpisodeReader, steps: Sequence[int], report: CheckReport) 
     every_step = [log.info.time_ns(step) for step in steps]
     counts = log.summary.statistics.channel_message_counts if log.summary.statistics else None
     for channel in log.summary.channels.values():
-        found = [time_ns for time_ns, _ in log.payloads(channel.topic)] if log.holds(channel.topic) else []
-        if counts is not None and counts.get(channel.id, 0) != len(found):
-            _add(report, f"the index counts {counts.get(channel.id, 0)} messages on {channel.topic}, not {len(found)}")
+        times = [time_ns for time_ns, _ in log.payloads(channel.topic)] if log.holds(channel.topic) else []
+        if counts is not None and counts.get(channel.id, 0) != len(times):
+            _add(report, f"the index counts {counts.get(channel.id, 0)} messages on {channel.topic}, not {len(times)}")
         if channel.topic not in schema.topic_messages(log.cameras, devices=log.info.has_catheter):
             report.notes.append(f"the topic {channel.topic}, which this version does not know")
-        elif found:
-            wanted = [log.info.start_time_ns] if channel.topic in once else every_step
-            pairs = enumerate(zip_longest(found, wanted))
+        elif times:
+            due_times = [log.info.start_time_ns] if channel.topic in once else every_step
+            pairs = enumerate(zip_longest(times, due_times))
             number = next((number for number, (one, other) in pairs if one != other), None)
             if number is not None:
-                _add(report, f"{channel.topic} has {len(found)} messages for {len(wanted)}, odd from {number} on")
+                _add(report, f"{channel.topic} has {len(times)} messages for {len(due_times)}, odd from {number} on")
 
 
-def _check_shown(log: EpisodeReader, records: Sequence[StepRecord], report: CheckReport) -> None:
+def _check_drawings(log: EpisodeReader, records: Sequence[StepRecord], report: CheckReport) -> None:
     """Verify that what viewers draw is what the records and the cameras say."""
     devices: list[DeviceRecord] = []
     if log.info.has_catheter:
         devices = _check_devices(log, report)
     wires = [one.wire_points for one in (devices or records)]
-    shown = [(schema.WIRE_TOPIC, schema.WIRE_POINTS_TOPIC, wires)]
-    shown += (
+    drawings = [(schema.WIRE_TOPIC, schema.WIRE_POINTS_TOPIC, wires)]
+    drawings += (
         [(schema.CATHETER_TOPIC, schema.CATHETER_POINTS_TOPIC, [one.catheter_points for one in devices])]
         if devices
         else []
     )
     try:
-        for line_topic, cloud_topic, curves in shown:
+        for line_topic, cloud_topic, curves in drawings:
             for topic, points_of in ((line_topic, _line_points), (cloud_topic, _cloud_points)):
-                found = log.payloads(topic) if log.holds(topic) else ()
-                for (time_ns, payload), points in zip(found, curves, strict=False):
+                payloads = log.payloads(topic) if log.holds(topic) else ()
+                for (time_ns, payload), points in zip(payloads, curves, strict=False):
                     drawn = points_of(payload, time_ns)
-                    wanted = points if topic == line_topic else points.astype("<f4")
-                    if not np.array_equal(drawn, wanted, equal_nan=True):
+                    record_points = points if topic == line_topic else points.astype("<f4")
+                    if not np.array_equal(drawn, record_points, equal_nan=True):
                         _add(report, f"{topic} shows another device than the record at {time_ns} ns")
         for name in log.cameras:
             _check_camera(log, name, log.camera(name), report)
@@ -245,17 +245,17 @@ def _cloud_points(payload: bytes, time_ns: int) -> Any:
 def _check_camera(log: EpisodeReader, name: str, camera: Camera, report: CheckReport) -> None:
     """Verify that the messages of a camera say what its matrix does."""
     start, topic = log.info.start_time_ns, schema.camera_topic(name, "calibration")
-    wanted = CameraCalibration.FromString(camera.calibration(name, start))
-    if log.holds(topic) and any(CameraCalibration.FromString(one) != wanted for _, one in log.payloads(topic)):
+    calibration = CameraCalibration.FromString(camera.calibration(name, start))
+    if log.holds(topic) and any(CameraCalibration.FromString(one) != calibration for _, one in log.payloads(topic)):
         _add(report, f"{topic} is another calibration than the metadata's")
     pose = camera.transform(name, start)
     for _, payload in log.payloads(schema.TRANSFORM_TOPIC) if log.holds(schema.TRANSFORM_TOPIC) else ():
-        found = [
+        transforms = [
             one for one in FrameTransforms.FromString(payload).transforms if one.child_frame_id == camera_frame(name)
         ]
-        same = len(found) == 1 and found[0].parent_frame_id == pose.parent_frame_id
+        same = len(transforms) == 1 and transforms[0].parent_frame_id == pose.parent_frame_id
         moved, turned = (
-            [[getattr(getattr(one, part), axis) for axis in axes] for one in (*found[:1], pose)]
+            [[getattr(getattr(one, part), axis) for axis in axes] for one in (*transforms[:1], pose)]
             for part, axes in (("translation", "xyz"), ("rotation", "wxyz"))
         )
         same = same and bool(np.allclose(moved[0], moved[1], atol=_TOLERANCE))
@@ -265,22 +265,22 @@ def _check_camera(log: EpisodeReader, name: str, camera: Camera, report: CheckRe
 
 def _check_devices(log: EpisodeReader, report: CheckReport) -> list[DeviceRecord]:
     """Verify that every record has both devices, at its time and with finite numbers."""
-    found: list[DeviceRecord] = []
+    records: list[DeviceRecord] = []
     for time_ns, payload in log.payloads(schema.DEVICES_TOPIC):
         try:
             step, devices = decode_devices(payload)
         except ValueError as error:
-            _add(report, f"the devices of record {len(found)} cannot be decoded: {error}")
+            _add(report, f"the devices of record {len(records)} cannot be decoded: {error}")
             continue
         if time_ns != log.info.time_ns(step):
             _add(report, f"the devices of step {step} have log time {time_ns}, expected {log.info.time_ns(step)}")
-        there = np.array([len(devices.wire_points), len(devices.catheter_points)]) > 0
+        device_mask = np.array([len(devices.wire_points), len(devices.catheter_points)]) > 0
         for name in schema.DEVICE_FIELDS:
             value = np.asarray(getattr(devices, name, step))
-            if not np.isfinite(value[there] if name == "tip_rotations" else value).all():
+            if not np.isfinite(value[device_mask] if name == "tip_rotations" else value).all():
                 _add(report, f"step {step} has a non-finite number in {name} of its devices")
-        found.append(devices)
-    return found
+        records.append(devices)
+    return records
 
 
 def _check_pictures(log: EpisodeReader, report: CheckReport) -> None:

@@ -91,19 +91,19 @@ class EpisodeReader:
         failure: ContainerError = VersionError(
             f"it has no metadata record {name}, so it was not written as an episode log"
         )
-        found: list[tuple[dict[str, str], _Decoded]] = []
+        records: list[tuple[dict[str, str], _Decoded]] = []
         for index in self.summary.metadata_indexes:
             if index.name == name:
                 try:
                     record = scan.read_metadata(self._fd, index).metadata
-                    found.append((record, parse(record)))
+                    records.append((record, parse(record)))
                 except ContainerError as error:
                     failure = error
-        if not found:
+        if not records:
             raise failure
-        if any(record != found[0][0] for record, _ in found):
+        if any(record != records[0][0] for record, _ in records):
             raise ContainerError(f"its metadata records {name} say different things")
-        return found[0][1]
+        return records[0][1]
 
     def _channels(self) -> dict[str, int]:
         """The channel of each topic, whose messages must be of the kind that the topic has."""
@@ -111,9 +111,9 @@ class EpisodeReader:
         topics: dict[str, int] = {}
         for channel in self.summary.channels.values():
             schema = self.summary.schemas.get(channel.schema_id)
-            found = (channel.message_encoding, schema and schema.encoding, schema and schema.name)
+            declaration = (channel.message_encoding, schema and schema.encoding, schema and schema.name)
             kind = kinds.get(channel.topic)
-            if kind is not None and found != ("protobuf", "protobuf", kind.DESCRIPTOR.full_name):
+            if kind is not None and declaration != ("protobuf", "protobuf", kind.DESCRIPTOR.full_name):
                 raise ContainerError(f"its messages on {channel.topic} are no {kind.DESCRIPTOR.full_name}")
             if channel.topic in topics:
                 raise ContainerError(f"it has two channels of the topic {shown(channel.topic)}")
@@ -136,9 +136,9 @@ class EpisodeReader:
         if offset != index.chunk_start_offset:
             try:
                 chunk = scan.read_chunk(self._fd, index)
-                found = list(scan.messages(chunk))
-                spans = {(span.channel_id, span.log_time_ns): span for span in found}
-                if len(spans) < len(found):
+                messages = list(scan.messages(chunk))
+                spans = {(span.channel_id, span.log_time_ns): span for span in messages}
+                if len(spans) < len(messages):
                     raise ContainerError(f"{where} has two messages of one topic and time")
                 if {channel_id for channel_id, _ in spans} != set(index.message_index_offsets):
                     raise ContainerError(f"{where} has messages of other topics than the index says")
@@ -218,12 +218,12 @@ class EpisodeReader:
         lost = set(self.outcome.missing_steps)
         expected = (step for step in range(self.outcome.steps + 1) if step not in lost)
         for step, payload in self._steps(STEP_TOPIC):
-            if step != (wanted := next(expected, None)):
-                instead = "beyond its end" if wanted is None else f"instead of step {wanted}"
+            if step != (next_step := next(expected, None)):
+                instead = "beyond its end" if next_step is None else f"instead of step {next_step}"
                 raise damaged(self.path, f"it has a record of step {step} {instead}")
             yield self._step(payload, step)
-        if (wanted := next(expected, None)) is not None:
-            raise damaged(self.path, f"it has no record of step {wanted} of {self.outcome.steps}")
+        if (next_step := next(expected, None)) is not None:
+            raise damaged(self.path, f"it has no record of step {next_step} of {self.outcome.steps}")
 
     def step(self, step: int) -> StepRecord:
         """Read one step at random."""
@@ -279,8 +279,8 @@ class EpisodeReader:
 
         def decode(payload: bytes) -> NDArray[Any]:
             message, size = CompressedImage.FromString(payload), (self.camera(camera).height, self.camera(camera).width)
-            said = (message.timestamp.ToNanoseconds(), message.frame_id, message.format)
-            if said != (self.info.time_ns(step), camera_frame(camera), "png"):
+            header = (message.timestamp.ToNanoseconds(), message.frame_id, message.format)
+            if header != (self.info.time_ns(step), camera_frame(camera), "png"):
                 raise ValueError(f"the {stream} of camera {camera} at step {step} is of another time, camera or format")
             return (decode_image if stream == "image" else decode_mask)(message.data, *size)
 

@@ -93,7 +93,7 @@ class DeviceRecord:
     insertions: FloatArray  # (2,), m
     hub_rotations: FloatArray  # (2,), rad
     tip_rotations: FloatArray  # (2,), rad; NaN of a wire that there is not
-    lead: float  # m, of the wire's tip before the catheter's; negative: drawn back into it
+    lead: float  # m, of the wire's tip before the catheter's; negative: withdrawn into it
     feeder_forces: FloatArray  # (2,), N, what the feeders push with
     hub_torques: FloatArray  # (2,), N m, by which the hubs are held
 
@@ -270,9 +270,9 @@ def unseal(record: Mapping[str, str]) -> dict[str, Any]:
     if record.get("crc32") != _checksum(schema_version, text):
         raise ContainerError("the checksum of its metadata does not match")
     if schema_version not in map(str, range(1, SCHEMA_VERSION + 1)):
-        found = shown(schema_version)[1:-1]
+        version = shown(schema_version)[1:-1]
         raise VersionError(
-            f"it has schema version {found}, this reader knows up to {SCHEMA_VERSION}: update the software"
+            f"it has schema version {version}, this reader knows up to {SCHEMA_VERSION}: update the software"
         )
     try:
         # unlike the standard library's, this parser ends at 200 levels and refuses halves of surrogate pairs
@@ -295,11 +295,11 @@ def open_episode(record: Mapping[str, str]) -> tuple[EpisodeInfo, dict[str, Came
     values = unseal(record)
     try:
         cameras: dict[str, Camera] = {}
-        for given in values["cameras"]:
-            name, camera = require_name(given["name"]), Camera.from_json(given)
+        for camera_values in values["cameras"]:
+            name, camera = require_name(camera_values["name"]), Camera.from_json(camera_values)
             if name in cameras:
                 raise ValueError(f"two cameras have the name {shown(name)}")
-            _require_as_written(given, {"name": name, **camera.to_json()})
+            _require_as_written(camera_values, {"name": name, **camera.to_json()})
             cameras[name] = camera
         info = EpisodeInfo(**values["info"])
         _require_as_written(values["info"], asdict(info))
@@ -308,9 +308,9 @@ def open_episode(record: Mapping[str, str]) -> tuple[EpisodeInfo, dict[str, Came
         raise ContainerError(f"the metadata record {EPISODE_METADATA} cannot be used ({_reason(error)})") from error
 
 
-def _require_as_written(given: Mapping[str, Any], understood: Mapping[str, Any]) -> None:
+def _require_as_written(values: Mapping[str, Any], understood: Mapping[str, Any]) -> None:
     """Refuse values that a writer writes otherwise, such as a truth in words, which a validator takes for the same."""
-    for name, value in given.items():
+    for name, value in values.items():
         if name not in understood:
             raise ValueError(f"{shown(name)} is no field")
         if as_json(value) != as_json(understood[name]):

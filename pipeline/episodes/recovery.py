@@ -242,11 +242,11 @@ def _copy(data: Any, findings: _Findings, out: McapFile, info: EpisodeInfo, came
 
 def _outcome(outcome: EpisodeOutcome | None, steps: list[int]) -> EpisodeOutcome:
     """Give the outcome of the recovered log, with the steps that are known to be missing."""
-    kept = set(steps)
+    recovered_steps = set(steps)
     if outcome is None:
-        missing = tuple(step for step in range(max(kept)) if step not in kept)
-        return EpisodeOutcome(success=None, steps=max(kept), status="interrupted", missing_steps=missing)
-    missing = tuple(step for step in range(outcome.steps + 1) if step not in kept)
+        missing = tuple(step for step in range(max(recovered_steps)) if step not in recovered_steps)
+        return EpisodeOutcome(success=None, steps=max(recovered_steps), status="interrupted", missing_steps=missing)
+    missing = tuple(step for step in range(outcome.steps + 1) if step not in recovered_steps)
     return replace(outcome, missing_steps=missing)
 
 
@@ -317,7 +317,7 @@ def read_annotation(path: str | os.PathLike[str], key: str) -> dict[str, Any] | 
     name = annotation_name(key)
     try:
         with open(scan.open_log(path), "rb") as log:
-            found = [index for index in scan.read_summary(log.fileno()).metadata_indexes if index.name == name]
-            return unseal(scan.read_metadata(log.fileno(), found[-1]).metadata) if found else None
+            indexes = [index for index in scan.read_summary(log.fileno()).metadata_indexes if index.name == name]
+            return unseal(scan.read_metadata(log.fileno(), indexes[-1]).metadata) if indexes else None
     except ContainerError as error:
         raise damaged(Path(path), error) from error

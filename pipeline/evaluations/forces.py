@@ -89,7 +89,7 @@ def episode_forces(path: Path) -> EpisodeForces:
     steps = arrays["step"] > 0
     points = arrays["contact_positions"][steps].reshape(-1, 3)
     norms = np.linalg.norm(arrays["contact_forces"][steps].reshape(-1, 3), axis=1)
-    there = np.isfinite(norms)  # the arrays are padded with NaN
+    contact_mask = np.isfinite(norms)  # the arrays are padded with NaN
     expert = info.configuration.get("expert", {})
     free = expert.get("free_force") if isinstance(expert, dict) else None
     if free is not None and not isinstance(free, int | float):
@@ -100,8 +100,8 @@ def episode_forces(path: Path) -> EpisodeForces:
         operator=info.operator,
         free_force_n=None if free is None else float(free),
         magnitudes=np.linalg.norm(arrays["resultant_force"][steps], axis=1),
-        points=points[there],
-        forces=norms[there],
+        points=points[contact_mask],
+        forces=norms[contact_mask],
         device=device_of(info.configuration),
         wall=wall_forces(arrays, interval=info.control_dt, seed=info.seed),
     )
@@ -114,7 +114,7 @@ def pooled(episodes: Sequence[EpisodeForces]) -> Array:
 
 def pooled_wall(episodes: Sequence[EpisodeForces]) -> WallForces | None:
     """Joins the forces between device and vessel of every step; None where no log holds them."""
-    there = [episode.wall for episode in episodes if episode.wall is not None]
-    if not there:
+    walls = [episode.wall for episode in episodes if episode.wall is not None]
+    if not walls:
         return None
-    return WallForces(**{name: np.concatenate([getattr(one, name) for one in there]) for name in QUANTITIES})
+    return WallForces(**{name: np.concatenate([getattr(one, name) for one in walls]) for name in QUANTITIES})

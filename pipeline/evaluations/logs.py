@@ -60,7 +60,7 @@ class Evaluation:
     phantom_hash: str
     target: str
     test_set: str  # which anatomies it stands for; the phantom where the log names none
-    entry: str  # where the wire comes in
+    entry: str  # access site of the wire
     start_jitter: float  # m, by which starts differ
     start_rotation: float  # rad, by which they are turned either way
     success_radius: float  # m
@@ -246,26 +246,26 @@ def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: 
     from cathsim.metrics import EpisodeMetrics
     from pipeline.episodes import EpisodeReadError
 
-    found = EvaluationSet()
+    evaluation_set = EvaluationSet()
     if not folders:
-        return found
+        return evaluation_set
     run_path = folders[0].parent
-    kept = FileCache(cache, run_path, version=METRICS_VERSION)
+    file_cache = FileCache(cache, run_path, version=METRICS_VERSION)
     paths = [path for folder in folders for path in sorted(folder.rglob("*.mcap"))]
-    known = {path: kept.recall(path) for path in paths}
+    known = {path: file_cache.recall(path) for path in paths}
     new = [path for path in paths if known[path] is None]
     for path, result in zip(new, _read_all(new, run_path, processes), strict=True):
         if isinstance(result, Evaluation):
-            known[path] = kept.compute(path, partial(_values, result))
+            known[path] = file_cache.compute(path, partial(_values, result))
             continue
-        found.left_out[path.relative_to(run_path).as_posix()] = str(result)
+        evaluation_set.left_out[path.relative_to(run_path).as_posix()] = str(result)
         words = str(result) if isinstance(result, EpisodeReadError) else f"{path}: {result}"
         _LOGGER.warning("left out: %s", words)
-    kept.save()
+    file_cache.save()
     read = [{**values, "metrics": EpisodeMetrics(**values["metrics"])} for values in known.values() if values]
     evaluations = _named_apart([Evaluation(**values) for values in read])
-    found.evaluations = _latest(evaluations, found.left_out)
-    return found
+    evaluation_set.evaluations = _latest(evaluations, evaluation_set.left_out)
+    return evaluation_set
 
 
 def _values(evaluation: Evaluation, path: Path) -> dict[str, Any]:
@@ -332,8 +332,8 @@ def _latest(evaluations: list[Evaluation], left_out: dict[str, str]) -> list[Eva
                    one.force_weight, one.wire, one.max_steps)  # fmt: skip
         other = latest.get(key)
         if other is not None:
-            earlier, later = sorted((one, other), key=lambda found: (found.started_ns, found.log))
+            earlier, later = sorted((one, other), key=lambda evaluation: (evaluation.started_ns, evaluation.log))
             left_out[earlier.log] = f"the same episode was recorded again in {later.log}"
             one = later
         latest[key] = one
-    return sorted(latest.values(), key=lambda found: found.log)
+    return sorted(latest.values(), key=lambda evaluation: evaluation.log)

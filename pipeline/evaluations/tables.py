@@ -148,9 +148,9 @@ def _plain_variant(variants: set[str]) -> str | None:
 
 def _comparable(evaluations: Sequence[Evaluation]) -> list[Evaluation]:
     """Keeps of people's episodes in a vessel those under the policies' limit, wire, start and radius, if there are."""
-    asked = {(one.task, one.max_steps) for one in evaluations if one.stage in ("enn", "expert")}
+    policy_limits = {(one.task, one.max_steps) for one in evaluations if one.stage in ("enn", "expert")}
     human = [one for one in evaluations if one.stage == "human"]
-    same = {one.log: (one.phantom, one.target) for one in human if (one.task, one.max_steps) in asked}
+    same = {one.log: (one.phantom, one.target) for one in human if (one.task, one.max_steps) in policy_limits}
     vessels = set(same.values())
     return [
         one

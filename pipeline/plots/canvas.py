@@ -37,9 +37,9 @@ def save_figure(figure: Figure, file: Path) -> None:
     """Writes a figure as PNG, keys in its texts in words; the file's folder is made."""
     from matplotlib.text import Text
 
-    for found in figure.findobj(Text):
-        if isinstance(found, Text) and "_" in found.get_text() and "$" not in found.get_text():
-            found.set_text(in_words(found.get_text()))
+    for text in figure.findobj(Text):
+        if isinstance(text, Text) and "_" in text.get_text() and "$" not in text.get_text():
+            text.set_text(in_words(text.get_text()))
     with atomic_path(file) as temporary:
         figure.savefig(temporary, format="png", dpi=_DOTS_PER_INCH)
 

@@ -113,7 +113,7 @@ def _draw_projection(figure: Figure, axes: Axes, vertices: Array, heat: Array, l
     extent = tuple(MM * (low[k] + PIXEL * (edge - 0.5)) for k, edge in ((0, 0), (0, shape[1]), (2, 0), (2, shape[0])))
     place: dict[str, Any] = {"extent": extent, "origin": "lower"}
     hottest = float(image.max()) or 1.0
-    shown = axes.imshow(np.where(covered, image, np.nan), cmap="YlOrRd", vmin=0.0, vmax=hottest, **place)
+    mappable = axes.imshow(np.where(covered, image, np.nan), cmap="YlOrRd", vmin=0.0, vmax=hottest, **place)
     axes.contour(covered, levels=[0.5], colors="0.35", linewidths=0.8, **place)
     axes.set(xlabel="x, patient's left (mm)", ylabel="z, superior (mm)", aspect="equal")
-    figure.colorbar(shown, ax=axes, label=label, shrink=0.75)
+    figure.colorbar(mappable, ax=axes, label=label, shrink=0.75)

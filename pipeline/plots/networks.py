@@ -31,13 +31,13 @@ def draw_examples(folders: Mapping[str, Path], file: Path) -> None:
     figure = new_figure(4.0 * _EXAMPLES, 3.7 * len(folders))
     grid = figure.subplots(len(folders), _EXAMPLES, squeeze=False)
     for (name, folder), line in zip(folders.items(), grid, strict=True):
-        with np.load(folder / "examples.npz") as kept:
+        with np.load(folder / "examples.npz") as arrays:
             for column, axes in enumerate(line):
-                image, predicted, true = (kept[f"{key}{column}"] for key in ("image", "predicted", "true"))
+                image, predicted, true = (arrays[f"{key}{column}"] for key in ("image", "predicted", "true"))
                 wire = np.argwhere((predicted != 0) | (true != 0))[:, ::-1]
                 cut = window(wire, true.shape, _MASK_MARGIN_PX) if len(wire) else (slice(None), slice(None))
                 axes.imshow(overlay(image, predicted, true)[cut])
-                axes.set_title(f"{name}: Dice {100 * kept['dice'][column]:.1f} %", fontsize=9)
+                axes.set_title(f"{name}: Dice {100 * arrays['dice'][column]:.1f} %", fontsize=9)
                 axes.set(xticks=[], yticks=[])
     for name, colour in _COLOURS.items():
         grid[0, 0].plot([], [], "s", color=np.array(colour) / 255, label=name)
@@ -66,9 +66,9 @@ def draw_in_space(folder: Path, file: Path) -> None:
     from guide3d.geometry.metrics import max_ed
 
     wires = []
-    with np.load(folder / "examples.npz") as kept:
-        for column in range(len(kept["frames"])):
-            true, predicted = kept[f"true{column}"], kept[f"predicted{column}"]
+    with np.load(folder / "examples.npz") as arrays:
+        for column in range(len(arrays["frames"])):
+            true, predicted = arrays[f"true{column}"], arrays[f"predicted{column}"]
             wires.append((f"MaxED {max_ed(predicted, true):.1f} mm", {"true": true, "predicted": predicted}))
     canvas.draw_in_space(wires, file)
 
@@ -78,8 +78,8 @@ def draw_reprojections(folder: Path, guide3d: Path, file: Path) -> None:
     from pipeline.stages.guide3d.folder import open_dataset
 
     data = open_dataset(guide3d)
-    with np.load(folder / "examples.npz") as kept:
-        frames = kept["frames"].tolist()
+    with np.load(folder / "examples.npz") as arrays:
+        frames = arrays["frames"].tolist()
         figure = new_figure(4.2 * len(frames), 4.6)
         for column, index in enumerate(frames):
             frame = data.frames[index]
@@ -87,7 +87,7 @@ def draw_reprojections(folder: Path, guide3d: Path, file: Path) -> None:
             axes.imshow(frame.image("a"), cmap="gray")
             axes.plot(*frame.polyline("a").T, color=TRUE, linewidth=1, label="annotated")
             if data.camera_a is not None:
-                projected = data.camera_a.project(kept[f"predicted{column}"])
+                projected = data.camera_a.project(arrays[f"predicted{column}"])
                 axes.plot(*projected.T, color=PREDICTED, linewidth=1, label="predicted")
             width, height = frame.size_px["a"]
             axes.set(xlim=(0, width - 1), ylim=(height - 1, 0), xticks=[], yticks=[])
@@ -124,28 +124,28 @@ _GREY_TAILS_PCT = (1, 99)
 
 def draw_comparison(examples: Path, rival: str, variants: Sequence[str], labels: Mapping[str, str], file: Path) -> None:
     """Draws images of ``examples.npz`` with the mask traced by the rival above and the variants' splines below."""
-    with np.load(examples) as kept:
-        kinds = [str(kind).replace("_", " ") for kind in kept["kinds"]]
+    with np.load(examples) as arrays:
+        kinds = [str(kind).replace("_", " ") for kind in arrays["kinds"]]
         figure = new_figure(4.3 * len(kinds), 4.1 * (1 + len(variants)))
         grid = figure.subplots(1 + len(variants), len(kinds), squeeze=False)
         for column, kind in enumerate(kinds):
-            image, true = kept[f"image{column}"], kept[f"true{column}"]
+            image, true = arrays[f"image{column}"], arrays[f"true{column}"]
             rows, cells = window(true, image.shape, _MARGIN_PX)
             for row, name in enumerate((rival, *variants)):
-                axes, points = grid[row][column], kept[f"points{column}_{name}"]
+                axes, points = grid[row][column], arrays[f"points{column}_{name}"]
                 low, high = np.percentile(image[rows, cells], _GREY_TAILS_PCT)
                 axes.imshow(image, cmap="gray", vmin=low, vmax=high)
                 if name == rival:
-                    shown = np.zeros((*image.shape, 4))
-                    shown[kept[f"mask{column}"] > 0] = (*MASK, 0.75)
-                    axes.imshow(shown)
+                    mask_layer = np.zeros((*image.shape, 4))
+                    mask_layer[arrays[f"mask{column}"] > 0] = (*MASK, 0.75)
+                    axes.imshow(mask_layer)
                 axes.plot(*true.T, color=ANNOTATED, linewidth=1.0, linestyle=(0, (4, 3)), label="annotated")
                 if len(points):
                     colour = TRACED if name == rival else SPLINE
                     axes.plot(*points.T, color=colour, linewidth=1.3, label=labels[name])
                     axes.plot(*points[0], "o", color=colour, markersize=5, fillstyle="none")
-                if name != rival and len(kept[f"control{column}_{name}"]):
-                    axes.plot(*kept[f"control{column}_{name}"].T, ".", color=SPLINE, markersize=3)
+                if name != rival and len(arrays[f"control{column}_{name}"]):
+                    axes.plot(*arrays[f"control{column}_{name}"].T, ".", color=SPLINE, markersize=3)
                 axes.set(xlim=(cells.start, cells.stop), ylim=(rows.stop, rows.start), xticks=[], yticks=[])
                 axes.set_title(labels[name] + ("" if kind == "none" else f", {kind}"), fontsize=10)
         grid[0][0].legend(fontsize=8, loc="lower right")
@@ -154,19 +154,19 @@ def draw_comparison(examples: Path, rival: str, variants: Sequence[str], labels:
 
 def draw_attention(examples: Path, variants: Sequence[str], labels: Mapping[str, str], file: Path) -> None:
     """Draws the attention of each variant over the images; arguments as of `draw_comparison`."""
-    with np.load(examples) as kept:
-        columns = len(kept["kinds"])
+    with np.load(examples) as arrays:
+        columns = len(arrays["kinds"])
         figure = new_figure(4.0 * columns, 4.0 * len(variants))
         grid = figure.subplots(len(variants), columns, squeeze=False)
         for row, name in enumerate(variants):
             for column in range(columns):
-                axes, image = grid[row][column], kept[f"image{column}"]
-                seen = kept[f"attention{column}_{name}"] / 255.0
+                axes, image = grid[row][column], arrays[f"image{column}"]
+                seen = arrays[f"attention{column}_{name}"] / 255.0
                 axes.imshow(image, cmap="gray")
                 height, width = image.shape
                 extent = (-0.5, width - 0.5, height - 0.5, -0.5)
                 axes.imshow(seen, cmap="inferno", alpha=0.75 * (seen > 0), extent=extent)
-                points = kept[f"points{column}_{name}"]
+                points = arrays[f"points{column}_{name}"]
                 if len(points):
                     axes.plot(*points.T, color="tab:cyan", linewidth=1.0)
                 axes.set(xticks=[], yticks=[])

@@ -36,9 +36,9 @@ def row_words(key: str, labels: Mapping[str, str]) -> str:
     if key in labels:
         return labels[key]
     for pattern, words in _ROWS:
-        found = re.match(pattern + r"(?![\w.])", key)
-        if found:
-            return _continued(found.expand(words), key[found.end() :])
+        match = re.match(pattern + r"(?![\w.])", key)
+        if match:
+            return _continued(match.expand(words), key[match.end() :])
     known = [label for label in {**_OPERATORS, **labels} if re.match(re.escape(label) + r"[ _(]", key)]
     if known:
         start = max(known, key=len)
@@ -59,10 +59,10 @@ def column_words(key: str) -> tuple[str, str]:
 
 def place_in_thesis(label: str) -> str:
     """Words where the thesis has a table, from its label there: ``ch3tab:results`` is a table of chapter 3."""
-    found = re.match(r"(?:ch(\d+)|app(\d+)|(\w+?))-?(tab|fig):", label)
-    if not found:
+    match = re.match(r"(?:ch(\d+)|app(\d+)|(\w+?))-?(tab|fig):", label)
+    if not match:
         return label if label.startswith("not ") else f"thesis, {label}"
-    chapter, appendix, name, kind = found.groups()
+    chapter, appendix, name, kind = match.groups()
     place = f"chapter {chapter}" if chapter else f"appendix {appendix}" if appendix else _CHAPTERS.get(name, name)
     return f"thesis, {place}, {_KINDS[kind]}"
 
@@ -70,8 +70,8 @@ def place_in_thesis(label: str) -> str:
 def in_words(text: str) -> str:
     """Replaces keys within a sentence or title by words: ``type_1/bca`` becomes "Type I, BCA"."""
 
-    def words(found: re.Match[str]) -> str:
-        token = found.group()
+    def words(match: re.Match[str]) -> str:
+        token = match.group()
         parts = token.split("/")
         if all(part in _NAMES for part in parts):
             return ", ".join(_NAMES[part] for part in parts)

@@ -132,11 +132,11 @@ def write_row(row: dict[str, Any], path: Path) -> str:
     from pipeline.protocol.run import result_text
 
     write_text(path, result_text(row))
-    found, name = row["summary"], row["policy"]["file"]
-    share, force = found["success_pct"], found["force_max_n"]
+    summary, name = row["summary"], row["policy"]["file"]
+    share, force = summary["success_pct"], summary["force_max_n"]
     reached = sum(case["success"] for case in row["cases"])
     return (
-        f"| {name} | {reached} of {found['cases']} | {share['mean']:g} % ({share['low']:g} to {share['high']:g}) | "
+        f"| {name} | {reached} of {summary['cases']} | {share['mean']:g} % ({share['low']:g} to {share['high']:g}) | "
         f"{force:.2f} N |"
     )
 

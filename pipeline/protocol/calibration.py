@@ -22,13 +22,13 @@ def play(claim: Calibration, case: dict[str, Any]) -> dict[str, Any]:
         `success`, `leave_out_px` (of the distortion at holes that were left out), and over all poses `beads` and
         `mean_px` of their reprojection.
     """
-    found = _figures()[case["anatomy"]]
-    images = found["images"].values()
+    figures = _figures()[case["anatomy"]]
+    images = figures["images"].values()
     beads = sum(image["beads"] for image in images)
     mean = sum(image["beads"] * image["mean_px"] for image in images) / max(beads, 1)
     return {
         "success": beads > 0,
-        "leave_out_px": round(found["leave_out_px"], 4),
+        "leave_out_px": round(figures["leave_out_px"], 4),
         "beads": beads,
         "mean_px": round(mean, 4),
     }

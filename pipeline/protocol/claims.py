@@ -51,7 +51,7 @@ class Navigation:
         vessels: of those, what they show: arches, or all others.
         first, count: seed of the first arch (of `pipeline.seeds`), and how many; in others, episodes towards a target.
         targets: names; without any, all branches that an import finds.
-        policies: names; the second plays where an ostium is set back far.
+        policies: names; the second plays where an ostium offset is large.
         attempts, steps: of an episode, and the steps of each.
         variations: by name, each with the same anatomies and starts.
     """

@@ -36,51 +36,51 @@ def main(arguments: list[str]) -> int:
     )
     parser.add_argument("--episodes", type=int, metavar="N", help="only the first ones of the task")
     parser.add_argument("--row", type=Path, metavar="FILE", help="for its figures (default row.json)")
-    given = parser.parse_args(arguments)
+    options = parser.parse_args(arguments)
     try:
-        if given.policy is not None:
-            return _row(given)
-        if (given.board, given.episodes, given.row) != (None, None, None):
+        if options.policy is not None:
+            return _row(options)
+        if (options.board, options.episodes, options.row) != (None, None, None):
             raise ConfigurationError("--board, --episodes and --row are of a policy's row: name its file by --policy")
-        protocol = read_protocol(given.protocol)
-        if unknown := [name for name in given.claims if name not in protocol.claims]:
+        protocol = read_protocol(options.protocol)
+        if unknown := [name for name in options.claims if name not in protocol.claims]:
             raise ConfigurationError(f"there is no claim {unknown[0]!r}: choose from {', '.join(protocol.claims)}")
-        if min(given.seeds, given.workers) < 1:
+        if min(options.seeds, options.workers) < 1:
             raise ConfigurationError("--seeds and --workers are 1 at least")
-        if given.list:
+        if options.list:
             say("\n".join(f"{name}: {claim.title}. {claim.limits}" for name, claim in protocol.claims.items()))
             return _FINE
-        if given.pages:
+        if options.pages:
             from pipeline.protocol.pages import render
 
-            say("\n".join(map(str, render(given.to))) or "no table changed")
+            say("\n".join(map(str, render(options.to))) or "no table changed")
             return _FINE
         os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers are as many as there are to be
         from pipeline.protocol.run import measure
 
-        for name in given.claims or protocol.claims:
-            result = measure(name, protocol, given.to, seeds=given.seeds, workers=given.workers, tell=_tell)
+        for name in options.claims or protocol.claims:
+            result = measure(name, protocol, options.to, seeds=options.seeds, workers=options.workers, tell=_tell)
             say(_line(name, result["summary"]))
     except (ConfigurationError, OSError, ValueError, BrokenExecutor) as error:
         words = system_sentence(error) if isinstance(error, OSError) else error
         say(f"endonav evaluate: {words}", error=True)
         return _USAGE
     except KeyboardInterrupt:
-        kept = f"the cases that were played are kept in {given.to}: the same command goes on from there"
-        say(f"stopped; {kept if given.policy is None else 'no row was written'}", error=True)
+        note = f"the cases that were played are kept in {options.to}: the same command goes on from there"
+        say(f"stopped; {note if options.policy is None else 'no row was written'}", error=True)
         raise
     return _FINE
 
 
-def _row(given: argparse.Namespace) -> int:
+def _row(options: argparse.Namespace) -> int:
     from pipeline.protocol.board import measure_row, write_row
 
-    if given.claims or (given.episodes is not None and given.episodes < 1):
+    if options.claims or (options.episodes is not None and options.episodes < 1):
         raise ConfigurationError("--policy plays in a task: leave claims out, and --episodes is 1 at least")
-    row = given.row or Path("row.json")
+    row = options.row or Path("row.json")
     if row.is_dir() or not next(place for place in row.absolute().parents if place.exists()).is_dir():
         raise ConfigurationError(f"--row is {'a folder' if row.is_dir() else 'in no folder'}: {row}; name a file")
-    say(write_row(measure_row(given.policy, given.board or "arch_variety", given.episodes, _tell), row))
+    say(write_row(measure_row(options.policy, options.board or "arch_variety", options.episodes, _tell), row))
     return _FINE
 
 

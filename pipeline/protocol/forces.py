@@ -52,13 +52,13 @@ def play(claim: Forces, case: dict[str, Any]) -> dict[str, Any]:
     estimator = ContactForceEstimator(errors.phantom, errors.device, members=claim.members)
     disturbed = noisy_curve(curve, 1e-3 * claim.noise_mm, np.random.default_rng(case["seed"]))
     insertion = min(max(simulation.insertion + errors.insertion, 0.0), simulation.max_insertion)
-    found = estimator.update(disturbed, insertion, simulation.rotation + errors.rotation)
-    largest = found.points[np.argmax(found.normal_forces)] - truth.points[np.argmax(truth.normal_forces)]
+    estimate = estimator.update(disturbed, insertion, simulation.rotation + errors.rotation)
+    largest = estimate.points[np.argmax(estimate.normal_forces)] - truth.points[np.argmax(truth.normal_forces)]
     return {
-        "success": bool(found.resultant.low <= resultant <= found.resultant.high),
+        "success": bool(estimate.resultant.low <= resultant <= estimate.resultant.high),
         "resultant_n": round(resultant, 4),
-        "resultant_error_pct": _error_pct(found.resultant.value, resultant),
-        "sum_error_pct": _error_pct(found.normal_sum.value, truth.normal_sum),
+        "resultant_error_pct": _error_pct(estimate.resultant.value, resultant),
+        "sum_error_pct": _error_pct(estimate.normal_sum.value, truth.normal_sum),
         "place_mm": round(1e3 * float(np.linalg.norm(largest)), 2),
     }
 
@@ -79,5 +79,5 @@ def _move(simulation: Any, generator: np.random.Generator) -> None:
         simulation.advance(_PUSH * float(np.clip(push, -1, 1)), _TURN * float(np.clip(rotation, -1, 1)))
 
 
-def _error_pct(found: float, true: float) -> float:
-    return round(100 * abs(found - true) / true, 2)
+def _error_pct(estimate: float, true: float) -> float:
+    return round(100 * abs(estimate - true) / true, 2)

@@ -70,10 +70,10 @@ def rendered(text: str, results: Path) -> str:
         ConfigurationError: a claim that it names has no results.
     """
 
-    def table(found: re.Match[str]) -> str:
-        read = [_read(results / f"{name}.json") for name in found[3].split()]
-        form = {"navigation": _targets, "variations": _variations}.get(found[2], _rows if len(read) > 1 else _figures)
-        return f"{found[1]}\n{form(read)}\n\n{found[4]}"
+    def table(match: re.Match[str]) -> str:
+        read = [_read(results / f"{name}.json") for name in match[3].split()]
+        form = {"navigation": _targets, "variations": _variations}.get(match[2], _rows if len(read) > 1 else _figures)
+        return f"{match[1]}\n{form(read)}\n\n{match[4]}"
 
     return _MARKED.sub(table, text)
 

@@ -43,14 +43,14 @@ def play(claim: Rehearsal, case: dict[str, Any], *overrides: str, budget: str = 
         ]
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as stage:
             try:
-                _, said = stage.communicate()
+                _, messages = stage.communicate()
             except BaseException:
                 stage.terminate()
                 raise
-        left = list(Path(folder).glob("run/rehearsal*/results.json"))
-        if not left:
-            raise ValueError((said.strip().splitlines() or ["the stage left no results"])[-1])
-        tables = read_json(left[0])
+        result_files = list(Path(folder).glob("run/rehearsal*/results.json"))
+        if not result_files:
+            raise ValueError((messages.strip().splitlines() or ["the stage left no results"])[-1])
+        tables = read_json(result_files[0])
     rows, cost = tables["rehearsal"], tables["rehearsal_cost"][case["anatomy"]]
     after = rows[f"{case['anatomy']}/after copies"]
     return {

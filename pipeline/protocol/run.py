@@ -72,24 +72,24 @@ def measure(
     }
     journal = folder / f"{name}.jsonl"
     played = _played(journal, {**made_by, "versions": software_versions()})
-    wanted = [case for seed in range(seeds) for case in KINDS[claim.kind].cases(claim, seed)]
-    left = [case for case in wanted if hash_value(case) not in played]
-    tell(name, len(wanted) - len(left), len(wanted))
+    cases = [case for seed in range(seeds) for case in KINDS[claim.kind].cases(claim, seed)]
+    left = [case for case in cases if hash_value(case) not in played]
+    tell(name, len(cases) - len(left), len(cases))
     with journal.open("a", encoding="utf-8") as file:
         pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=end_with_parent)
         try:
             futures = {pool.submit(play, claim, case): case for case in left}
-            for done, future in enumerate(as_completed(futures), len(wanted) - len(left) + 1):
+            for done, future in enumerate(as_completed(futures), len(cases) - len(left) + 1):
                 case, outcome = futures[future], future.result()
                 played[hash_value(case)] = outcome
                 file.write(json.dumps({"case": case, "outcome": outcome}) + "\n")
                 file.flush()
-                tell(name, done, len(wanted))
+                tell(name, done, len(cases))
         except BaseException:
             _end(pool)
             raise
         pool.shutdown()
-    outcomes = [{**case, **played[hash_value(case)]} for case in wanted]
+    outcomes = [{**case, **played[hash_value(case)]} for case in cases]
     result = {
         "claim": name,
         "protocol": protocol.version,
@@ -126,29 +126,29 @@ def summary(outcomes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
     Of a share the interval is as wide as Wilson's at least, since a bootstrap of equal cases has no width.
     """
-    found: dict[str, Any] = {"cases": len(outcomes), "anatomies": len({one["anatomy"] for one in outcomes})}
+    figures: dict[str, Any] = {"cases": len(outcomes), "anatomies": len({one["anatomy"] for one in outcomes})}
     for key in ("success", "straight"):
         if any(key in one for one in outcomes):
-            found[f"{key}_pct"] = _share([(one["anatomy"], one.get(key, False)) for one in outcomes])
+            figures[f"{key}_pct"] = _share([(one["anatomy"], one.get(key, False)) for one in outcomes])
     for part in ("target", "variation"):
         for name in dict.fromkeys(one[part] for one in outcomes if part in one):
             chosen = [(one["anatomy"], one["success"]) for one in outcomes if one.get(part) == name]
-            found[f"success_{name}_pct"] = _share(chosen)
+            figures[f"success_{name}_pct"] = _share(chosen)
     for key in (*_MEANS, *_MEDIANS):
         if values := [(one["anatomy"], float(one[key])) for one in outcomes if key in one]:
             statistic = "median" if key in _MEDIANS else "mean"
-            found[f"{key}_{statistic}"] = _interval(values, 3, statistic)
+            figures[f"{key}_{statistic}"] = _interval(values, 3, statistic)
     if largest := [one["force_max_n"] for one in outcomes if "force_max_n" in one]:
-        found["force_max_n"] = max(largest)
+        figures["force_max_n"] = max(largest)
     if all("played_cpu_s" in one for one in outcomes):
-        found["cpu_min"] = round(sum(one["played_cpu_s"] for one in outcomes) / 60, 1)
-    return found
+        figures["cpu_min"] = round(sum(one["played_cpu_s"] for one in outcomes) / 60, 1)
+    return figures
 
 
 def _share(values: Sequence[tuple[str, bool]]) -> dict[str, float]:
-    found = _interval([(name, 100.0 * success) for name, success in values], 1)
+    interval = _interval([(name, 100.0 * success) for name, success in values], 1)
     low, high = (100 * bound for bound in wilson_interval(sum(success for _, success in values), len(values)))
-    return found | {"low": round(min(found["low"], low), 1), "high": round(max(found["high"], high), 1)}
+    return interval | {"low": round(min(interval["low"], low), 1), "high": round(max(interval["high"], high), 1)}
 
 
 def _interval(values: Sequence[tuple[str, float]], digits: int, statistic: str = "mean") -> dict[str, float]:
@@ -159,12 +159,12 @@ def _interval(values: Sequence[tuple[str, float]], digits: int, statistic: str =
     drawn = np.random.default_rng(0).integers(len(of_names), size=(_DRAWS, len(of_names)))
     if statistic == "mean":
         sums = np.array([[sum(own), len(own)] for own in (of_names[name] for name in sorted(of_names))])
-        found = sums[drawn, 0].sum(axis=1) / sums[drawn, 1].sum(axis=1)
+        resamples = sums[drawn, 0].sum(axis=1) / sums[drawn, 1].sum(axis=1)
     else:
         groups = [np.array(of_names[name]) for name in sorted(of_names)]
-        found = np.array([np.median(np.concatenate([groups[k] for k in draw])) for draw in drawn])
+        resamples = np.array([np.median(np.concatenate([groups[k] for k in draw])) for draw in drawn])
     whole = getattr(np, statistic)([value for _, value in values])
-    numbers = {"mean": whole, **dict(zip(("low", "high"), np.percentile(found, (2.5, 97.5)), strict=True))}
+    numbers = {"mean": whole, **dict(zip(("low", "high"), np.percentile(resamples, (2.5, 97.5)), strict=True))}
     return {name: round(float(number), digits) for name, number in numbers.items()}
 
 
@@ -205,12 +205,12 @@ def _played(journal: Path, made_by: Mapping[str, Any]) -> dict[str, dict[str, An
             journal.replace(journal.with_suffix(f".old-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}.jsonl"))
         write_text(journal, json.dumps(made_by) + "\n")
         return {}
-    found, whole = {}, lines[:1]
+    outcomes, whole = {}, lines[:1]
     for line in lines[1:]:
         with contextlib.suppress(ValueError, KeyError, TypeError):  # an interrupted write leaves half a line
             record = json.loads(line)
-            found[hash_value(record["case"])] = record["outcome"]
+            outcomes[hash_value(record["case"])] = record["outcome"]
             whole.append(line)
     if len(whole) < len(lines):
         write_text(journal, "\n".join(whole) + "\n")
-    return found
+    return outcomes

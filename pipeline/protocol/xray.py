@@ -42,9 +42,9 @@ def play(claim: RealXray, case: dict[str, Any]) -> dict[str, Any]:
     views, figures = zip(
         *(_read(name, view, curve, size) for view, curve in zip("ab", annotations[name], strict=True)), strict=True
     )
-    found = {key: round(float(np.mean([one[key] for one in figures])), 3) for key in figures[0]}
+    view_means = {key: round(float(np.mean([one[key] for one in figures])), 3) for key in figures[0]}
     if size != 1:
-        return {"success": all(view.found for view in views)} | found
+        return {"success": all(view.found for view in views)} | view_means
     curves = annotations[name]
     if distortions is not None:
         curves = [own.undistort_points(curve) for own, curve in zip(distortions, curves, strict=True)]
@@ -52,15 +52,15 @@ def play(claim: RealXray, case: dict[str, Any]) -> dict[str, Any]:
     try:
         result = combine(list(views), cameras, distortions)
     except ValueError as error:
-        return {"success": False, "reason": str(error), "mean_mm": _FAILED_MM, "tip_mm": _FAILED_MM} | found
+        return {"success": False, "reason": str(error), "mean_mm": _FAILED_MM, "tip_mm": _FAILED_MM} | view_means
     distances = chamfer(*_in_common(truth, result.curve_mm)), mete(truth, result.curve_mm)
     mean, tip = (round(min(float(distance), _FAILED_MM), 3) for distance in distances)
-    return {"success": bool(result.accepted), "mean_mm": mean, "tip_mm": tip} | found
+    return {"success": bool(result.accepted), "mean_mm": mean, "tip_mm": tip} | view_means
 
 
 def _pairs() -> list[dict[str, Any]]:
-    found: list[dict[str, Any]] = read_json(private_data("stereo_pairs.json"))["pairs"]
-    return found
+    pairs: list[dict[str, Any]] = read_json(private_data("stereo_pairs.json"))["pairs"]
+    return pairs
 
 
 @lru_cache(maxsize=1)

@@ -108,8 +108,8 @@ class McapRecorder:
         totals = self._totals.metrics(self._control_dt)
         if metrics is None:
             return log.finish(EpisodeOutcome(success=None, steps=self._steps, metrics=totals, status="interrupted"))
-        found = {**asdict(metrics), **totals}
-        return log.finish(EpisodeOutcome(success=metrics.success, steps=self._steps, metrics=found))
+        all_metrics = {**asdict(metrics), **totals}
+        return log.finish(EpisodeOutcome(success=metrics.success, steps=self._steps, metrics=all_metrics))
 
     def answer(self, episode: Path, answers: Mapping[str, Any]) -> Path:
         """Keeps a questionnaire, as `cathsim.console.check_answers` gives it, in the log, and in a JSON file."""

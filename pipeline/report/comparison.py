@@ -60,10 +60,10 @@ def comparisons() -> dict[str, Comparison]:
             raise ValueError(f"{spec['table']}: the verdict '{spec['verdict']}' is none of {', '.join(VERDICTS)}")
         table = tables[spec["table"]]
         columns = [{column.key: column for column in table.columns}[key] for key in spec["columns"]]
-        kept = [run.get(table.key, {}) for run in runs]
+        run_tables = [run.get(table.key, {}) for run in runs]
         made[table.key] = Comparison(
             table.key, table.title, spec["page"], spec["verdict"], spec["differs"], _heading(columns),
-            tuple(_row(table, key, columns, cells, kept) for key, cells in spec["rows"].items()),
+            tuple(_row(table, key, columns, cells, run_tables) for key, cells in spec["rows"].items()),
         )  # fmt: skip
     return made
 
@@ -102,7 +102,7 @@ def rendered(text: str) -> str:
         table = "\n".join([lines[0], "|---|---|---|---|", *lines[1:]])
         verdict = one.verdict.capitalize()
         parts.append(f"### {one.title}\n\n{table}\n\n**{verdict}** ([figures]({one.page})). {one.differs}\n")
-    return _MARKED.sub(lambda found: f"{found[1]}\n{chr(10).join(parts)}\n{found[2]}", text)
+    return _MARKED.sub(lambda match: f"{match[1]}\n{chr(10).join(parts)}\n{match[2]}", text)
 
 
 if __name__ == "__main__":

@@ -73,7 +73,7 @@ def gather_figures(
         embed_limit: size in bytes up to which a file goes inside the page.
         room: bytes of the page that its figures may take together; what does not fit lies beside it.
     """
-    shown = []
+    figures = []
     for figure in read_figures(folder):
         file = folder / figure.file
         media_type = _MEDIA_TYPES.get(file.suffix.lower())
@@ -88,12 +88,12 @@ def gather_figures(
             with atomic_path(report / relative) as temporary:
                 shutil.copyfile(file, temporary)
             source = relative.as_posix()
-        shown.append(ShownFigure(
+        figures.append(ShownFigure(
             in_words(figure.title), in_words(figure.caption), in_words(figure.group or stage),
             source, media_type, stage=figure.stage or stage.partition("@")[0], size=_size(file),
             is_film=file.suffix.lower() in _MOVING,
         ))  # fmt: skip
-    return shown
+    return figures
 
 
 def _size(file: Path) -> tuple[int, int] | None:

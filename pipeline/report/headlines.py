@@ -68,32 +68,32 @@ def _headline(spec: HeadlineSpec, tables: Mapping[str, ReportTable]) -> Headline
     table = tables[spec.table]
     rows = {row.key: row for row in table.rows}
     row, column = rows[spec.row], next(column for column in table.columns if column.key == spec.column)
-    thesis, here, unit, measured = row.thesis[column.key], row.measured.get(column.key), column.unit, column.key
+    thesis, value, unit, measured = row.thesis[column.key], row.measured.get(column.key), column.unit, column.key
     if spec.measured is not None:
         key, name, measured = spec.measured
-        found = [other for other in tables[key].rows if other.key == name] if key in tables else []
-        row, here = (found[0], found[0].measured.get(measured)) if found else (row, None)
+        matches = [other for other in tables[key].rows if other.key == name] if key in tables else []
+        row, value = (matches[0], matches[0].measured.get(measured)) if matches else (row, None)
     if spec.over:
         base = rows[spec.over]
-        thesis, here = _share_of(thesis, base.thesis[column.key]), _share_of(here, base.measured.get(column.key))
+        thesis, value = _share_of(thesis, base.thesis[column.key]), _share_of(value, base.measured.get(column.key))
         column, unit = Column(column.key, column.label, "%", column.better, 1), "%"
-    if not isinstance(here, int | float | list):
+    if not isinstance(value, int | float | list):
         words = _words(thesis, column, unit)
         return Headline(spec.label, table.chapter, table.key, words, "", "", None, spec.differs, "")
     if spec.share:
-        thesis, here = mean_of(thesis), mean_of(here)
+        thesis, value = mean_of(thesis), mean_of(value)
     samples = None if spec.over else row.samples
     seeded, share = None if spec.over else row.over_seeds.get(measured), spec.share
     if seeded is not None:
-        here, samples, share = seeded.cell, seeded.seeds, False
-    interval = share_interval(mean_of(here), samples) if share else mean_interval(here, samples)
+        value, samples, share = seeded.cell, seeded.seeds, False
+    interval = share_interval(mean_of(value), samples) if share else mean_interval(value, samples)
     if seeded is not None:
         interval = seeded.interval
     return Headline(
         label=spec.label, chapter=table.chapter, table=table.key, thesis=_words(thesis, column, unit),
-        here=_words(here, column, unit), interval=_interval_words(interval, column, unit), samples=samples,
+        here=_words(value, column, unit), interval=_interval_words(interval, column, unit), samples=samples,
         differs=spec.differs, verdict=UNLIKE if not spec.comparable else compare(
-            thesis, here, thesis_samples=spec.samples, samples=samples, share=share, level=spec.level,
+            thesis, value, thesis_samples=spec.samples, samples=samples, share=share, level=spec.level,
             higher_is_better=column.better != "lower", decimals=column.decimals,
         ),
         seeds=0 if seeded is None else seeded.seeds,

@@ -78,10 +78,10 @@ class OverSeeds:
     @property
     def interval(self) -> Interval:
         """Student's 95 % interval of the mean; that of a share is cut off at 0 and 100 %."""
-        found = mean_interval(self.cell, self.seeds)
-        if found is None:
+        bounds = mean_interval(self.cell, self.seeds)
+        if bounds is None:
             raise ValueError(f"an interval over seeds needs two of them, got {self.seeds}")
-        return (max(found[0], 0.0), min(found[1], 100.0)) if self.is_share else found
+        return (max(bounds[0], 0.0), min(bounds[1], 100.0)) if self.is_share else bounds
 
 
 def over_seeds(by_seed: Mapping[int, Mapping[str, Table]]) -> dict[CellName, OverSeeds]:
@@ -93,10 +93,10 @@ def over_seeds(by_seed: Mapping[int, Mapping[str, Table]]) -> dict[CellName, Ove
                 for column, cell in columns.items():
                     if column != SAMPLES and not column.endswith(BOUNDS) and isinstance(cell, int | float | list):
                         collected.setdefault((table, row, column), []).append(mean_of(cell))
-    found = {}
+    cells = {}
     for name, means in collected.items():
         if len(set(means)) > 1:
             mean = math.fsum(means) / len(means)
             spread = math.sqrt(math.fsum((one - mean) ** 2 for one in means) / len(means))
-            found[name] = OverSeeds([mean, spread], len(means), is_share=name[2].endswith(_SHARES))
-    return found
+            cells[name] = OverSeeds([mean, spread], len(means), is_share=name[2].endswith(_SHARES))
+    return cells

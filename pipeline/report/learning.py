@@ -50,11 +50,11 @@ def learning_section(run_path: Path, finished: Mapping[str, Manifest], figures: 
     """
     counting = {*finished, *([_HUMAN] if _USER_STUDY in finished else [])}
     folders = [folder for folder in evaluation_folders(run_path) if folder.name in counting]
-    found = read_logs(folders, cache=run_path / CACHE)
+    evaluation_set = read_logs(folders, cache=run_path / CACHE)
     selected = run_path / _USER_STUDY / COUNTED
     people = set(read_json(selected)) if selected.is_file() else set()
-    evaluations = [one for one in found.evaluations if one.stage != _HUMAN or one.log in people]
-    shortest = shortest_paths(found.evaluations)
+    evaluations = [one for one in evaluation_set.evaluations if one.stage != _HUMAN or one.log in people]
+    shortest = shortest_paths(evaluation_set.evaluations)
     results, variants = _results(run_path, finished, evaluations, shortest), _variants(finished.values())
     by_seed = {
         seed: join_sweep(
@@ -65,11 +65,11 @@ def learning_section(run_path: Path, finished: Mapping[str, Manifest], figures: 
     }
     learnt = [name for name in finished if stage_of(name) in LEARNING_STAGES]
     if not learnt:
-        return LearningSection(results, variants, by_seed, left_out(found))
+        return LearningSection(results, variants, by_seed, left_out(evaluation_set))
     curves = read_curves([run_path / name for name in learnt])
     joined = join_sweep(results, variants)
     write_figures(figures, draw_learning(Material(run_path, evaluations, curves, joined), figures))
-    return LearningSection(results, variants, by_seed, left_out(found), figures)
+    return LearningSection(results, variants, by_seed, left_out(evaluation_set), figures)
 
 
 def _results(

@@ -66,7 +66,7 @@ def _grouped(curves: Sequence[Curve]) -> dict[str, dict[str, list[Curve]]]:
 
 
 def _training(material: Material, folder: Path) -> list[Figure]:
-    shown = []
+    figures = []
     curves = [
         curve
         for curve in material.curves
@@ -82,8 +82,8 @@ def _training(material: Material, folder: Path) -> list[Figure]:
             "The training's own reward (the tables have the thesis's), exploration included, and success of the "
             f"evaluated policy. {spread if seeds > 1 else 'One seed.'}"
         )
-        shown.append(Figure(f"Training curves, {_STAGE_WORDS.get(stage, stage)}", caption, file, CURVES_GROUP, stage))
-    return shown
+        figures.append(Figure(f"Training curves, {_STAGE_WORDS.get(stage, stage)}", caption, file, CURVES_GROUP, stage))
+    return figures
 
 
 def _lengths(material: Material, folder: Path) -> list[Figure]:
@@ -125,7 +125,7 @@ def _largest_forces(material: Material, folder: Path) -> list[Figure]:
 
 
 def _heat(material: Material, folder: Path) -> list[Figure]:
-    shown = []
+    figures = []
     chosen = of_mode([one for one in material.evaluations if one.stage == "baselines"], DETERMINISTIC)
     for phantom, target in sorted({(one.phantom, one.target) for one in chosen}):
         of_task = [one for one in chosen if (one.phantom, one.target) == (phantom, target)]
@@ -140,8 +140,8 @@ def _heat(material: Material, folder: Path) -> list[Figure]:
         title = f"{task_words(phantom, target)}: contact forces of the baselines"
         forces.draw_heat(np.asarray(vessel.lumen_mesh.vertices, np.float64), episodes, folder / file, title=title)
         caption = f"{contacts} contacts of {len(episodes)} of {len(of_task)} deterministic episodes, all rows together."
-        shown.append(Figure(title, caption, file, FORCES_GROUP, "baselines"))
-    return shown
+        figures.append(Figure(title, caption, file, FORCES_GROUP, "baselines"))
+    return figures
 
 
 def _paths(material: Material, folder: Path) -> list[Figure]:
@@ -151,7 +151,7 @@ def _paths(material: Material, folder: Path) -> list[Figure]:
     for one in of_mode(counted(material.evaluations), DETERMINISTIC):
         if one.stage in _STEERED and (one.stage != "enn" or one.row == EXPERT_ROW):
             tasks.setdefault((one.phantom, one.target), {}).setdefault(_STEERED[one.stage], []).append(one)
-    shown = []
+    figures = []
     for (phantom, target), steered in sorted(tasks.items()):
         vessel = _phantom(phantom, material.run_path / steered["ENN"][0].log) if "ENN" in steered else None
         if vessel is None:
@@ -169,8 +169,8 @@ def _paths(material: Material, folder: Path) -> list[Figure]:
             f"Paths of the tip, at most {PATHS_SHOWN} episodes each; they end in a dot on success, in a cross "
             "otherwise. The target's sphere of success is dashed."
         )
-        shown.append(Figure(f"{task_words(phantom, target)}: paths of the tip", caption, file, PATHS_GROUP, "enn"))
-    return shown
+        figures.append(Figure(f"{task_words(phantom, target)}: paths of the tip", caption, file, PATHS_GROUP, "enn"))
+    return figures
 
 
 def _front(material: Material, folder: Path) -> list[Figure]:
@@ -182,9 +182,9 @@ def _front(material: Material, folder: Path) -> list[Figure]:
     points = []
     for (phantom, target, row), weight in weights.items():
         cells = material.tables.get("enn", {}).get(f"{phantom}/{target}/{row}", {})
-        shown = [_pair(cells.get(name)) for name in ("force_n", "success_pct", "force_max_n", "episode_length_steps")]
-        pairs = [pair for pair in shown if pair is not None]
-        if len(pairs) < len(shown):
+        values = [_pair(cells.get(name)) for name in ("force_n", "success_pct", "force_max_n", "episode_length_steps")]
+        pairs = [pair for pair in values if pair is not None]
+        if len(pairs) < len(values):
             continue
         words = row.removeprefix(EXPERT_ROW).strip()
         named = re.search(r"[0-9.]+$", words)  # a weight in the row's name

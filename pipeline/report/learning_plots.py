@@ -47,9 +47,9 @@ class Curve:
         at, values = (self.columns.get(name, nothing) for name in (x, y))
         if not len(at) or not len(values):
             return nothing, nothing
-        there = np.isfinite(at) & np.isfinite(values)
-        order = np.argsort(at[there], kind="stable")
-        return at[there][order], values[there][order]
+        finite = np.isfinite(at) & np.isfinite(values)
+        order = np.argsort(at[finite], kind="stable")
+        return at[finite][order], values[finite][order]
 
 
 @dataclass(frozen=True)
@@ -228,10 +228,10 @@ def draw_largest_forces(phantoms: Mapping[str, Mapping[tuple[str, str], Array]],
         targets = sorted({target for _, target in boxes})
         width = 0.8 / len(targets)
         for index, target in enumerate(targets):
-            there = [(place, boxes[row, target]) for place, row in enumerate(rows) if (row, target) in boxes]
+            row_boxes = [(place, boxes[row, target]) for place, row in enumerate(rows) if (row, target) in boxes]
             drawn = axes.boxplot(
-                [values for _, values in there],
-                positions=[place + (index - (len(targets) - 1) / 2) * width for place, _ in there],
+                [values for _, values in row_boxes],
+                positions=[place + (index - (len(targets) - 1) / 2) * width for place, _ in row_boxes],
                 widths=0.85 * width, whis=(5, 95), patch_artist=True, manage_ticks=False,
                 medianprops={"color": "black"}, flierprops={"markersize": 2, "alpha": 0.5},
                 boxprops={"facecolor": f"C{index}", "alpha": 0.55},
@@ -249,10 +249,10 @@ def draw_paths(
     phantom: Phantom, target: str, paths: Mapping[str, Sequence[tuple[Array, bool]]], file: Path, *, radius_mm: float
 ) -> None:
     """Draws the tip's paths, (T + 1, 3) m and whether it succeeded, in the vessel, a panel for each who steered."""
-    shown = {who: of_one for who, of_one in paths.items() if of_one}
-    figure = new_figure(3.6 * len(shown), 4.6)
-    panels = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
-    for axes, (who, of_one) in zip(panels, shown.items(), strict=True):
+    nonempty_paths = {who: of_one for who, of_one in paths.items() if of_one}
+    figure = new_figure(3.6 * len(nonempty_paths), 4.6)
+    panels = figure.subplots(1, len(nonempty_paths), squeeze=False, sharey=True)[0]
+    for axes, (who, of_one) in zip(panels, nonempty_paths.items(), strict=True):
         draw_vessel(axes, phantom, target, radius_mm=radius_mm)
         for path, success in of_one:
             x, z = path[:, 0] * MM, path[:, 2] * MM

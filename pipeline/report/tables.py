@@ -183,8 +183,8 @@ def report_tables(
     """The thesis's tables with measured cells, and those over seeds, beside its own; then all other tables."""
     specs, groups = _thesis()
     seeded: dict[str, dict[tuple[str, str], OverSeeds]] = {}
-    for (table, row, column), found in (over_seeds or {}).items():
-        seeded.setdefault(table, {})[row, column] = found
+    for (table, row, column), figure in (over_seeds or {}).items():
+        seeded.setdefault(table, {})[row, column] = figure
     tables = [_merge(key, spec, groups, measured.get(key, {}), seeded.get(key, {})) for key, spec in specs.items()]
     for key, rows in measured.items():
         if key not in specs:
@@ -277,8 +277,8 @@ def as_csv(table: ReportTable) -> str:
 
 
 def _over_seeds(row: Row, column: str) -> tuple[Cell, Cell, Cell]:
-    found = row.over_seeds.get(column)
-    return (None, None, None) if found is None else (found.cell[0], *found.interval)
+    figure = row.over_seeds.get(column)
+    return (None, None, None) if figure is None else (figure.cell[0], *figure.interval)
 
 
 def as_latex(table: ReportTable) -> str:

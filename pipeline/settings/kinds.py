@@ -155,8 +155,8 @@ def one_of(*choices: str) -> AfterValidator:
 
 def _list_check(problem: Callable[[list[Any]], str | None]) -> AfterValidator:
     def check(values: list[Any]) -> list[Any]:
-        if found := problem(values):
-            raise ValueError(found)
+        if message := problem(values):
+            raise ValueError(message)
         return values
 
     return AfterValidator(check)

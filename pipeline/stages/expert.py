@@ -145,7 +145,7 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
     """Draws paths and forces of every task and lists them with the films."""
     from pipeline.plots.episodes import draw_planned_path, draw_task
 
-    shown = []
+    entries = []
     for task in dict.fromkeys(trial.task for trial in trials):
         phantom_name, target = task.split("/")
         phantom = load_anatomy(settings.anatomy(phantom_name))
@@ -153,7 +153,7 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
         logs = [folder / trial.log for trial in trials if trial.task == task]
         radius = settings.task.success_radius_mm
         draw_task(phantom, target, logs, folder / task / "episodes.png", radius_mm=radius)
-        shown.append(
+        entries.append(
             Figure(
                 f"{task}: path of the tip and contact force",
                 f"{len(logs)} episodes, demonstrations among them; the target's sphere of success is dashed.",
@@ -163,11 +163,11 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
         )
         length = draw_planned_path(phantom, target, folder / task / "path.png", entry=settings.task.entry)
         write_json(folder / task / "path.json", {"length_m": length})
-        shown.append(
+        entries.append(
             Figure(f"{task}: shortest path", "A* in the lumen from the entry to the target.", f"{task}/path.png", group)
         )
         if settings.film:
-            shown += [
+            entries += [
                 Figure(
                     f"{task}: episode {trial.episode}",
                     "Fluoroscopy and 3-D view, 2.5 times the episode's speed.",
@@ -177,7 +177,7 @@ def figures(trials: list[Trial], settings: ExpertSettings, folder: Path) -> list
                 for trial in trials
                 if trial.task == task and not trial.evaluation and trial.episode < settings.film_episodes
             ]
-    return shown
+    return entries
 
 
 STAGE = Stage(settings=ExpertSettings, run=run_expert, reads=("phantoms",), prepare=settle, check=check_expert)

@@ -84,9 +84,9 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
     preset = force_preset(settings.variant)
     preset = replace(preset, fit=replace(preset.fit, epochs=settings.epochs or preset.fit.epochs))
     fits = []
-    wanted = [(THESIS_INPUTS, count) for count in settings.samples]
-    wanted += [(inputs, settings.samples[-1]) for inputs in settings.inputs if inputs != THESIS_INPUTS]
-    for inputs, count in wanted:
+    input_counts = [(THESIS_INPUTS, count) for count in settings.samples]
+    input_counts += [(inputs, settings.samples[-1]) for inputs in settings.inputs if inputs != THESIS_INPUTS]
+    for inputs, count in input_counts:
         key = f"{inputs}/{count}"
         fit = ForceJob(
             folder=context.path / key,
@@ -101,7 +101,7 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
         fits.append(Job(key, learn_force, fit, after=after, weight=count * _SECONDS_A_SAMPLE, gpu_gb=gpu_gb))
     shapes = []
     for row, disturbed in SHAPE_ROWS.items():
-        given = ShapeForceJob(
+        shape = ShapeForceJob(
             folder=context.path / row,
             phantom=settings.phantom,
             logs=logs,
@@ -109,7 +109,7 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
             seed=context.seed,
             disturbed=disturbed,
         )
-        shapes.append(Job(row, forces_from_shape, given, after=after, weight=settings.test_samples * _SECONDS_A_SHAPE))
+        shapes.append(Job(row, forces_from_shape, shape, after=after, weight=settings.test_samples * _SECONDS_A_SHAPE))
     return recordings, fits, shapes
 
 
@@ -159,7 +159,7 @@ def figures(fits: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list
     spread = (
         f"mean {last['force_mean_n']:.3f} N, variance {last['variance_n2']:.2g} N², largest {last['force_max_n']:.2f} N"
     )
-    found = [
+    entries = [
         Figure(
             "Predicted and true contact force",
             f"Bins of equally many test samples by predicted force; episodes that were not learnt from; {spread}.",
@@ -169,7 +169,7 @@ def figures(fits: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list
     ]
     if shares:  # none where all test forces are the same
         draw_shares(shares, folder / "shares.png")
-        found.append(
+        entries.append(
             Figure(
                 "Error of force prediction by number of samples",
                 "From the image alone, as a share of the variance of the test forces; samples are drawn from the "
@@ -178,7 +178,7 @@ def figures(fits: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list
                 GROUP,
             )
         )
-    return found
+    return entries
 
 
 STAGE = Stage(settings=ForceSettings, run=run_force, reads=("enn",), check=check_force, repeated=True)

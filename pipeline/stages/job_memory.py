@@ -71,8 +71,8 @@ def _seen(network: str, size: str) -> tuple[int, int]:
     if network in _SEGMENTATION:
         recipe = segmentation_recipe(network, size)
         return recipe.crop_px, recipe.fit.batch_size
-    kept = fgrn_recipe(size) if network == "fgrn" else shape_recipe(size)
-    return kept.preprocessing.size_px, kept.fit.batch_size
+    image_recipe = fgrn_recipe(size) if network == "fgrn" else shape_recipe(size)
+    return image_recipe.preprocessing.size_px, image_recipe.fit.batch_size
 
 
 PROCESS_GB = 1.0  # torch, simulator and networks; an estimate

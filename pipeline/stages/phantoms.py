@@ -87,16 +87,16 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> Results:
     for anatomy in context.folder.resumable(anatomies, key=lambda a: a.label, label="phantoms"):
         try:
             phantom = _build(anatomy, settings)
-            room = None if anatomy.file is None else anatomy.file.room()
+            background = None if anatomy.file is None else anatomy.file.room()
         except ValueError as error:
             raise ConfigurationError(f"phantom {anatomy.label} cannot be built: {in_settings(error)}") from error
-        if room is not None and phantom.imported is not None:
-            of_ct = tuple(note for solid in room.body for note in getattr(solid, "notes", ()))
+        if background is not None and phantom.imported is not None:
+            of_ct = tuple(note for solid in background.body for note in getattr(solid, "notes", ()))
             phantom = replace(phantom, imported=replace(phantom.imported, notes=phantom.imported.notes + of_ct))
         folder = context.path / anatomy.label
         write_bundle(phantom, folder, wall_thickness=settings.wall_thickness_mm / _MM, picture=settings.picture)
-        if room is not None:
-            write_radiograph(phantom, room, folder / RADIOGRAPH)
+        if background is not None:
+            write_radiograph(phantom, background, folder / RADIOGRAPH)
         context.folder.mark_done(anatomy.label, phantom.dimensions())
     measured = {a.label: context.folder.result_of(a.label) for a in anatomies}
     models = {a.label: {"convex_hulls": "none", "source": "file" if a.file else "parametric"} for a in anatomies}

@@ -44,9 +44,9 @@ class ReportSettings:
 def finished_stages(run_path: Path) -> dict[str, Manifest]:
     """Finished stage folders of a run, such as ``expert@seed=1``, but the report's, in order, to their manifests."""
     folders = sorted(p for p in run_path.iterdir() if p.is_dir()) if run_path.is_dir() else []
-    found = {folder.name: read_manifest(folder) for folder in folders}
+    manifests = {folder.name: read_manifest(folder) for folder in folders}
     order = available_stages()
-    finished = {name: m for name, m in found.items() if m is not None and m.stage != "report"}
+    finished = {name: m for name, m in manifests.items() if m is not None and m.stage != "report"}
     return dict(
         sorted(finished.items(), key=lambda kv: (order.index(kv[1].stage) if kv[1].stage in order else 99, kv[0]))
     )
@@ -94,7 +94,7 @@ def notes_of(run_path: Path, finished: Collection[str]) -> dict[str, list[str]]:
 def mixed_seeds(finished: Mapping[str, Manifest]) -> dict[str, str]:
     """Words which folders of a further seed had other settings than the stage's first: folder to a sentence."""
     first: dict[str, tuple[str, dict[str, Any]]] = {}
-    found = {}
+    sentences = {}
     for name, manifest in finished.items():
         if any(not word.startswith("seed=") for word in manifest.variant) or manifest.stage not in available_stages():
             continue  # what a sweep changed names its rows
@@ -102,11 +102,11 @@ def mixed_seeds(finished: Mapping[str, Manifest]) -> dict[str, str]:
         matter = {one.name: manifest.config.get(one.name) for one in owned if one.metadata.get("affects_results", True)}
         folder, settings = first.setdefault(manifest.stage, (name, matter))
         if differing := sorted(key for key in matter if matter[key] != settings[key]):
-            found[name] = (
+            sentences[name] = (
                 f"{name} had other settings than {folder} ({', '.join(differing)}): figures over both mix them; "
                 "run the stage again with the same ones."
             )
-    return found
+    return sentences
 
 
 def _figures(
@@ -115,15 +115,15 @@ def _figures(
     """The figures of every stage, then those of learning, as many inside the page as it has room for."""
     folders = {name: context.run_path / name for name in finished}
     if learning.folder is not None:
-        folders = {LEARNING_FOLDER: learning.folder, **folders}  # first, so that films take what room is left
-    room, shown = PAGE_ROOM_BYTES, {}
+        folders = {LEARNING_FOLDER: learning.folder, **folders}  # first, so that films take the bytes that remain
+    free_bytes, figures = PAGE_ROOM_BYTES, {}
     for name, folder in folders.items():
-        shown[name] = gather_figures(
-            name, folder, context.path, embed_limit=int(settings.embed_limit_mb * 1e6), room=room
+        figures[name] = gather_figures(
+            name, folder, context.path, embed_limit=int(settings.embed_limit_mb * 1e6), room=free_bytes
         )
-        room -= sum(figure.embedded_bytes for figure in shown[name])
-    ordered = [*(name for name in shown if name != LEARNING_FOLDER), LEARNING_FOLDER]
-    return [figure for name in ordered for figure in shown.get(name, [])]
+        free_bytes -= sum(figure.embedded_bytes for figure in figures[name])
+    ordered = [*(name for name in figures if name != LEARNING_FOLDER), LEARNING_FOLDER]
+    return [figure for name in ordered for figure in figures.get(name, [])]
 
 
 def _environment() -> Table:

@@ -170,7 +170,7 @@ def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:
         training_job(variant, learn_variant, settings, context, 4.0, taken.get(variant))
         for variant in settings.variants
     ]
-    given = ComparisonJob(
+    comparison_job = ComparisonJob(
         folder=context.path / COMPARISON,
         guide3d=context.inputs["guide3d"],
         variants={variant: context.path / variant for variant in settings.variants},
@@ -179,7 +179,7 @@ def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:
         seed=context.seed,
     )
     gpu_gb = max(job.gpu_gb for job in jobs)  # it reads with all of them, and learns nothing
-    return [*jobs, Job(COMPARISON, compare, given, after=tuple(settings.variants), gpu_gb=gpu_gb)]
+    return [*jobs, Job(COMPARISON, compare, comparison_job, after=tuple(settings.variants), gpu_gb=gpu_gb)]
 
 
 def tables(settings: SplineformerSettings, outcomes: dict[str, Any]) -> dict[str, Any]:

@@ -214,7 +214,7 @@ def figures(episodes: list[EpisodeForces], settings: ValidateSettings, phantoms:
     draw_distribution(pooled(chosen), *real, folder / DISTRIBUTION)
     draw_boxes(episodes, *real, folder / BOXES)
     words = " ".join((folder / VERDICT).read_text(encoding="utf-8").split())
-    shown = [
+    entries = [
         Figure("Contact forces beside real ones", f"{len(chosen)} episodes in {place}. {words}", DISTRIBUTION, GROUP),
         Figure("Contact forces by arch and target", f"{len(episodes)} expert episodes.", BOXES, GROUP),
     ]
@@ -225,15 +225,15 @@ def figures(episodes: list[EpisodeForces], settings: ValidateSettings, phantoms:
             f"{len(wall.load_cell_n)} steps in {place}. The cell reads the resultant on the vessel, averaged over a "
             "step and filtered, with its noise; opposite walls cancel in it, but not in the sum of magnitudes."
         )
-        shown.insert(1, Figure("What a load cell under the phantom reads", caption, LOAD_CELL, GROUP))
+        entries.insert(1, Figure("What a load cell under the phantom reads", caption, LOAD_CELL, GROUP))
     for name in dict.fromkeys(episode.phantom for episode in episodes):
         inside = [episode for episode in episodes if episode.phantom == name]
         file = f"heat/{name}.png"
         draw_heat(wall_vertices(phantoms, name), inside, folder / file, title=f"{name}: contact forces on the wall")
         contacts = sum(len(episode.forces) for episode in inside)
         caption = f"{contacts} contacts of {len(inside)} episodes, seen from the front."
-        shown.append(Figure(f"{name}: contact forces on the vessel wall", caption, file, GROUP))
-    return shown
+        entries.append(Figure(f"{name}: contact forces on the vessel wall", caption, file, GROUP))
+    return entries
 
 
 STAGE = Stage(settings=ValidateSettings, run=run_validate, reads=("phantoms", "expert"), check=check_validate)

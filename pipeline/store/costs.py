@@ -76,7 +76,7 @@ def keep_cost(folder: Path, key: str, cost: Cost, after: Sequence[str] = ()) -> 
 def kept_costs(folder: Path) -> dict[str, dict[str, Any]]:
     """Costs of the jobs that have ended in a stage under way, by their keys; a damaged file counts as none."""
     try:
-        found = read_json(folder / COSTS / _FILE)
+        costs = read_json(folder / COSTS / _FILE)
     except (FileNotFoundError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return costs if isinstance(costs, dict) else {}

@@ -109,10 +109,10 @@ class FinishedItems:
                 _LOGGER.warning("%s: %s is missing or was changed, so it is done again", name, wrong)
                 broken.append(path)
         if broken:
-            kept = {name for path, item in items.items() if item and path not in broken for name in item.files}
-            kept |= {name for path in self._place.glob("files-*.txt") for name in read_journal(path)}
-            kept -= {name for path in broken for name in _written(path)}
-            _remove_files(self.path, keep=kept)
+            file_names = {name for path, item in items.items() if item and path not in broken for name in item.files}
+            file_names |= {name for path in self._place.glob("files-*.txt") for name in read_journal(path)}
+            file_names -= {name for path in broken for name in _written(path)}
+            _remove_files(self.path, keep=file_names)
             for path in broken:
                 self._remove(path)
         return len(items) - len(broken)

@@ -133,10 +133,10 @@ class RunFolder(FinishedItems):
         manifest = self.path / MANIFEST
         if not force and not manifest.exists() and self._belong_to(self.identity.fingerprint):
             remove_unfinished(self.path)
-            kept = self._verify()
+            item_count = self._verify()
             self._digests.save()
-            self._note_commit(kept)
-            return kept
+            self._note_commit(item_count)
+            return item_count
         self._move_aside()
         write_json(self._identity_path, self.identity.fingerprint)
         self._note_commit(0)
@@ -158,13 +158,13 @@ class RunFolder(FinishedItems):
         if results:
             _LOGGER.warning("%s: earlier results were moved to %s, which you may remove", self.path, aside)
 
-    def _note_commit(self, kept: int) -> None:
+    def _note_commit(self, item_count: int) -> None:
         """Adds the present commit to those that the items were made by, and warns of another one."""
         present = present_commit()
-        others = [commit for commit in self._commits() if kept and commit != present]
+        others = [commit for commit in self._commits() if item_count and commit != present]
         if others:
             made = "%s: the %d finished items were made by commit %s, the code is at %s"
-            _LOGGER.warning(made, self.path, kept, ", ".join(others), present)
+            _LOGGER.warning(made, self.path, item_count, ", ".join(others), present)
         write_text(self._place / _COMMITS, "\n".join([*others, present]))
 
     def _commits(self) -> list[str]:

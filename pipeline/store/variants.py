@@ -66,32 +66,32 @@ class RunRequest:
             How many of its overrides were asked for, and minus how many are merely so by default, to be compared;
             None: one of its overrides is something else than what was asked for.
         """
-        given, default = _shared(self.overrides), {"seed": str(self.seed), "budget": self.budget}
-        wanted = _shared(variant)
-        if any(({**default, **given}).get(key) != value for key, value in wanted.items()):
+        request_values, default = _shared(self.overrides), {"seed": str(self.seed), "budget": self.budget}
+        variant_values = _shared(variant)
+        if any(({**default, **request_values}).get(key) != value for key, value in variant_values.items()):
             return None
-        stated = sum(key in given for key in wanted)
-        return stated, stated - len(wanted)
+        stated = sum(key in request_values for key in variant_values)
+        return stated, stated - len(variant_values)
 
 
 def require_input(run_path: Path, stage: str, reader: str, request: RunRequest) -> tuple[Path, Manifest]:
     """Finds the finished results of an earlier stage and checks that they are as it left them."""
-    found = _variants(run_path, stage)
-    fits = {folder: fit for folder, manifest in found.items() if (fit := request.fit(manifest.variant)) is not None}
+    manifests = _variants(run_path, stage)
+    fits = {folder: fit for folder, manifest in manifests.items() if (fit := request.fit(manifest.variant)) is not None}
     plain = run_path / stage
-    several_seeds = any("seed" in _shared(manifest.variant) for manifest in found.values())
-    if plain in fits and found[plain].seed != request.seed and several_seeds:
+    several_seeds = any("seed" in _shared(manifest.variant) for manifest in manifests.values())
+    if plain in fits and manifests[plain].seed != request.seed and several_seeds:
         del fits[plain]  # the stage ran for several seeds: then another's is not meant
     best = [folder for folder, fit in fits.items() if fit == max(fits.values())]
     if not best:
-        raise StageError(_missing_input(run_path, stage, reader, request, list(found)))
+        raise StageError(_missing_input(run_path, stage, reader, request, list(manifests)))
     if len(best) > 1:
         raise StageError(
             f"stage {reader} could read {' or '.join(map(str, best))}: remove the one that is not meant, or say more "
             "(seed=…, target=…)"
         )
     (folder,) = best
-    manifest = found[folder]
+    manifest = manifests[folder]
     _require_unchanged(folder, manifest, reader)
     if manifest.seed != request.seed or folder != plain:
         _LOGGER.info("%s reads %s (seed %d)", reader, folder.name, manifest.seed)
@@ -100,8 +100,8 @@ def require_input(run_path: Path, stage: str, reader: str, request: RunRequest) 
 
 def _variants(run_path: Path, stage: str) -> dict[Path, Manifest]:
     folders = [run_path / stage, *sorted(run_path.glob(f"{stage}@*"))]
-    found = {folder: read_manifest(folder) for folder in folders}
-    return {folder: manifest for folder, manifest in found.items() if manifest is not None}
+    manifests = {folder: read_manifest(folder) for folder in folders}
+    return {folder: manifest for folder, manifest in manifests.items() if manifest is not None}
 
 
 def _require_unchanged(folder: Path, manifest: Manifest, reader: str) -> None:
@@ -119,13 +119,13 @@ def _require_unchanged(folder: Path, manifest: Manifest, reader: str) -> None:
         )
 
 
-def _missing_input(run_path: Path, stage: str, reader: str, request: RunRequest, found: Sequence[Path]) -> str:
+def _missing_input(run_path: Path, stage: str, reader: str, request: RunRequest, folders: Sequence[Path]) -> str:
     own = [override for override in effective_overrides(request.overrides) if not override.startswith("stage.")]
-    there = f"{run_path / stage} holds none"
-    if found:
-        wanted = ", ".join(own) or f"seed={request.seed}"
-        there = f"none of {', '.join(folder.name for folder in found)} in {run_path} fits {wanted}"
-    missing = f"stage {reader} needs the results of stage {stage}, and {there}"
+    reason = f"{run_path / stage} holds none"
+    if folders:
+        selection = ", ".join(own) or f"seed={request.seed}"
+        reason = f"none of {', '.join(folder.name for folder in folders)} in {run_path} fits {selection}"
+    missing = f"stage {reader} needs the results of stage {stage}, and {reason}"
     if request.in_sweep:
         return f"{missing}: run {command(stage, run_path, own, in_sweep=True)} first"
     return f"{missing}: run {_with_inputs(reader, run_path, request)}, which begins with all that it needs"

@@ -44,32 +44,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = Parser(prog="endonav new", description=__doc__)
     parser.add_argument("kind", choices=_KINDS, help="a stage goes into the clone, others into the present folder")
     parser.add_argument("name", metavar="NAME", help="a Python name in small letters")
-    given = parser.parse_args(arguments)
-    name, kind = given.name, _KINDS[given.kind]
+    options = parser.parse_args(arguments)
+    name, kind = options.name, _KINDS[options.kind]
     if not name.isidentifier() or name != name.lower() or keyword.iskeyword(name):
-        parser.error(f"{name!r} is no Python name in small letters, such as my_{given.kind}")
-    folder = PROJECT_ROOT if given.kind == "stage" else Path.cwd()
-    shown = Path() if folder == Path.cwd() else folder  # paths are of the present folder, or absolute
+        parser.error(f"{name!r} is no Python name in small letters, such as my_{options.kind}")
+    folder = PROJECT_ROOT if options.kind == "stage" else Path.cwd()
+    prefix = Path() if folder == Path.cwd() else folder  # paths are of the present folder, or absolute
     registry = folder / _REGISTRY
-    if given.kind == "stage" and not (folder / "tests").is_dir():
+    if options.kind == "stage" and not (folder / "tests").is_dir():
         parser.error("a stage is a part of the project: call this in a clone that is installed with pip install -e")
     files = {template: folder / target.replace("NAME", name) for template, target in kind.files.items()}
-    text = registry.read_text(encoding="utf-8") if given.kind == "stage" else ""
+    text = registry.read_text(encoding="utf-8") if options.kind == "stage" else ""
     package = folder / "pipeline/stages" / name  # would hide the stage's module
     taken = [path for path in (*files.values(), package) if path.exists()]
     if taken or f'    "{name}": (' in text:
         parser.error(f"{taken[0] if taken else f'a stage {name!r}'} is there already: choose another name")
-    if given.kind != "stage" and importlib.util.find_spec(name) is not None:
+    if options.kind != "stage" and importlib.util.find_spec(name) is not None:
         parser.error(f"{name!r} is an installed module, which {name}.py would hide: choose another name")
     title = "".join(part.capitalize() for part in name.split("_"))
     for template, path in files.items():
         content = Path(__file__).with_name(f"{template}.txt").read_text(encoding="utf-8")
         write_text(path, content.replace("TITLE", title).replace("NAME", name))
-        say(str(shown / path.relative_to(folder)))
-    if given.kind == "stage":
+        say(str(prefix / path.relative_to(folder)))
+    if options.kind == "stage":
         line = f'    "{name}": ("{name}", "{name}:{title}Settings"),\n'
         write_text(registry, text.replace(_REPORT, line + _REPORT))
-        say(f"{shown / _REGISTRY}: the stage is registered before the report")
-    place = f"cd {shlex.quote(str(folder))} && " if shown == folder else ""
+        say(f"{prefix / _REGISTRY}: the stage is registered before the report")
+    place = f"cd {shlex.quote(str(folder))} && " if prefix == folder else ""
     say(f"run it: {place}{kind.run.replace('NAME', name)}\ntest it: {place}{kind.test.replace('NAME', name)}")
     return 0

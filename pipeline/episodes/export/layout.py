@@ -64,14 +64,14 @@ class Layout:
 
     def differences(self, other: Layout) -> list[str]:
         """Name the fields in which another layout differs, each with both shapes."""
-        found = []
+        descriptions = []
         if self.control_dt != other.control_dt:
-            found.append(f"the control step ({self.control_dt:g} s and {other.control_dt:g} s)")
+            descriptions.append(f"the control step ({self.control_dt:g} s and {other.control_dt:g} s)")
         mine, theirs = self._shapes(), other._shapes()
         for name in [*mine, *(name for name in theirs if name not in mine)]:
             if mine.get(name) != theirs.get(name):
-                found.append(f"{name} ({_shown(mine.get(name))} and {_shown(theirs.get(name))})")
-        return found
+                descriptions.append(f"{name} ({_shape_text(mine.get(name))} and {_shape_text(theirs.get(name))})")
+        return descriptions
 
     def _shapes(self) -> dict[str, tuple[int, ...]]:
         parts = {"action": self.action, **self.observations, **self.infos}
@@ -95,7 +95,7 @@ class Layout:
         }
 
 
-def _shown(shape: tuple[int, ...] | None) -> str:
+def _shape_text(shape: tuple[int, ...] | None) -> str:
     return "none" if shape is None else "x".join(map(str, shape)) or "one number"
 
 

@@ -70,7 +70,7 @@ class LeRobotWriter:
             "index": np.arange(self._frames, self._frames + steps),
             "task_index": np.full(steps, task),
         }
-        found = {name: statistics.of_rows(values) for name, values in columns.items()}
+        summaries = {name: statistics.of_rows(values) for name, values in columns.items()}
         row: dict[str, Any] = {
             "episode_index": index,
             "tasks": [episode.task],
@@ -82,12 +82,12 @@ class LeRobotWriter:
         }
         row |= self._place("data", self._write_rows(columns))
         for camera in self._layout.pictures:
-            place, found[_video_key(camera)] = self._write_pictures(camera, episode)
+            place, summaries[_video_key(camera)] = self._write_pictures(camera, episode)
             row |= place
-        for name, values in found.items():
+        for name, values in summaries.items():
             row |= {f"stats/{name}/{one}": value.tolist() for one, value in values.items()}
         self._rows.append(row)
-        self._statistics.append(found)
+        self._statistics.append(summaries)
         self._described.append(episode.describe())
         self._frames += steps
 
@@ -151,7 +151,7 @@ class LeRobotWriter:
         pq.write_table(pa.Table.from_pylist(self._rows), self._folder / _EPISODES)
         pq.write_table(_task_table(self._tasks), meta / "tasks.parquet")
         whole = {name: statistics.together([one[name] for one in self._statistics]) for name in self._statistics[0]}
-        plain = {name: {one: value.tolist() for one, value in found.items()} for name, found in whole.items()}
+        plain = {name: {one: value.tolist() for one, value in summary.items()} for name, summary in whole.items()}
         _write_json(meta / "stats.json", plain)
         episodes = len(self._rows)
         _write_json(

@@ -61,14 +61,14 @@ class GreyStatistics:
         share = self.counts / self.counts.sum()
         mean = float(greys @ share)
         present, total = np.flatnonzero(self.counts), np.cumsum(share)
-        found = {
+        scalars = {
             "min": greys[present[0]],
             "max": greys[present[-1]],
             "mean": mean,
             "std": np.sqrt(max(float(greys**2 @ share) - mean**2, 0.0)),
             **{quantile_name(q): greys[min(int(np.searchsorted(total, q)), _GREYS - 1)] for q in QUANTILES},
         }
-        spread = {name: np.full((3, 1, 1), value) for name, value in found.items()}
+        spread = {name: np.full((3, 1, 1), value) for name, value in scalars.items()}
         return spread | {"count": np.array([self.pictures], np.int64)}
 
 

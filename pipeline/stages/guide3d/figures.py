@@ -53,8 +53,8 @@ def reconstruction_tables(records: Sequence[Record]) -> dict[str, Any]:
     tables: dict[str, Any] = {
         "guide3d_reconstruction": {way: reprojection_summary(own) for way, own in by_way.items() if own}
     }
-    kept = {way: accepted(own) for way, own in by_way.items()}
-    ours = kept[WAYS[0]]
+    accepted_records = {way: accepted(own) for way, own in by_way.items()}
+    ours = accepted_records[WAYS[0]]
     if ours:
         tables["guide3d_reprojection_px"] = {
             f"camera_{view}": profile_summary([record[f"along_{view}_px"] for record in ours]) for view in ("a", "b")
@@ -64,7 +64,7 @@ def reconstruction_tables(records: Sequence[Record]) -> dict[str, Any]:
             metric: {"value": mean_and_spread([record[metric] for record in ours]), "n": len(ours)}
             for metric in METRICS[:3]
         }
-        tables["guide3d_simulated_ways_mm"] = {way: truth_summary(own) for way, own in kept.items() if own}
+        tables["guide3d_simulated_ways_mm"] = {way: truth_summary(own) for way, own in accepted_records.items() if own}
     return tables
 
 
@@ -164,13 +164,13 @@ def _curves(data: Dataset, record: Record) -> dict[str, np.ndarray]:
     assert data.camera_a is not None
     assert data.camera_b is not None
     a, b = (data.undistort(view, frame.polyline(view)) for view in VIEWS)
-    found = {}
+    curves = {}
     for way, run in zip(WAYS[:2], (reconstruct, reconstruct_greedy), strict=True):
         try:
-            found[way] = run(data.camera_a, data.camera_b, a, b).curve_mm
+            curves[way] = run(data.camera_a, data.camera_b, a, b).curve_mm
         except ValueError:
             continue  # the greedy way may find nothing in common
-    return found
+    return curves
 
 
 def _overlays(data: Dataset, record: Record) -> tuple[Overlay, Overlay]:

@@ -35,7 +35,7 @@ DATASET, TAKES = "dataset", ".takes"  # the latter until the stage is done
 _MM = 1e3
 _CURVE_SPACING = 0.25e-3  # m, of the samples that are projected: a little over a pixel
 _TRUTH = 5.0, 0.05  # mm and rad between the points of a true curve: chords within 0.01 mm
-_TIP_MARGIN_PX = 10.0  # a tip nearer to the border than this is drawn back
+_TIP_MARGIN_PX = 10.0  # a tip nearer to the border than this is withdrawn
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,8 @@ def _film(acquisition: PlannedAcquisition, job: GenerationJob, report: Any) -> d
             points = annotate(part.points, settings.annotation_noise_px, size, generator)
             frame["points"][name] = np.round(points, 2).tolist()
             frame["visible_mm"][name] = part.length * _MM
-        kept = arc <= max(frame["visible_mm"].values()) / _MM + 2 * _CURVE_SPACING
-        frame["curve_mm"] = np.round(thin_by_turning(_MM * curve[kept], *_TRUTH), 4).tolist()
+        visible_mask = arc <= max(frame["visible_mm"].values()) / _MM + 2 * _CURVE_SPACING
+        frame["curve_mm"] = np.round(thin_by_turning(_MM * curve[visible_mask], *_TRUTH), 4).tolist()
         for name, picture in fluoroscope.render(nodes, seed=int(generator.integers(2**63))).items():
             path = images / image_name(acquisition.name, name, number)
             path.parent.mkdir(parents=True, exist_ok=True)

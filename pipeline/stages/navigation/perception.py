@@ -53,13 +53,13 @@ def frames_in(
     size_px: int,
     device: str = "cpu",
 ) -> list[Frame]:
-    """(cameras, size, size) pictures and (cameras, 240, 2) curves, shares of sides, of laid, then steered wires."""
+    """(cameras, size, size) pictures and (cameras, 240, 2) curves, shares of sides, of inserted, then steered wires."""
     generator = np.random.default_rng((seed, int(phantom_of(anatomy).hash[:8], 16)))
     steered = 0 if teacher is None else round(_STEERED * settings.perception_frames)
-    found = _laid(anatomy, settings, size_px, settings.perception_frames - steered, generator)
+    frames = _inserted_frames(anatomy, settings, size_px, settings.perception_frames - steered, generator)
     if teacher is not None and steered:
-        found += _steered(anatomy, settings, size_px, steered, generator, teacher, device)
-    return found
+        frames += _steered(anatomy, settings, size_px, steered, generator, teacher, device)
+    return frames
 
 
 def _arms(arms: CArms, settings: NavigationSettings, number: int, generator: np.random.Generator) -> CArms:
@@ -84,11 +84,11 @@ def _steered(
     policy = Policy.load(teacher, device)
     phantom, task = phantom_of(anatomy), settings.arch_task
     if isinstance(anatomy[0], AnatomyFile):  # whose ways may be longer than those of the arches
-        wanted = fitted_task(replace(task, wire_length_mm=0.0), phantom, settings.targets)
-        task = max(task, wanted, key=lambda one: one.guidewire().length)
-    found: list[Frame] = []
+        anatomy_task = fitted_task(replace(task, wire_length_mm=0.0), phantom, settings.targets)
+        task = max(task, anatomy_task, key=lambda one: one.guidewire().length)
+    frames: list[Frame] = []
     for number in range(4 * count):
-        if len(found) >= count:
+        if len(frames) >= count:
             break
         target = settings.targets[number % len(settings.targets)]
         scene = scene_of(task, anatomy, target, settings.arms, policy.keys)
@@ -97,7 +97,7 @@ def _steered(
         arms = _arms(scene.arms, settings, number, generator)
         steer = PerturbedController(policy, generator)
         over, step = False, 0
-        while not over and len(found) < count:
+        while not over and len(frames) < count:
             observation, _, terminated, truncated, _ = environment.step(steer(observation))
             over, step = terminated or truncated, step + 1
             if step % BETWEEN == 0 and not over:
@@ -105,19 +105,19 @@ def _steered(
                 nodes = with_shaft(simulation.wire_points(), simulation.vessel.direction)
                 frame = _frame(phantom, arms, nodes, size_px, int(generator.integers(2**31)))
                 if frame is not None:
-                    found.append(frame)
+                    frames.append(frame)
         environment.close()
-    return found
+    return frames
 
 
-def _laid(
+def _inserted_frames(
     anatomy: Anatomy,
     settings: NavigationSettings,
     size_px: int,
     count: int,
     generator: np.random.Generator,
 ) -> list[Frame]:
-    """Pictures of wires that are laid along ways and moved on from there."""
+    """Pictures of wires that are inserted along ways and moved on from there."""
     from cathsim import ACCURACY, Simulation
     from cathsim.devices.wire_placement import pushed_shapes
     from cathsim.observations.c_arm_view import with_shaft
@@ -128,9 +128,9 @@ def _laid(
     simulation = Simulation(phantom, wire.scaled(max(wire.length, 0.312)), ACCURACY["fast"], entry=entry)
     usual = [target for target in TARGETS if target in phantom.targets]
     ways = _ways(phantom, usual or settings.targets, simulation)
-    found: list[Frame] = []
+    frames: list[Frame] = []
     for number in range(4 * count):
-        if len(found) >= count or not ways:
+        if len(frames) >= count or not ways:
             break
         arms = _arms(settings.arms_for(task), settings, number, generator)
         way = ways[int(generator.integers(len(ways)))]
@@ -142,8 +142,8 @@ def _laid(
             nodes = with_shaft(points, simulation.vessel.direction)
             frame = _frame(phantom, arms, nodes, size_px, int(generator.integers(2**31)))
             if frame is not None:
-                found.append(frame)
-    return found[:count]
+                frames.append(frame)
+    return frames[:count]
 
 
 def _ways(phantom: Phantom, targets: Sequence[str], simulation: Any) -> list[np.ndarray]:
@@ -196,7 +196,7 @@ class PerceptionJob:
     splineformer: Path  # model file of the stage splineformer
     anatomies: tuple[Anatomy, ...]  # whose wires are shown
     seed: int
-    teacher: Path | None = None  # file of a policy that steers some of the wires; None: all are laid
+    teacher: Path | None = None  # file of a policy that steers some of the wires; None: all are inserted
 
 
 def fine_tune_perception(job: PerceptionJob, report: Report) -> dict[str, Any]:
@@ -219,10 +219,10 @@ def fine_tune_perception(job: PerceptionJob, report: Report) -> dict[str, Any]:
         report(_PREPARING + (1 - _PREPARING) * now.epoch / now.epochs, f"epoch {now.epoch}, loss {now.loss:.3g}")
 
     if epochs:
-        shown = _shown(job, predictor, report.part(0.0, _PREPARING, "frames"))
+        pictures = _wire_pictures(job, predictor, report.part(0.0, _PREPARING, "frames"))
         with Curves(job.folder) as curves:
             predictor, errors = fine_tune(
-                predictor, shown, job.settings.splineformer, epochs,
+                predictor, pictures, job.settings.splineformer, epochs,
                 folder=job.folder / "fit", seed=job.seed, device=report.device, progress=progress,
             )  # fmt: skip
         outcome |= errors
@@ -244,7 +244,7 @@ def load_perception(folder: Path, device: str = "cpu") -> PerceptionNetwork:
     return PerceptionNetwork(Predictor.load(folder / PERCEPTION / PREDICTOR, device=device))
 
 
-def _shown(job: PerceptionJob, predictor: Predictor, report: Any) -> WirePictures:
+def _wire_pictures(job: PerceptionJob, predictor: Predictor, report: Any) -> WirePictures:
     from splineformer.navigation.fine_tuning import WirePictures
 
     file, cameras = job.folder / FRAMES, len(job.settings.cameras)
@@ -267,5 +267,5 @@ def _shown(job: PerceptionJob, predictor: Predictor, report: Any) -> WirePicture
             "held_out": np.tile(np.array(held_out), cameras),
         }
         write_arrays(file, arrays)
-    with np.load(file) as kept:
-        return WirePictures(kept["pictures"], kept["curves"], kept["held_out"], cameras)
+    with np.load(file) as content:
+        return WirePictures(content["pictures"], content["curves"], content["held_out"], cameras)

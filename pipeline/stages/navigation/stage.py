@@ -88,10 +88,10 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
             logs = expert_logs(expert)
             read_episodes(logs, 1)  # an empty folder is refused before any work
             require_expert("navigation", learnt, expert)
-            given = LogsJob(context.path, settings, phantom, target, tuple(logs), expert / POLICY, context.seed)
+            logs_job = LogsJob(context.path, settings, phantom, target, tuple(logs), expert / POLICY, context.seed)
             weight = settings.episodes[-1] * _SECONDS["episode"]
             key = f"{LOGS}/{learnt.name}"
-            seen.append(Job(key, see_logs, given, after=(PERCEPTION,), weight=weight, gpu_gb=reading_gb))
+            seen.append(Job(key, see_logs, logs_job, after=(PERCEPTION,), weight=weight, gpu_gb=reading_gb))
             courses.append(Course(expert / POLICY, ((settings.anatomy(phantom), NAMED),), (target,), settings.task))
             if settings.pixel_cloning:
                 rivals.append(_rival(settings, context, learnt, expert))
@@ -99,11 +99,11 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
     navigators: list[Job] = []
 
     def navigator(
-        row: str, after: tuple[str, ...], weight: float, tests: tuple[TrialSet, ...], epochs: int, **given: Any
+        row: str, after: tuple[str, ...], weight: float, tests: tuple[TrialSet, ...], epochs: int, **fields: Any
     ) -> None:
         origin = Origin("navigation", row, context.seed, context.budget)
-        wanted: dict[str, Any] = {"hidden": settings.hidden, **given}
-        job = NavigatorJob(context.path, settings, origin, tests, epochs=epochs, **wanted)
+        job_fields: dict[str, Any] = {"hidden": settings.hidden, **fields}
+        job = NavigatorJob(context.path, settings, origin, tests, epochs=epochs, **job_fields)
         trials = sum(len(test.anatomies) * test.trials for test in tests) * len(settings.targets)
         weight += trials * _SECONDS["trial"]
         navigators.append(Job(row, navigate, job, after=after, weight=weight, gpu_gb=reading_gb))
@@ -119,8 +119,8 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
     learnt_in = tuple(test for test in tests if test.name in settings.phantoms)
     named = tuple(test for test in tests if test.name != UNSEEN)
     for number, count in enumerate(settings.episodes):
-        tried_in = learnt_in if number else named
-        navigator(row_of(settings, count), after, count, tried_in, settings.epochs, logs=files, episodes=count)
+        test_sets = learnt_in if number else named
+        navigator(row_of(settings, count), after, count, test_sets, settings.epochs, logs=files, episodes=count)
     if settings.dagger_rounds:
         rounds, count = settings.dagger_rounds, settings.dagger_episodes
         navigator(
@@ -131,16 +131,16 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
     if settings.film:
         rows = [job.key for job in navigators]
         order = [ARCHES, DAGGER, *(row_of(settings, count) for count in reversed(settings.episodes))]
-        shown = tuple(row for row in order if row in rows)
+        film_rows = tuple(row for row in order if row in rows)
         origin = Origin("navigation", FILMS, context.seed, context.budget)
-        filmed = FilmJob(context.path, settings, shown, (*tests, *cluttered(settings)), origin)
+        filmed = FilmJob(context.path, settings, film_rows, (*tests, *cluttered(settings)), origin)
         jobs.append(Job(FILMS, film_trials, filmed, after=tuple(rows), weight=10.0, gpu_gb=reading_gb))
     return jobs
 
 
 def _perception(settings: NavigationSettings, context: StageContext, gpu_gb: float) -> Job:
     arches = [training_arch(seed) for seed in perception_arches(context.seed, settings.perception_arches)]
-    given = PerceptionJob(
+    perception_job = PerceptionJob(
         context.path / PERCEPTION,
         settings,
         context.inputs["splineformer"] / settings.splineformer / PREDICTOR,
@@ -148,16 +148,16 @@ def _perception(settings: NavigationSettings, context: StageContext, gpu_gb: flo
         context.seed,
         _teacher(settings, context) if settings.arches else None,
     )
-    frames = len(given.anatomies) * settings.perception_frames
+    frames = len(perception_job.anatomies) * settings.perception_frames
     weight = frames * (1 + settings.perception_epochs) * _SECONDS["frame"]
-    return Job(PERCEPTION, fine_tune_perception, given, weight=weight, gpu_gb=gpu_gb)
+    return Job(PERCEPTION, fine_tune_perception, perception_job, weight=weight, gpu_gb=gpu_gb)
 
 
 def _rival(settings: NavigationSettings, context: StageContext, task: LearningTask, expert: Path) -> Job:
     """Behaviour cloning from pixels, from as many expert trials as the first navigator has."""
     from enn.imitation.behaviour_cloning import cloning_settings
 
-    given = ImitationJob(
+    imitation_job = ImitationJob(
         folder=context.path / PIXELS / task.name,
         origin=Origin("navigation", PIXELS, context.seed, RIVAL_VARIANT),
         settings=cloning_settings(RIVAL_VARIANT, ("image",), feature_matching=0.0, epochs=RIVAL_EPOCHS),
@@ -168,7 +168,7 @@ def _rival(settings: NavigationSettings, context: StageContext, task: LearningTa
         drawn_episodes=0,
     )
     gpu_gb = policy_gb(settings.task.image_size_px, 1, LEARNT_BATCH)
-    return Job(f"{PIXELS}/{task.name}", imitate, given, weight=20.0, gpu_gb=gpu_gb)
+    return Job(f"{PIXELS}/{task.name}", imitate, imitation_job, weight=20.0, gpu_gb=gpu_gb)
 
 
 def _arches(settings: NavigationSettings, context: StageContext) -> Course:

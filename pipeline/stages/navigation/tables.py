@@ -56,8 +56,8 @@ def tables(settings: NavigationSettings, context: StageContext, outcomes: dict[s
             main[row] = {"setup": setup, "explainable": "–", **cells}
     first = settings.phantoms[0]
     if settings.pixel_cloning:
-        tried = (context.path / PIXELS / first).glob(f"*/{EVALUATION}/{MODES[0]}/*.mcap")
-        main[PIXELS] = {"setup": "autonomous", "explainable": "no", **_of_logs(tried, settings, "policy")}
+        pixel_logs = (context.path / PIXELS / first).glob(f"*/{EVALUATION}/{MODES[0]}/*.mcap")
+        main[PIXELS] = {"setup": "autonomous", "explainable": "no", **_of_logs(pixel_logs, settings, "policy")}
     for row in rows:
         of_first = [one for one in outcomes[row]["tests"] if one["test"] == first]
         main[row] = {"setup": "autonomous", "explainable": "yes"}
@@ -126,8 +126,8 @@ def _of_logs(logs: Iterable[Path], settings: NavigationSettings, operator: str) 
             continue
         if info.operator != operator or info.phantom != settings.phantoms[0] or outcome.success is None:
             continue
-        asked = {"success_radius": 1e-3 * settings.task.success_radius_mm, "max_steps": settings.task.max_steps}
-        differs = any(abs(float(info.configuration.get(key, value)) - value) > 1e-9 for key, value in asked.items())
+        limits = {"success_radius": 1e-3 * settings.task.success_radius_mm, "max_steps": settings.task.max_steps}
+        differs = any(abs(float(info.configuration.get(key, value)) - value) > 1e-9 for key, value in limits.items())
         if operator == "human" and differs:
             continue
         steps.setdefault(info.target, []).append((bool(outcome.success), outcome.steps, info.control_dt))
@@ -164,7 +164,7 @@ def figures(settings: NavigationSettings, folder: Path, outcomes: dict[str, Any]
         for one in outcomes[row]["tests"]
     }
     draw_failures(bars, LABELS, FAILURES, folder / "failures.png")
-    shown = [
+    entries = [
         Figure(
             "Navigation by number of expert trials",
             f"Navigators cloned from expert trials of {first}, with 95 % intervals, and those taught further.",
@@ -183,7 +183,7 @@ def figures(settings: NavigationSettings, folder: Path, outcomes: dict[str, Any]
         trial = outcomes.get(FILMS, {}).get(kind)
         if trial is not None:
             words = f"{trial['navigator']}, {trial['test']}, {trial['target'].upper()}, trial {trial['trial']}"
-            shown.append(
+            entries.append(
                 Figure(
                     f"A {kind}",
                     f"{words}. Left the cameras' images; right attention (orange), predicted spline (red), its tip "
@@ -192,7 +192,7 @@ def figures(settings: NavigationSettings, folder: Path, outcomes: dict[str, Any]
                     GROUP,
                 )
             )
-    return shown
+    return entries
 
 
 @dataclass(frozen=True)
@@ -231,12 +231,12 @@ class NavigationFilm(Film):
         from splineformer.navigation.picture import SIDE_PX
 
         seen = np.concatenate([one[:, SIDE_PX:] for one in self._frames[:: max(1, len(self._frames) // 6)]])
-        found = Image.fromarray(seen).quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE).getpalette()
+        palette = Image.fromarray(seen).quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE).getpalette()
         # greys where the images have theirs: a thin wire differs little from what is behind it
         first = self._frames[0][:, :SIDE_PX]
         low, high = np.percentile(first[first > 0], (1, 99))
         levels = np.concatenate(([0], np.linspace(low, high, _GREYS - 1))).round().astype(int)
-        colours = [*np.repeat(levels, 3).tolist(), *(found or [])[: 3 * _COLOURS]]
+        colours = [*np.repeat(levels, 3).tolist(), *(palette or [])[: 3 * _COLOURS]]
         write_gif(path, self._frames, colours, _FRAMES_PER_SECOND)
 
 

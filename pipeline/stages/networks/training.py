@@ -165,7 +165,7 @@ def training_job(
     shipped: str | None = None,
 ) -> Job:
     """The job that trains one network, named and with a folder after it, with a GPU for each of its processes."""
-    given = TrainingJob(
+    learn_job = TrainingJob(
         folder=context.path / network,
         guide3d=context.inputs["guide3d"],
         pictures=context.path / PICTURES,
@@ -175,7 +175,7 @@ def training_job(
         shipped=shipped,
     )
     gpu_gb = network_gb(network, settings.size)
-    return Job(network, learn, given, weight=weight, gpu_gb=gpu_gb, gpus=settings.processes)
+    return Job(network, learn, learn_job, weight=weight, gpu_gb=gpu_gb, gpus=settings.processes)
 
 
 def cost_cells(outcome: dict[str, Any]) -> dict[str, Any]:

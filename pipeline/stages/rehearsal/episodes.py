@@ -76,22 +76,22 @@ def film_scan(job: RehearsalJob, report: Report) -> dict[str, Any]:
     task = replace(job.task, max_steps=steps_of_attempts(steps, settings.attempts))
     environment = copies_environment(replace(job, task=task), (0,))
     environment.reset(seed=0, options={"case": 0})
-    shown = environment.current
+    scan = environment.current
     controller = retrying(controllers(Policy.load(job.policy), settings.mode), steps, settings.attempts)(seeds[number])
     file = settings.anatomy_file
     film = Film(STRIDE * math.ceil(task.max_steps / _USUAL_STEPS), None if file is None else file.room())
     try:
-        observation, info = shown.reset(seed=seeds[number])
-        film.add(shown)
+        observation, info = scan.reset(seed=seeds[number])
+        film.add(scan)
         arrived = ended = False
         while not ended:
-            observation, _, arrived, truncated, info = shown.step(controller(observation, info))
-            film.add(shown)
+            observation, _, arrived, truncated, info = scan.step(controller(observation, info))
+            film.add(scan)
             ended = arrived or truncated
-            report(shown.steps / task.max_steps, f"step {shown.steps}")
+            report(scan.steps / task.max_steps, f"step {scan.steps}")
         with atomic_path(job.folder / f"{job.tested}.gif") as temporary:
             film.write(temporary)
     finally:
         film.close()
         environment.close()
-    return {"episode": number, "arrived": bool(arrived), "steps": shown.steps}
+    return {"episode": number, "arrived": bool(arrived), "steps": scan.steps}

@@ -15,7 +15,7 @@ from pipeline.task import DeviceSettings, Task
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
-    from enn.device_trials import Tried
+    from enn.device_trials import TrialStatistics
 
 SAC, PPO = "sac", "ppo"
 PRICES_OF_FORCE = {False: 0.1, True: 0.3}  # 1/N, by whether there are two devices (docs/results/rehearsal.md)
@@ -52,11 +52,11 @@ class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings,
     scan_episodes: kinds.Episodes = 10  # on the scan itself
     mode: Annotated[str, kinds.one_of("stochastic", "deterministic")] = "stochastic"  # of the tests' actions
     film: bool = True  # of an episode in the scan after the training
-    # of a test's episode: what has not arrived after its steps is drawn back and tried again
+    # of a test's episode: what has not arrived after its steps is withdrawn and begins again
     attempts: Annotated[int, Ge(1), Le(10)] = 1
     # episodes that arrive, of other policies of the same devices where that which it starts from seldom does; 0: none
     demonstrations: Annotated[int, Ge(0), Le(1000)] = 12
-    # by the sampling expert: where policies show less than a third of them, always, or never
+    # by the sampling expert: where policies give less than a third of them, always, or never
     expert: Annotated[str, kinds.one_of("needed", "always", "never")] = "needed"
     algorithm: Annotated[str, kinds.one_of(SAC, PPO)] = SAC
     decisions: kinds.Decisions = 20_000
@@ -88,7 +88,7 @@ class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings,
         if self.policy is not None and self.fresh:
             raise ConfigurationError("stage.fresh=true starts from nothing: leave out stage.policy")
 
-    def price_of_force(self, task: Task, tried: Tried | None = None) -> float:
+    def price_of_force(self, task: Task, tried: TrialStatistics | None = None) -> float:
         """What a newton and step cost in training, 1/N, by the devices, and how the starting policy fared with them."""
         if self.force_penalty is not None:
             return self.force_penalty

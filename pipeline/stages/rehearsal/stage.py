@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from enn.device_trials import Tried
+from enn.device_trials import TrialStatistics
 from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.anatomies.devices import fitted_steps, fitted_task, with_catheter_where_steep
 from pipeline.anatomies.settings import check_anatomies, settle
@@ -67,22 +67,22 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> Results
         phantom = load_anatomy(settings.anatomy(settings.phantoms[0]))
         target = settings.targets[0]
         phantom.entry(settings.task.entry)
-        choose = settings.choose_catheter and settings.policy is None  # one that is given has its devices
-        given = settings.task if settings.policy is None else with_devices_of(Path(settings.policy), settings.task)
-        task = fitted_task(given, phantom, [target])
+        choose = settings.choose_catheter and settings.policy is None  # a policy of the settings has its devices
+        base_task = settings.task if settings.policy is None else with_devices_of(Path(settings.policy), settings.task)
+        task = fitted_task(base_task, phantom, [target])
         task = fitted_steps(task, phantom, target) if settings.fit_steps else task
-        task, tried = (
+        task, statistics = (
             with_chosen_devices(settings, context, phantom, target, task)
             if choose
             else (with_catheter_where_steep(phantom, target, task, choose=False), None)
         )
         start = starting_policy(settings, context.run_path, context.seed, task)
-        asked = advising_policies(context.run_path, context.seed, task, start) if settings.demonstrations else []
+        advisers = advising_policies(context.run_path, context.seed, task, start) if settings.demonstrations else []
     except ValueError as error:
         raise ConfigurationError(str(error)) from error
     _LOGGER.info("it starts from %s", "nothing" if start is None else start)
-    _LOGGER.info("a newton and step cost %g in the training", settings.price_of_force(task, tried))
-    jobs = plan(settings, context, task, target, start, asked, tried)
+    _LOGGER.info("a newton and step cost %g in the training", settings.price_of_force(task, statistics))
+    jobs = plan(settings, context, task, target, start, advisers, statistics)
     label = f"rehearsal in {phantom.name}"
     outcomes = run_jobs(
         context.folder, jobs, workers=settings.workers, label=label, preload=PRELOAD, device=settings.device
@@ -92,17 +92,17 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> Results
         f"{phantom.name}/{tested} {kind}": row(outcomes, tested, kind) for tested in played for kind in (SCAN, COPIES)
     }
     origin = "nothing" if start is None else "a policy"
-    shown = shown_by(outcomes)
-    if shown and not any(shown.values()):
+    demonstration_counts = shown_by(outcomes)
+    if demonstration_counts and not any(demonstration_counts.values()):
         _LOGGER.warning(
             "%s brought these devices to %s in any copy of %s: nothing was shown to the training",
-            "neither a policy nor the sampling expert" if EXPERT in shown else "no policy",
+            "neither a policy nor the sampling expert" if EXPERT in demonstration_counts else "no policy",
             target,
             phantom.name,
         )
-    told = ", ".join(f"{name} {count}" for name, count in shown.items() if count) or "none"
+    demonstration_text = ", ".join(f"{name} {count}" for name, count in demonstration_counts.items() if count) or "none"
     devices = {"wire": task.wire, "catheter": task.catheter or "none"}
-    cost = outcomes[TRAINING] | {"starts_from": origin, **devices, "demonstrations": told}
+    cost = outcomes[TRAINING] | {"starts_from": origin, **devices, "demonstrations": demonstration_text}
     figures = [picture(outcomes, tested, phantom, target, context.path) for tested in played]
     if FILM in outcomes:
         outcome = "arrives" if outcomes[FILM]["arrived"] else "does not arrive"
@@ -118,15 +118,15 @@ def plan(
     target: str,
     start: Path | None,
     asked: Sequence[Path] = (),
-    tried: Tried | None = None,
+    tried: TrialStatistics | None = None,
 ) -> list[Job]:
-    """The jobs: demonstrations by policies that are asked, tests before, the training, tests after."""
+    """The jobs: demonstrations by other policies, tests before, the training, tests after."""
     origin = Origin("rehearsal", AFTER, context.seed, context.budget)
     job = RehearsalJob(context.path, origin, settings, task, target, start, tried=tried)
     jobs = _demonstrations(replace(job, shown_by=tuple(asked))) if settings.demonstrations else []
-    shown = tuple(one.key for one in jobs)
+    demonstration_keys = tuple(one.key for one in jobs)
     weight, memory = settings.decisions * _SECONDS["decision"], policy_gb(settings.task.image_size_px, 0)
-    jobs.append(Job(TRAINING, train, job, after=shown, weight=weight, gpu_gb=memory))
+    jobs.append(Job(TRAINING, train, job, after=demonstration_keys, weight=weight, gpu_gb=memory))
     jobs += [] if start is None else _tests(job, BEFORE, start, ())
     trained = job.own_folder / POLICY
     tests = _tests(job, AFTER, trained, (TRAINING,))
@@ -164,7 +164,7 @@ def _demonstrations(job: RehearsalJob) -> list[Job]:
 
 
 def shown_by(outcomes: dict[str, Any]) -> dict[str, int]:
-    """How many episodes each policy that was asked brought to the target, by the stem of its file."""
+    """How many episodes each demonstrator brought to the target, by the stem of its file."""
     counts: dict[str, int] = {}
     for key, outcome in outcomes.items():
         if key.startswith(DEMONSTRATIONS):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from enn.device_trials import Trial, Tried, gentlest, try_in_copies, try_until_gentle
+from enn.device_trials import Trial, TrialStatistics, gentlest, try_in_copies, try_until_gentle
 from pipeline.anatomies.devices import CATHETER, SOFTER_WIRES, WITH_POLICIES, softened, with_catheter_where_steep
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Report, map_simulations
@@ -42,7 +42,7 @@ _LOGGER = logging.getLogger(__name__)
 
 def with_chosen_devices(
     settings: RehearsalSettings, context: StageContext, phantom: Phantom, target: str, task: Task
-) -> tuple[Task, Tried | None]:
+) -> tuple[Task, TrialStatistics | None]:
     """The task with the devices that bring the wire to the target, and says so in the log.
 
     Returns:
@@ -58,8 +58,8 @@ def with_chosen_devices(
 
     def play(names: Sequence[str], turn: int) -> list[list[Trial]]:
         parts = [[_part(name, jobs[name], PARTS * turn + k) for k in range(PARTS)] for name in names]
-        asked, label = [job for both in parts for job in both], f"devices in {phantom.name}"
-        outcomes = run_jobs(context.folder, asked, workers=settings.workers, label=label, preload=PRELOAD)
+        part_jobs, label = [job for both in parts for job in both], f"devices in {phantom.name}"
+        outcomes = run_jobs(context.folder, part_jobs, workers=settings.workers, label=label, preload=PRELOAD)
         return [[trial for job in both for trial in outcomes[job.key]] for both in parts]
 
     def softer() -> Sequence[str]:
@@ -67,13 +67,13 @@ def with_chosen_devices(
         jobs.update(wires)
         return list(wires)
 
-    tried = try_until_gentle(list(first), softer, play, PRESSING)
-    told = ", ".join(f"{name} {one}" for name, one in tried.items())
-    _LOGGER.info("copies of %s in which a policy reached %s, and how it pressed: %s", phantom.name, target, told)
-    if not any(one.reached for one in tried.values()):
+    statistics = try_until_gentle(list(first), softer, play, PRESSING)
+    results = ", ".join(f"{name} {one}" for name, one in statistics.items())
+    _LOGGER.info("copies of %s in which a policy reached %s, and how it pressed: %s", phantom.name, target, results)
+    if not any(one.reached for one in statistics.values()):
         return with_catheter_where_steep(phantom, target, task, choose=True), None
-    chosen = list(tried)[gentlest(list(tried.values()), PRESSING)]
-    return jobs[chosen].task, tried[chosen]
+    chosen = list(statistics)[gentlest(list(statistics.values()), PRESSING)]
+    return jobs[chosen].task, statistics[chosen]
 
 
 def _with_catheters(task: Task) -> dict[str, Task]:
@@ -102,8 +102,8 @@ def try_devices(job: RehearsalJob, report: Report) -> list[Trial]:
     return trials
 
 
-def _part(name: str, given: RehearsalJob, part: int) -> Job:
-    return Job(f"{DEVICES}/{name}/{part}", try_devices, replace(given, part=part), weight=_SECONDS)
+def _part(name: str, job: RehearsalJob, part: int) -> Job:
+    return Job(f"{DEVICES}/{name}/{part}", try_devices, replace(job, part=part), weight=_SECONDS)
 
 
 def _trials(
@@ -169,7 +169,7 @@ def known_policies(run_path: Path, seed: int) -> list[Path]:
 
 
 def advising_policies(run_path: Path, seed: int, task: Task, start: Path | None) -> list[Path]:
-    """The policies that may show a rehearsal how its target is reached: those of as many devices and the same pace.
+    """The policies that may be demonstrators of a rehearsal: those of as many devices and the same pace.
 
     Where there are none of the same catheter, those of the same shape in another size; else those by a roadmap of
     others: they steer it, too.
@@ -180,8 +180,8 @@ def advising_policies(run_path: Path, seed: int, task: Task, start: Path | None)
     steering = [(file, _read(file)) for file in known_policies(run_path, seed)]
     steering = [(file, one) for file, one in steering if one.steers(task)]
     by_roadmap = [file for file, one in steering if one.by_roadmap]
-    found = [*by_roadmap, *(file for file, one in steering if one.by_images)]
-    known = [file for file in _of_catheter(found, task.catheter) or by_roadmap if file != start]
+    files = [*by_roadmap, *(file for file, one in steering if one.by_images)]
+    known = [file for file in _of_catheter(files, task.catheter) or by_roadmap if file != start]
     return known if start is None else [start, *known]
 
 

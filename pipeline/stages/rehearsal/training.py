@@ -51,7 +51,7 @@ EXPERT = "expert"
 
 
 def turn_of(job: RehearsalJob) -> Turn[Path] | None:
-    """Who plays in the job's turn; None: enough is shown, or nobody is left who may show more."""
+    """Who plays in the job's turn; None: there are enough demonstrations, or no further demonstrator."""
     turns = job.rules.turns(job.shown_by, job.start, job.tried)
     try:
         turn = next(turns)
@@ -106,7 +106,7 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
         return {}
     cases = range(job.part, len(copies), PARTS)
     if turn.policy is None:
-        return {EXPERT: _shown_by_expert(job, cases, report)}
+        return {EXPERT: _expert_demonstrations(job, cases, report)}
     name = policy_names(job)[turn.policy]
     outcomes: list[bool] = []
     steered = None
@@ -127,15 +127,15 @@ def nothing_to_record(job: RehearsalJob) -> dict[str, Any] | None:
     return {} if turn_of(job) is None else None
 
 
-def _shown_by_expert(job: RehearsalJob, cases: Sequence[int], report: Report) -> list[int]:
+def _expert_demonstrations(job: RehearsalJob, cases: Sequence[int], report: Report) -> list[int]:
     """Episodes of the sampling expert, usual ones only where few gentle ones arrive: played, arrived."""
-    told = [0, 0]
+    counts = [0, 0]
     for number, gentle in enumerate((True, False)):
         outcomes = _episodes_of_expert(job, cases, number, gentle, report)
-        told = [told[0] + len(outcomes), told[1] + sum(outcomes)]
-        if told[1] >= min(LEAST, len(cases)):
+        counts = [counts[0] + len(outcomes), counts[1] + sum(outcomes)]
+        if counts[1] >= min(LEAST, len(cases)):
             break
-    return told
+    return counts
 
 
 def _episodes_of_expert(
@@ -153,7 +153,7 @@ def _episodes_of_expert(
         file = demonstration_file(job, EXPERT, copies[case], number)
         if not file.is_file():
             share, text = len(outcomes) / len(cases), f"{name}: {sum(outcomes)} of {len(outcomes)} episodes arrived"
-            shown = demonstrate(
+            arrays = demonstrate(
                 environment,
                 case,
                 ROADMAP_KEYS,
@@ -164,7 +164,7 @@ def _episodes_of_expert(
                 gentle=gentle,
                 tick=partial(report, share, text),
             )
-            write_arrays(file, shown if shown[ARRIVED] else {ARRIVED: shown[ARRIVED]})
+            write_arrays(file, arrays if arrays[ARRIVED] else {ARRIVED: arrays[ARRIVED]})
         outcomes.append(arrived(file))
     environment.close()
     return outcomes
@@ -204,8 +204,8 @@ class _Steered:
 
 def read_demonstrations(folder: Path) -> list[Trajectory]:
     """The demonstrations of a stage's folder that arrived, in the order of their files' names."""
-    shown = [read_demonstration(path) for path in sorted((folder / DEMONSTRATIONS).glob("*.npz"))]
-    return [one for one in shown if one is not None]
+    demonstrations = [read_demonstration(path) for path in sorted((folder / DEMONSTRATIONS).glob("*.npz"))]
+    return [one for one in demonstrations if one is not None]
 
 
 STARTS = "starts.npz"
@@ -228,7 +228,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
     rules, outcomes = job.rules, first_turn(job)
     begun = processor_s()
     copies = job.training_cases
-    shown = read_demonstrations(job.folder)
+    demonstrations = read_demonstrations(job.folder)
     validated = (0, *validation_copies(settings.validation_copies))
     results: list[TrainingResult] = []
     with stopping_the_stage(CheckpointError, ValueError):
@@ -253,27 +253,27 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
             share = (before + progress.decisions) / (before + progress.total)
             report(_LAID + (1 - _LAID) * share, words(progress))
 
-        def trained(start: Policy | None, training: TrainingSettings, folder: str, **given: Any) -> TrainingResult:
+        def trained(start: Policy | None, training: TrainingSettings, folder: str, **further: Any) -> TrainingResult:
             return rehearse(
                 partial(environment, copies, training=True),
                 make_validation_env=partial(environment, validated),
                 policy=start,
                 settings=training,
                 starts=starts,
-                demonstrations=shown,
+                demonstrations=demonstrations,
                 folder=job.own_folder / folder,
                 seed=seed,
                 metadata=metadata,
                 after_evaluation=training_films(job.own_folder / folder, partial(environment, validated), seed),
                 progress=tell,
-                **given,
+                **further,
             )
 
-        if policy is not None and evaluations and _gentle(shown) and all(elsewhere()):
+        if policy is not None and evaluations and _gentle(demonstrations) and all(elsewhere()):
             policy.metadata |= metadata
             policy.save(job.own_folder / POLICY, critics=True)
-            return _told(begun, [])
-        starts = _laid_starts(job, copies, report)
+            return _training_record(begun, [])
+        starts = _inserted_start_states(job, copies, report)
         fewer = may_be_fewer and rules.mostly_arrives(outcomes, job.tried, elsewhere)
         first = played[0] if played else None
         results.append(trained(policy, shorter if fewer else usual, "", first_result=first))
@@ -283,15 +283,15 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
             results.append(trained(results[-1].policy, shorter, f"{FURTHER}{number}"))
             with atomic_path(job.own_folder / POLICY) as path:
                 shutil.copyfile(job.own_folder / f"{FURTHER}{number}" / POLICY, path)
-    return _told(begun, results)
+    return _training_record(begun, results)
 
 
-def _gentle(shown: Sequence[Trajectory]) -> bool:
-    """Whether a policy does not press too hard in the episodes that it shows."""
-    return float(np.percentile(np.concatenate([episode.forces for episode in shown]), 95)) <= PRESSING
+def _gentle(demonstrations: Sequence[Trajectory]) -> bool:
+    """Whether a policy does not press too hard in its demonstrations."""
+    return float(np.percentile(np.concatenate([episode.forces for episode in demonstrations]), 95)) <= PRESSING
 
 
-def _told(begun: float, results: Sequence[TrainingResult]) -> dict[str, Any]:
+def _training_record(begun: float, results: Sequence[TrainingResult]) -> dict[str, Any]:
     return {
         "cpu_s": round(processor_s() - begun, 1),
         "training_wall_s": round(sum(result.timings["wall_s"] for result in results), 1),
@@ -300,7 +300,7 @@ def _told(begun: float, results: Sequence[TrainingResult]) -> dict[str, Any]:
     }
 
 
-def _laid_starts(job: RehearsalJob, copies: Sequence[int], report: Report) -> list[np.ndarray]:
+def _inserted_start_states(job: RehearsalJob, copies: Sequence[int], report: Report) -> list[np.ndarray]:
     from enn.reinforcement.workers import Workers
 
     path = job.folder / STARTS
@@ -320,5 +320,5 @@ def _laid_starts(job: RehearsalJob, copies: Sequence[int], report: Report) -> li
         for environment in environments:
             environment.close()
         write_arrays(path, arrays)
-    with np.load(path) as kept:
-        return [states for name in kept.files if len(states := kept[name])]
+    with np.load(path) as content:
+        return [states for name in content.files if len(states := content[name])]

@@ -88,7 +88,7 @@ class ImagePolicyJob(PolicyJob):
         return (*(("goal_image",) if self.xray else IMAGE_KEYS), *further)
 
     def seen(self, environment: Any, clutter: float = 0.0, room: XRayScene | None = None, **further: Any) -> Any:
-        """The environment as the policy sees it: X-ray images with so much clutter, in a water bath or a room."""
+        """The environment as the policy sees it: X-ray images with so much clutter, in water or an X-ray background."""
         from cathsim.observations.xray import XrayEnvironment
 
         if not self.xray:
@@ -200,7 +200,7 @@ def _starts(envs: Sequence[Any], perception: ImagePerception, seeds: Sequence[in
 
 
 def _write_record(job: ImagePolicyJob, rounds: Sequence[FinishedRound]) -> float:
-    """Writes the course of the training; returns the seconds that it took."""
+    """Writes the training log; returns the seconds that it took."""
     rows: list[dict[str, Any]] = []
     decisions = 0
     for number, one in enumerate(rounds):
@@ -274,16 +274,16 @@ def _device_segmenters(job: ImagePolicyJob, expert: Policy, report: Tell, device
         ("image", "plain", *names),
     )  # fmt: skip
     environment.close()
-    found: dict[str, WireSegmenter] = {}
+    segmenters: dict[str, WireSegmenter] = {}
 
     def tell(epoch: int, loss: float) -> None:
-        curves.add(epoch, f"segmenter_of_{names[len(found)]}", loss=loss)
-        report(0.7 + 0.3 * (len(found) + epoch / epochs) / len(names), "wire segmenter")
+        curves.add(epoch, f"segmenter_of_{names[len(segmenters)]}", loss=loss)
+        report(0.7 + 0.3 * (len(segmenters) + epoch / epochs) / len(names), "wire segmenter")
 
     for name, mask in zip(names, masks, strict=True):
         with Curves(job.own_folder) as curves:
-            found[name], score = fit_wire_segmenter(
+            segmenters[name], score = fit_wire_segmenter(
                 images, plains, mask, epochs=epochs, seed=job.seed, device=device, progress=tell
             )
         _LOGGER.info("the Dice score of the segmenter of %s on its training images is %.3f", name, score)
-    return found
+    return segmenters

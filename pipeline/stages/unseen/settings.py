@@ -48,7 +48,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
     # takes enn's `generalist` and `navigator` as they are in place of the trainings by roadmap and by X-ray images
     shipped: bool = False
     navigator_sha256: str | None = None  # filled in
-    own_entry: kinds.PathText = DESCENDING  # filled in: where wires come in in `phantoms`
+    own_entry: kinds.PathText = DESCENDING  # filled in: access site in `phantoms`
     # that policies are trained and tested in: random_steep and random_trunk have more arches of a rare shape, among
     # others; arch_variety has six branching types, and targets are points of its own
     arches: Annotated[str, kinds.one_of(*TRAINING_KINDS)] = TEST_PHANTOM
@@ -140,7 +140,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
 
     def _take_shipped(self) -> None:
         generalist = str(shipped_policy(GENERALIST))
-        given = {
+        deviations = {
             "arches": self.arches != TEST_PHANTOM,
             "task.image_size_px": self.xray and self.task.image_size_px != task_in_random_arches().image_size_px,
             "task.catheter": self.task.catheter is not None,
@@ -151,10 +151,10 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
             "views": tuple(self.views) not in (ONE_VIEW, NAVIGATOR_VIEWS),
             "field_mm": self.field_mm not in (0.0, NAVIGATOR_FIELD_MM),
         }
-        if any(given.values()):
+        if any(deviations.values()):
             raise ConfigurationError(
                 "stage.shipped=true takes policies of a wire alone in any random arches as they are, and no "
-                f"{', '.join(f'stage.{name}' for name, own in given.items() if own)}: train your own with "
+                f"{', '.join(f'stage.{name}' for name, own in deviations.items() if own)}: train your own with "
                 "pretrained=false, of make PRETRAINED=0"
             )
         self.policy, self.decisions = generalist, 0

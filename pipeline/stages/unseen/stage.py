@@ -113,8 +113,8 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     learnt_in = [len(job.given.anatomies) for job in by_images if job.given.start is None]
     built = _anatomies(run, max([most * trains, *learnt_in]), validated=trains)
     laid = _starts(run, most) if trains else []
-    shown = _demonstrations(run, after=_keys(built)) if trains and DEMONSTRATED in task.targets else []
-    prepared = [*built, *laid, *shown]
+    demonstrations = _demonstrations(run, after=_keys(built)) if trains and DEMONSTRATED in task.targets else []
+    prepared = [*built, *laid, *demonstrations]
     teacher, tests = _roadmap(run, _keys(prepared))
     # policies by images are the longest chain of jobs: next after their teacher
     jobs = [*prepared, teacher, *by_images, tests]
@@ -130,10 +130,10 @@ def arches_of(settings: UnseenSettings, run_seed: int, count: int) -> tuple[list
     every = 1 if settings.arches == VARIETY else 2
     if not least:
         return list(training_arches(run_seed, count)), list(validation_arches(chosen_by, every))
-    targets, tried = settings.learnt_targets(), _MOST_TRIED
+    targets, seed_limit = settings.learnt_targets(), _MOST_TRIED
     return (
-        with_steep_take_off(training_arches(run_seed, tried), targets, least, count, settings.arches),
-        with_steep_take_off(validation_arches(tried // 2, every), targets, least, chosen_by, settings.arches),
+        with_steep_take_off(training_arches(run_seed, seed_limit), targets, least, count, settings.arches),
+        with_steep_take_off(validation_arches(seed_limit // 2, every), targets, least, chosen_by, settings.arches),
     )
 
 
@@ -159,29 +159,29 @@ def _starts(run: _Run, arches: int) -> list[Job]:
     """Those in the first arches of the training."""
     jobs = []
     for part in _parts(run.arches[:arches]):
-        given = StartsJob(run.folder / STARTS, run.task, tuple(part), run.seed)
+        starts_job = StartsJob(run.folder / STARTS, run.task, tuple(part), run.seed)
         weight = len(part) * _SECONDS["starts"]
-        jobs.append(Job(f"{STARTS}/{part[0]}", lay_starts, given, after=(f"training/{part[0]}",), weight=weight))
+        jobs.append(Job(f"{STARTS}/{part[0]}", lay_starts, starts_job, after=(f"training/{part[0]}",), weight=weight))
     return jobs
 
 
 def _demonstrations(run: _Run, after: tuple[str, ...]) -> list[Job]:
     """The jobs that demonstrate the way in the first training anatomies, so that small policies have some too."""
     anatomies = run.arches[: run.settings.anatomies]
-    shown = anatomies[: run.settings.demonstrations]
+    demonstration_arches = anatomies[: run.settings.demonstrations]
     jobs = []
-    for part in range(min(_PARTS, len(shown))):
-        given = DemonstrationsJob(
+    for part in range(min(_PARTS, len(demonstration_arches))):
+        part_job = DemonstrationsJob(
             folder=run.folder / DEMONSTRATIONS,
             task=run.task,
             anatomies=anatomies,
-            shown=shown[part::_PARTS],
+            shown=demonstration_arches[part::_PARTS],
             target=DEMONSTRATED,
             hold=decision_steps(run.task.task),
             seed=run.seed,
         )
-        weight = len(given.shown) * _SECONDS["demonstration"]
-        jobs.append(Job(f"{DEMONSTRATIONS}/{part}", record_demonstrations, given, after=after, weight=weight))
+        weight = len(part_job.shown) * _SECONDS["demonstration"]
+        jobs.append(Job(f"{DEMONSTRATIONS}/{part}", record_demonstrations, part_job, after=after, weight=weight))
     return jobs
 
 
@@ -191,7 +191,7 @@ def _roadmap(run: _Run, after: tuple[str, ...]) -> list[Job]:
     start, training = policy_to_start_from(settings), None
     if settings.decisions:
         training = training_settings(settings, settings.anatomies, settings.decisions, EVALUATIONS, start)
-    given = RoadmapJob(
+    tests_job = RoadmapJob(
         folder=run.folder,
         origin=run.origin(ROADMAP),
         task=run.task,
@@ -201,18 +201,18 @@ def _roadmap(run: _Run, after: tuple[str, ...]) -> list[Job]:
         start=None if settings.policy is None else Path(settings.policy),
         validated=run.validated,
     )
-    untested, gpu_gb = replace(given, tests=()), policy_gb(settings.task.image_size_px, 0)
-    weight, tests = settings.decisions * _SECONDS["decision"], _seconds_of(given.tests, settings)
+    untested, gpu_gb = replace(tests_job, tests=()), policy_gb(settings.task.image_size_px, 0)
+    weight, tests = settings.decisions * _SECONDS["decision"], _seconds_of(tests_job.tests, settings)
     return [
         Job(ROADMAP, train_roadmap, untested, after=after, weight=weight, gpu_gb=gpu_gb),
-        Job(ROADMAP_TESTS, train_roadmap, given, after=(ROADMAP,), weight=tests, gpu_gb=gpu_gb),
+        Job(ROADMAP_TESTS, train_roadmap, tests_job, after=(ROADMAP,), weight=tests, gpu_gb=gpu_gb),
     ]
 
 
 def _of_the_curve(run: _Run, count: int, after: tuple[str, ...]) -> Job:
     """A policy of so many arches; all of the curve have equally many decisions."""
     settings, row = run.settings, f"{ROADMAP} {count}"
-    given = RoadmapJob(
+    job = RoadmapJob(
         folder=run.folder,
         origin=run.origin(row),
         task=run.task,
@@ -221,15 +221,15 @@ def _of_the_curve(run: _Run, count: int, after: tuple[str, ...]) -> Job:
         settings=training_settings(settings, count, settings.curve_decisions, OF_THE_CURVE),
         validated=run.validated,
     )
-    weight = settings.curve_decisions * _SECONDS["decision"] + _seconds_of(given.tests, settings)
-    return Job(row, train_roadmap, given, after=after, weight=weight, gpu_gb=policy_gb(settings.task.image_size_px, 0))
+    weight = settings.curve_decisions * _SECONDS["decision"] + _seconds_of(job.tests, settings)
+    return Job(row, train_roadmap, job, after=after, weight=weight, gpu_gb=policy_gb(settings.task.image_size_px, 0))
 
 
 def _by_images(run: _Run, row: str) -> Job:
     settings = run.settings
     among = cluttered(settings) if row == XRAY else ()
     taken = shipped_policy(NAVIGATOR) if settings.shipped and row == XRAY else None
-    given = ImagePolicyJob(
+    image_job = ImagePolicyJob(
         folder=run.folder,
         origin=run.origin(row),
         task=run.task,
@@ -238,11 +238,11 @@ def _by_images(run: _Run, row: str) -> Job:
         settings=settings,
         start=taken,
     )
-    weight = _seconds_of(given.tests, settings)
+    weight = _seconds_of(image_job.tests, settings)
     if taken is None:
-        weight += settings.rounds * settings.advised_episodes * _SECONDS["xray" if given.xray else "advised"]
+        weight += settings.rounds * settings.advised_episodes * _SECONDS["xray" if image_job.xray else "advised"]
     gpu_gb = policy_gb(settings.task.image_size_px, 1)
-    return Job(row, train_image_policy, given, after=(ROADMAP,), weight=weight, gpu_gb=gpu_gb)
+    return Job(row, train_image_policy, image_job, after=(ROADMAP,), weight=weight, gpu_gb=gpu_gb)
 
 
 def _parts(whole: Sequence[_Part]) -> list[Sequence[_Part]]:

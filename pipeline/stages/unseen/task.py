@@ -118,22 +118,22 @@ class UnseenTask:
         if isinstance(phantom, int):
             phantom = "{}_{}".format(*arch_of_test(phantom, self.arches))
         place = load_anatomy(phantom)
-        tried = replace(self, task=replace(self.task, entry=entry))
+        entry_task = replace(self, task=replace(self.task, entry=entry))
         if isinstance(phantom, AnatomyFile) or entry != DESCENDING or self.arches in (STEEP, TRUNK):
-            fitted = fitted_task(replace(tried.task, wire_length_mm=0.0), place, [target])
-            if fitted.guidewire().length > tried.task.guidewire().length:
-                tried = replace(tried, task=fitted)
+            fitted = fitted_task(replace(entry_task.task, wire_length_mm=0.0), place, [target])
+            if fitted.guidewire().length > entry_task.task.guidewire().length:
+                entry_task = replace(entry_task, task=fitted)
         return NavigateEnv(
             place,
             target=target,
-            wire=tried.wire(wire),
+            wire=entry_task.wire(wire),
             observation=observation,
-            **tried._catheter(),
+            **entry_task._catheter(),
             reward=REWARD_OF_EVALUATION,
             registration_noise=registration_noise,
             scan=scan,
             **physics,
-            **tried.task.rules(),
+            **entry_task.task.rules(),
         )
 
 
@@ -145,7 +145,7 @@ _LOGGER = logging.getLogger(__name__)
 def with_steep_take_off(
     seeds: Iterable[int], targets: Sequence[str], least_mm: float, count: int, arches: str = TEST_PHANTOM
 ) -> list[int]:
-    """The first so many seeds of arches with a target set back by `least_mm` or more; they are built on the way."""
+    """The first so many seeds of arches with an ostium offset of `least_mm` or more; they are built on the way."""
     from cathsim import load_phantom
 
     def steep(seed: int) -> bool:
@@ -153,14 +153,16 @@ def with_steep_take_off(
         phantom = load_phantom(kind, seed=own, resolution=RESOLUTION)
         return max(set_back_mm(phantom, target) for target in targets) >= least_mm
 
-    found = []
+    steep_seeds = []
     for seed in islice(filter(steep, seeds), count):
-        found.append(seed)
-        if len(found) % _OFTEN == 0 or len(found) == count:
-            _LOGGER.info("%d of %d arches with a target set back by %g mm: up to %d", len(found), count, least_mm, seed)
-    if len(found) < count:
+        steep_seeds.append(seed)
+        if len(steep_seeds) % _OFTEN == 0 or len(steep_seeds) == count:
+            _LOGGER.info(
+                "%d of %d arches with a target set back by %g mm: up to %d", len(steep_seeds), count, least_mm, seed
+            )
+    if len(steep_seeds) < count:
         raise ConfigurationError(
-            f"only {len(found)} of the arches have a target set back by {least_mm:g} mm, {count} are wanted: lower "
-            "stage.least_set_back_mm or the number of arches"
+            f"only {len(steep_seeds)} of the arches have a target set back by {least_mm:g} mm, {count} are wanted: "
+            "lower stage.least_set_back_mm or the number of arches"
         )
-    return found
+    return steep_seeds

@@ -21,8 +21,8 @@ Trial = tuple[bool, list[float]]  # of an episode: whether it arrived, the large
 
 
 @dataclass(frozen=True)
-class Tried:
-    """How a policy fared with its devices.
+class TrialStatistics:
+    """Statistics of a policy's trials with its devices.
 
     Attributes:
         reached: episodes in which the target was reached.
@@ -45,8 +45,8 @@ class Tried:
         return f"{self.reached} of {self.episodes} ({self.force_p95:.2f} N)"
 
     @classmethod
-    def of(cls, trials: Sequence[Trial]) -> Tried:
-        """What some trials come to, at least one."""
+    def of(cls, trials: Sequence[Trial]) -> TrialStatistics:
+        """The statistics of some trials, at least one."""
         forces = np.concatenate([forces for _, forces in trials])
         reached = sum(reached for reached, _ in trials)
         return cls(reached, len(trials), len(forces) / len(trials), float(np.percentile(forces, 95)))
@@ -94,7 +94,7 @@ def play_case(
     return bool(reached), forces
 
 
-def best_devices(tries: Sequence[Callable[[int], Tried]], usual: int) -> int:
+def best_devices(tries: Sequence[Callable[[int], TrialStatistics]], usual: int) -> int:
     """Number of the devices to take: the usual ones if they arrive in the first copies, else `soonest` of all.
 
     Args:
@@ -106,10 +106,10 @@ def best_devices(tries: Sequence[Callable[[int], Tried]], usual: int) -> int:
     return soonest([one(TRIALS) for one in tries], usual)
 
 
-def soonest(tried: Sequence[Tried], usual: int = 0) -> int:
-    """Number of those that reached the target most often; among equals the usual ones, then the soonest."""
-    numbers = range(len(tried))
-    return max(numbers, key=lambda number: (tried[number].share, number == usual, -tried[number].steps))
+def soonest(statistics: Sequence[TrialStatistics], usual: int = 0) -> int:
+    """Number of the devices that reached the target most often; among equals the usual ones, then the soonest ones."""
+    numbers = range(len(statistics))
+    return max(numbers, key=lambda number: (statistics[number].share, number == usual, -statistics[number].steps))
 
 
 def try_until_gentle(
@@ -117,7 +117,7 @@ def try_until_gentle(
     softer: Callable[[], Sequence[str]],
     play: Callable[[Sequence[str], int], Sequence[Sequence[Trial]]],
     limit: float,
-) -> dict[str, Tried]:
+) -> dict[str, TrialStatistics]:
     """Tries devices of one anatomy, the first of them alone, others only where it fails or presses too hard.
 
     Where the `gentlest` of those that arrive press too hard, the gentler ones play in as many further copies: that
@@ -125,33 +125,33 @@ def try_until_gentle(
 
     Args:
         names: of the devices, the usual ones first.
-        softer: names of further ones, asked where the usual ones arrive and press too hard.
+        softer: names of further ones, called where the usual ones arrive and press too hard.
         play: plays the copies of a turn with some of them: their names and the turn, from 0, to the trials of each.
         limit: 95th percentile of the force from which on devices press too hard, N.
 
     Returns:
-        By name what came of those that were tried.
+        The statistics of those that played, by name.
     """
-    asked = list(names[:1])
-    trials = play(asked, 0)
-    usual = Tried.of(trials[0])
+    candidates = list(names[:1])
+    trials = play(candidates, 0)
+    usual = TrialStatistics.of(trials[0])
     if usual.reached < usual.episodes:
-        asked = list(names)
+        candidates = list(names)
     if usual.reached and usual.force_p95 > limit:
-        asked += softer()
-    if len(asked) > 1:
-        trials = play(asked, 0)
-    tried = [Tried.of(one) for one in trials]
-    if any(one.reached for one in tried) and tried[gentlest(tried, limit)].force_p95 > limit:
-        soft = [number for number, one in enumerate(tried) if one.force_p95 <= limit]
-        further = play([asked[number] for number in soft], 1) if soft else []
+        candidates += softer()
+    if len(candidates) > 1:
+        trials = play(candidates, 0)
+    statistics = [TrialStatistics.of(one) for one in trials]
+    if any(one.reached for one in statistics) and statistics[gentlest(statistics, limit)].force_p95 > limit:
+        soft = [number for number, one in enumerate(statistics) if one.force_p95 <= limit]
+        further = play([candidates[number] for number in soft], 1) if soft else []
         for number, more in zip(soft, further, strict=True):
-            tried[number] = Tried.of([*trials[number], *more])
-    return dict(zip(asked, tried, strict=True))
+            statistics[number] = TrialStatistics.of([*trials[number], *more])
+    return dict(zip(candidates, statistics, strict=True))
 
 
-def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
-    """Number of those that press least among those that reach the target in half of the copies.
+def gentlest(statistics: Sequence[TrialStatistics], limit: float = math.inf) -> int:
+    """Number of the devices that press least among those that reach the target in half of the copies.
 
     Where none does, it is `soonest` of those that ever reach it and do not press too hard, or else of all.
     Whoever reaches it in a share of the copies that is lower than the best one's by more than `CHANCE` is left out
@@ -161,19 +161,19 @@ def gentlest(tried: Sequence[Tried], limit: float = math.inf) -> int:
     Args:
         limit: 95th percentile of the force from which on they press too hard, N.
     """
-    half = [number for number, one in enumerate(tried) if one.share >= 0.5]
-    softer = [number for number, one in enumerate(tried) if one.reached and one.force_p95 <= limit]
+    half = [number for number, one in enumerate(statistics) if one.share >= 0.5]
+    softer = [number for number, one in enumerate(statistics) if one.reached and one.force_p95 <= limit]
     if not half:
-        among: Sequence[int] = softer or range(len(tried))
-        return among[soonest([tried[number] for number in among])]
-    most = max(one.share for one in tried)
-    often = [number for number in half if tried[number].share >= most - CHANCE]
+        among: Sequence[int] = softer or range(len(statistics))
+        return among[soonest([statistics[number] for number in among])]
+    most = max(one.share for one in statistics)
+    often = [number for number in half if statistics[number].share >= most - CHANCE]
 
     def rank(number: int) -> tuple[float, float, float]:
-        force = tried[number].force_p95
-        return max(force, GENTLE), -tried[number].share, force
+        force = statistics[number].force_p95
+        return max(force, GENTLE), -statistics[number].share, force
 
     least = min(often, key=rank)
-    if tried[least].force_p95 <= limit:
+    if statistics[least].force_p95 <= limit:
         return least
     return min([number for number in softer if number in half] or softer or half, key=rank)

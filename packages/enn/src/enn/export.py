@@ -88,9 +88,9 @@ class OnnxPolicy:
         if len(self._session.get_outputs()) != 1:
             raise ValueError(f"{file} must have one output, the actions, got {len(self._session.get_outputs())}")
         self.keys = () if self._inputs == [_ONE] else tuple(self._inputs)
-        told = self._session.get_modelmeta().custom_metadata_map
-        self.action_repeat = int(told.get(_REPEAT, 1))
-        bounds = (told.get(_LOW, "-1"), told.get(_HIGH, "1"))
+        metadata = self._session.get_modelmeta().custom_metadata_map
+        self.action_repeat = int(metadata.get(_REPEAT, 1))
+        bounds = (metadata.get(_LOW, "-1"), metadata.get(_HIGH, "1"))
         self._low, self._high = (np.asarray(json.loads(bound), np.float32) for bound in bounds)
 
     def act(

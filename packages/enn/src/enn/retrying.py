@@ -1,4 +1,4 @@
-"""Retrying controller: where an attempt takes too long, devices are drawn back and try again."""
+"""Retrying controller: where an attempt takes too long, devices are withdrawn and try again."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 Controller = Callable[[Any, Mapping[str, Any]], NDArray[np.float32]]  # observation, info -> action
 
 INSERTIONS = ("insertion", "catheter_insertion")  # of the feeders, in `info`, m
-WITHIN = 1e-3  # m of where they began: drawn back far enough
-_BACK = 250  # steps in which 0.5 m are drawn back at the usual pace, at most
+WITHIN = 1e-3  # m of where they began: withdrawn far enough
+_BACK = 250  # steps in which 0.5 m are withdrawn at the usual pace, at most
 _ANOTHER = 1_000_003  # between the seeds of an episode's attempts
 
 

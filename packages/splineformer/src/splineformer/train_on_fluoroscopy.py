@@ -104,13 +104,13 @@ def train(given: argparse.Namespace, progress: Progress | None = None) -> dict[s
         ranks.leave()
 
 
-def _recipe(given: argparse.Namespace) -> FluoroscopyRecipe:
-    recipe = with_epochs(fluoroscopy_recipe(given.variant, given.size, given.input), given.epochs)
-    network = {name: tuple(value) if isinstance(value, list) else value for name, value in given.network.items()}
+def _recipe(options: argparse.Namespace) -> FluoroscopyRecipe:
+    recipe = with_epochs(fluoroscopy_recipe(options.variant, options.size, options.input), options.epochs)
+    network = {name: tuple(value) if isinstance(value, list) else value for name, value in options.network.items()}
     try:
         return replace(
-            recipe, settings=replace(recipe.settings, **network), fit=replace(recipe.fit, **given.fit),
-            fluoroscopy=replace(recipe.fluoroscopy, **given.fluoroscopy), **given.settings,
+            recipe, settings=replace(recipe.settings, **network), fit=replace(recipe.fit, **options.fit),
+            fluoroscopy=replace(recipe.fluoroscopy, **options.fluoroscopy), **options.settings,
         )  # fmt: skip
     except TypeError as error:
         raise ValueError(f"an option names a setting that there is not: {error}") from error

@@ -100,11 +100,11 @@ def last_policy(folder: Path) -> Path | None:
 
 def finished_rounds(folder: Path) -> list[FinishedRound]:
     """The whole rounds of a policy's folder."""
-    found = []
+    rounds = []
     for number in range(_whole_rounds(folder)):
-        kept = RecurrentPolicy.load(_policy_of(folder, number)).metadata
-        found.append(FinishedRound(read_episodes(_episodes_of(folder, number)), kept["loss"], kept["wall_s"]))
-    return found
+        metadata = RecurrentPolicy.load(_policy_of(folder, number)).metadata
+        rounds.append(FinishedRound(read_episodes(_episodes_of(folder, number)), metadata["loss"], metadata["wall_s"]))
+    return rounds
 
 
 def _whole_rounds(folder: Path) -> int:

@@ -60,15 +60,15 @@ class PlannedPath:
     """
 
     def __init__(self, points: ArrayLike) -> None:
-        given = np.asarray(points, np.float64)
-        if given.ndim != 2 or given.shape[1] != 3 or len(given) < 2 or not np.isfinite(given).all():
-            raise ValueError(f"a path needs finite points of shape (n, 3) with n >= 2, got shape {given.shape}")
-        arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(given, axis=0), axis=1))))
+        vertices = np.asarray(points, np.float64)
+        if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 2 or not np.isfinite(vertices).all():
+            raise ValueError(f"a path needs finite points of shape (n, 3) with n >= 2, got shape {vertices.shape}")
+        arc = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(vertices, axis=0), axis=1))))
         self.length = float(arc[-1])
         if not self.length > 0:
             raise ValueError("a path needs a length above nought: its points are all the same")
         self.arc = np.linspace(0.0, self.length, max(2, round(self.length / _PATH_STEP) + 1))
-        self.points = np.column_stack([np.interp(self.arc, arc, given[:, axis]) for axis in range(3)])
+        self.points = np.column_stack([np.interp(self.arc, arc, vertices[:, axis]) for axis in range(3)])
 
     def at(self, arc: NDArray[Any]) -> NDArray[np.float64]:
         """Points at lengths along the path, the end beyond it. Shape (k, 3), m."""

@@ -61,18 +61,18 @@ def trace_mask(mask: ArrayLike, end_px: ArrayLike) -> TracedMask:
     top, left = rows[0], columns[0]
     line = skeletonize(np.pad(wire[top : rows[-1] + 1, left : columns[-1] + 1], 1))
     count, labels, boxes, _ = cv2.connectedComponentsWithStats(line.astype(np.uint8), connectivity=8)
-    kept = [label for label in range(1, count) if boxes[label, cv2.CC_STAT_AREA] >= _SMALLEST]
-    if not kept:
+    components = [label for label in range(1, count) if boxes[label, cv2.CC_STAT_AREA] >= _SMALLEST]
+    if not components:
         return TracedMask(None, 0)
     corner = np.array([left - 1, top - 1])
     ways = []
-    for label in kept:
+    for label in components:
         x, y, width, height = boxes[label, :4]
         ways.append(_longest_way(labels[y : y + height, x : x + width] == label) + corner + (x, y))
     points = _joined(ways)
     ends = np.linalg.norm(points[[0, -1]] - np.asarray(end_px, float), axis=1)
     points = points[::-1] if ends[0] < ends[1] else points
-    return TracedMask(ndimage.gaussian_filter1d(points, _SMOOTHING_PX, axis=0, mode="nearest"), len(kept))
+    return TracedMask(ndimage.gaussian_filter1d(points, _SMOOTHING_PX, axis=0, mode="nearest"), len(components))
 
 
 def _longest_way(line: NDArray[np.bool_]) -> Array:
@@ -86,10 +86,10 @@ def _longest_way(line: NDArray[np.bool_]) -> Array:
         inside = (rows < line.shape[0]) & (columns >= 0) & (columns < line.shape[1])
         to = np.full(len(places), -1)
         to[inside] = number[rows[inside], columns[inside]]
-        there = np.flatnonzero(to >= 0)
-        starts.append(there)
-        ends.append(to[there])
-        lengths.append(np.full(len(there), length))
+        sources = np.flatnonzero(to >= 0)
+        starts.append(sources)
+        ends.append(to[sources])
+        lengths.append(np.full(len(sources), length))
     graph = sparse.coo_matrix(
         (np.concatenate(lengths), (np.concatenate(starts), np.concatenate(ends))), (len(places),) * 2
     ).tocsr()

@@ -62,8 +62,8 @@ class PublishedTargets:
         control = np.concatenate([ends[:, :1], inner, ends[:, 1:]], axis=1)
         knots = np.broadcast_to(self.knots[:, None], (*control.shape[:2], 1))
         tokens = torch.from_numpy(np.concatenate([knots, control], axis=2).astype(np.float32))
-        given = disturbed(tokens[:, :-1], generator or np.random.default_rng(0))
-        return {"tokens": tokens, "lengths": torch.full((len(curves),), self.network.limit), "given": given}
+        inputs = disturbed(tokens[:, :-1], generator or np.random.default_rng(0))
+        return {"tokens": tokens, "lengths": torch.full((len(curves),), self.network.limit), "given": inputs}
 
     def loss(self, module: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         return published_loss(module(batch["images"], batch["given"]), batch, self.weights)

@@ -124,8 +124,8 @@ def line_pyramid(image: Tensor, reach: int, levels: int, floor: float = FLOOR) -
         (B, 2, h / 2^k, w / 2^k) each; contrast is averaged on the way, of lines the strongest stay.
     """
     contrast, lines = local_contrast(image, floor), dark_lines(image, reach, floor)
-    found = [torch.cat([contrast, lines], 1)]
+    pyramid = [torch.cat([contrast, lines], 1)]
     for _ in range(levels - 1):
         contrast, lines = F.avg_pool2d(contrast, 2), _strongest_of_four(lines)
-        found.append(torch.cat([contrast, lines], 1))
-    return found
+        pyramid.append(torch.cat([contrast, lines], 1))
+    return pyramid

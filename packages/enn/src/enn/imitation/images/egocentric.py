@@ -63,8 +63,8 @@ def lumen_distance(lumen: NDArray[np.floating], target: Array) -> tuple[Array, N
             break
     through = np.stack([flat[inner + shift] + step for (shift, _), step in zip(shifts, mean_price, strict=True)])
     chosen = inner + np.array([shift for shift, _ in shifts])[np.argmin(through, axis=0)]
-    here = row * wide + column
-    chosen[inner == here] = here
+    own_index = row * wide + column
+    chosen[inner == own_index] = own_index
     return flat[inner].reshape(size, size), (chosen // wide - 1) * size + chosen % wide - 1
 
 
@@ -155,9 +155,9 @@ class EgocentricView:
             Its beginning, shape (n, 2), in the same unit, and its whole length, outside the lumen counted more.
         """
         at = np.clip((place * MAP_SIZE).astype(int), 0, MAP_SIZE - 1)
-        here = int(at[0]) * MAP_SIZE + int(at[1])
+        start = int(at[0]) * MAP_SIZE + int(at[1])
         remaining = float(self._length[at[0], at[1]])
-        nodes = [here]
+        nodes = [start]
         for _ in range(round(1.3 * WAY_ARCS[-1] * MAP_SIZE) + 3):
             following = self._following[nodes[-1]]
             if following == nodes[-1]:
@@ -250,7 +250,7 @@ def catheter_end(points: Array, arc: Array, axes: Array, catheter: NDArray[np.bo
     Returns:
         Whether it is seen (1), the distance along the axis from the tip to its end and the hyperbolic tangent of it
         (2), the place of its end from the tip (2) and its direction there (2) in the tip's frame. Shape (7,). Where it
-        is not seen it ends where the wire comes in.
+        is not seen it ends at the access site.
     """
     size = len(catheter)
     wide = np.pad(catheter, 1)

@@ -85,15 +85,15 @@ class StereoView:
         traces, arcs = [], []
         for axis in axes:
             arc = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(axis, axis=0).T))))
-            wanted = np.arange(min(int(arc[-1] / step) + 1, TRACE_POINTS)) * step
-            if len(wanted) < 2:
-                wanted = np.array([0.0, max(float(arc[-1]), 1e-6)])
-            traces.append(np.stack([np.interp(wanted, arc, axis[:, k]) for k in (1, 0)], axis=1))
-            arcs.append(wanted)
+            lengths = np.arange(min(int(arc[-1] / step) + 1, TRACE_POINTS)) * step
+            if len(lengths) < 2:
+                lengths = np.array([0.0, max(float(arc[-1]), 1e-6)])
+            traces.append(np.stack([np.interp(lengths, arc, axis[:, k]) for k in (1, 0)], axis=1))
+            arcs.append(lengths)
         apart = self.geometry.apart(*traces)
         pairs = matched(apart)
-        found = self.geometry.triangulated(traces[0][pairs[:, 0]], traces[1][pairs[:, 1]])
-        points = smoothed(found, _SMOOTHING)
+        triangulation = self.geometry.triangulated(traces[0][pairs[:, 0]], traces[1][pairs[:, 1]])
+        points = smoothed(triangulation, _SMOOTHING)
         both = np.stack((arcs[0][pairs[:, 0]], arcs[1][pairs[:, 1]]), axis=1)
         return points, both, float(apart[tuple(pairs[:20].T)].mean()) * self.geometry.field
 

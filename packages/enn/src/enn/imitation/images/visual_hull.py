@@ -77,12 +77,12 @@ class VisualHull:
 
     def _hull_of(self, lumens: list[Array]) -> NDArray[np.bool_]:
         places, seen = self.voxels.seen
-        shown = seen.copy()
+        hull = seen.copy()
         for lumen, place in zip(lumens, places, strict=True):
             size = len(lumen)
             at = np.clip(np.rint(place * size - 0.5).astype(int), 0, size - 1)
-            shown &= np.asarray(lumen)[at[:, 1], at[:, 0]] > 0.5
-        return shown.reshape((self.voxels.side,) * 3)
+            hull &= np.asarray(lumen)[at[:, 1], at[:, 0]] > 0.5
+        return hull.reshape((self.voxels.side,) * 3)
 
     def _clipped(self, place: Array) -> NDArray[np.intp]:
         return np.clip(np.rint(self.voxels.voxel(place)).astype(int), 0, self.voxels.side - 1)

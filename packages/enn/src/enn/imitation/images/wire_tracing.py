@@ -12,7 +12,7 @@ SPECK = 5  # px: fewer that hang together are no wire
 
 
 def trace_wire(mask: NDArray[np.bool_], entry: tuple[int, int] | None = None) -> NDArray[np.intp]:
-    """The wire's pixels in order, from the tip to where it comes in.
+    """The wire's pixels in order, from the tip to the access site.
 
     The longest of the shortest ways inside the mask that begin at the entry.
 
@@ -42,14 +42,14 @@ def trace_wire(mask: NDArray[np.bool_], entry: tuple[int, int] | None = None) ->
     rings: list[list[int]] = [[first], [], [], []]
     last = first
     while any(rings):
-        for here in rings[0]:
-            last = here
+        for pixel in rings[0]:
+            last = pixel
             for steps, ring in ((straight, rings[2]), (oblique, rings[3])):
                 for step in steps:
-                    neighbour = here + step
+                    neighbour = pixel + step
                     if neighbour in left:
                         left.discard(neighbour)
-                        came_from[neighbour] = here
+                        came_from[neighbour] = pixel
                         ring.append(neighbour)
         rings = [*rings[1:], []]
     way = [last]
