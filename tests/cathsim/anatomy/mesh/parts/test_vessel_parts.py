@@ -176,6 +176,19 @@ def test_an_aorta_that_goes_on_into_narrow_iliac_arteries(vessels: dict[str, tri
         assert nearest_on_branch(tree[name], place)[2][0] < 1.5e-3, name
 
 
+def test_a_long_narrow_part_is_kept_and_one_without_a_lumen_named():
+    meshes = {
+        "aorta": trimesh.creation.cylinder(0.01, 0.1, sections=32),
+        "iliac_left": trimesh.creation.cylinder(1.6e-3, 0.2).apply_translation([0.0, 0.0, 0.1]),
+        "lsa": trimesh.creation.box([0.02, 0.02, 0.0]),
+    }
+    cut = {name: mesh.subdivide_to_size(2e-3) for name, mesh in meshes.items()}
+    parts = [Part(name, Triangles(np.asarray(mesh.vertices), np.asarray(mesh.faces))) for name, mesh in cut.items()]
+    surface, _, notes = unite(parts, 1e-3, Budget())
+    assert notes == ("united from 2 parts", "1 parts left out, which enclose no lumen: lsa")
+    assert surface.extent > 0.24
+
+
 def test_an_aorta_that_is_torn_is_refused():
     tubes = [trimesh.creation.capsule(0.09, 0.01).apply_translation([0.0, y, 0.0]) for y in (0.0, 0.08)]
     parts = [Part("", Triangles(np.asarray(m.vertices), np.asarray(m.faces, dtype=np.int64))) for m in tubes]

@@ -52,11 +52,13 @@ def unite(parts: Sequence[Part], spacing: float, budget: Budget) -> tuple[Triang
     Raises:
         MeshRefusedError: no part encloses anything.
     """
-    solids, notes = [], []
+    solids, notes, open_parts = [], [], []
     for part in parts:
         solid = _solid(part, spacing, budget)
         if solid is not None:
             solids.append(solid)
+        elif part.name:
+            open_parts.append(part.name)
     if not solids:
         raise MeshRefusedError(
             "none of its parts encloses a lumen; expected surfaces of vessels, closed or open at their ends."
@@ -72,6 +74,8 @@ def unite(parts: Sequence[Part], spacing: float, budget: Budget) -> tuple[Triang
     if lost:
         left = sorted({solids[k].name or "unnamed" for k in lost})
         notes.append(f"{len(lost)} parts left out, which touch no other: {', '.join(left)}")
+    if open_parts:
+        notes.append(f"{len(open_parts)} parts left out, which enclose no lumen: {', '.join(sorted(open_parts))}")
     mesh = _surface(field, low, spacing)
     named = [solid for solid in solids if solid.name]
     notes.insert(0, f"united from {len(solids)} parts")
@@ -106,7 +110,13 @@ def _solid(part: Part, spacing: float, budget: Budget) -> _Solid | None:
                 cavity = find_cavity(samples, finer * spacing)
             except MeshRefusedError:  # stout or narrow: no vessel by itself
                 continue
-    cavity = cavity or enclosed_by(samples, finer * spacing)
+    if cavity is None:
+        if mesh.extent >= _SHORT:  # it was only looked at on the coarse lattice
+            try:
+                samples = sample_surface(mesh.corners, 0.7 * finer * spacing, budget)
+            except MeshRefusedError:  # its triangles are long: too many points
+                finer = 1.0
+        cavity = enclosed_by(samples, finer * spacing)
     if cavity is None:
         return None
     away = voxels_away(cavity.inside)
