@@ -1,4 +1,4 @@
-"""Observation spaces: which observations of a `Dict` are taken, and which of them are vectors; without torch."""
+"""Observations by name: modality sets, and what is taken of an observation space; it imports no torch."""
 
 from __future__ import annotations
 
@@ -6,6 +6,29 @@ from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
+
+MODALITIES = {"I": ("joints",), "V": ("image",), "M": ("mask",), "R": ("roadmap", "history")}
+MODALITY_SETS = ("I", "V", "M", "I+V", "I+M", "V+M", "I+V+M", "R")
+COMPACT = MODALITIES["R"]  # a few numbers in the tip's frame: nothing is left for an encoder to do
+OBSERVATIONS = ("internal", "image", "sequential")  # of the reinforcement-learning chapter
+
+
+def modality_keys(modalities: str) -> tuple[str, ...]:
+    """Names of the observations of a modality set.
+
+    Args:
+        modalities: such as "I+V+M": I are the joints, V the image, M the mask; "R", the way ahead and the walls in the
+            tip's frame, with the last movements; or one of the baselines' observations.
+
+    Raises:
+        ValueError: there is no such set; names those that there are.
+    """
+    if modalities in OBSERVATIONS:
+        return (modalities,)
+    if modalities not in MODALITY_SETS:
+        valid = ", ".join((*MODALITY_SETS, *OBSERVATIONS))
+        raise ValueError(f"unknown modality set '{modalities}'; there are {valid}")
+    return tuple(key for letter in modalities.split("+") for key in MODALITIES[letter])
 
 
 def vector_spaces(space: gymnasium.Space, keys: Sequence[str] = ()) -> dict[str, gymnasium.spaces.Box]:

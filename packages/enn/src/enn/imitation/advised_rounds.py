@@ -18,12 +18,15 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from enn.curves import Curves
-from enn.imitation.recurrent_policy import RecurrentPolicy
-from enn.imitation.sequence_cloning import AdvisedEpisode, SequenceCloningSettings, clone_sequences
+
+if TYPE_CHECKING:
+    from enn.imitation.recurrent_policy import RecurrentPolicy
+    from enn.imitation.sequence_cloning import AdvisedEpisode, SequenceCloningSettings
 
 FOLDER = "advised_episodes"
 TEACHER_SHARE, NOISE = 0.1, 0.1  # of a round: share of the episodes that the teacher steers, noise of the actions
@@ -69,6 +72,8 @@ def teach(
         began: `time.monotonic` when the training began.
         report: takes the share that is done, and a few words.
     """
+    from enn.imitation.sequence_cloning import clone_sequences
+
     done = finished_rounds(folder)
     episodes += [episode for one in done for episode in one.new]
     earlier = done[-1].wall_s if done else 0.0
@@ -100,6 +105,8 @@ def last_policy(folder: Path) -> Path | None:
 
 def finished_rounds(folder: Path) -> list[FinishedRound]:
     """The whole rounds of a policy's folder."""
+    from enn.imitation.recurrent_policy import RecurrentPolicy
+
     rounds = []
     for number in range(_whole_rounds(folder)):
         metadata = RecurrentPolicy.load(_policy_of(folder, number)).metadata
@@ -133,6 +140,8 @@ def write_episodes(path: Path, episodes: Sequence[AdvisedEpisode]) -> None:
 
 def read_episodes(path: Path) -> list[AdvisedEpisode]:
     """Reads what `write_episodes` wrote."""
+    from enn.imitation.sequence_cloning import AdvisedEpisode
+
     with np.load(path) as arrays:
         cuts = np.cumsum(arrays["lengths"])[:-1]
         parts = (np.split(arrays[name], cuts) for name in _ARRAYS)

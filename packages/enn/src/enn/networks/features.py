@@ -12,32 +12,10 @@ import torch
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
-MODALITIES = {"I": ("joints",), "V": ("image",), "M": ("mask",), "R": ("roadmap", "history")}
-MODALITY_SETS = ("I", "V", "M", "I+V", "I+M", "V+M", "I+V+M", "R")
-COMPACT = MODALITIES["R"]  # a few numbers in the tip's frame: nothing is left for an encoder to do
-OBSERVATIONS = ("internal", "image", "sequential")  # of the reinforcement-learning chapter
 VARIANTS = ("thesis", "desk", "baselines")
 IMAGE_FEATURES = (128, 256)  # the thesis's table, its text
 FUSED = (256, 128)  # units of the fusion MLP, whose sizes the thesis does not print; the last is that of Z
 DESK_FUSED = (128, 128)
-
-
-def modality_keys(modalities: str) -> tuple[str, ...]:
-    """Names of the observations of a modality set.
-
-    Args:
-        modalities: such as "I+V+M": I are the joints, V the image, M the mask; "R", the way ahead and the walls in the
-            tip's frame, with the last movements; or one of the baselines' observations.
-
-    Raises:
-        ValueError: there is no such set; names those that there are.
-    """
-    if modalities in OBSERVATIONS:
-        return (modalities,)
-    if modalities not in MODALITY_SETS:
-        valid = ", ".join((*MODALITY_SETS, *OBSERVATIONS))
-        raise ValueError(f"unknown modality set '{modalities}'; there are {valid}")
-    return tuple(key for letter in modalities.split("+") for key in MODALITIES[letter])
 
 
 def _dense(sizes: Sequence[int]) -> list[nn.Module]:
