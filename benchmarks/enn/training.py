@@ -28,9 +28,9 @@ from stable_baselines3.common.buffers import DictReplayBuffer
 
 from enn.reinforcement.replay import ReplayBuffer, nbytes_needed
 from enn.reinforcement.reset_bank import ResetBank
-from enn.reinforcement.sampled_envs import SampledEnvs
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import DESK_SAC, Training
+from enn.reinforcement.vector_envs import SampledEnvs
 
 FEATURES = 64
 

@@ -32,7 +32,7 @@ import torch
 from stable_baselines3 import PPO, SAC
 
 from enn.networks.features import MultimodalExtractor
-from enn.observation_spaces import modality_keys
+from enn.networks.observation_spaces import modality_keys
 from enn.reinforcement.training.settings import THESIS_PPO, THESIS_SAC
 from guide3d.learning.build import SEGMENTER_SIZES, SEGMENTERS, SHAPE_SIZES, build_segmenter, build_shape_network
 from guide3d.learning.recipes import segmentation_recipe, shape_recipe

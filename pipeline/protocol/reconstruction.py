@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import lru_cache
-from itertools import islice
 from typing import Any
 
 from pipeline.protocol.claims import Reconstruction
@@ -26,24 +24,15 @@ def play(claim: Reconstruction, case: dict[str, Any]) -> dict[str, Any]:
     """
     from guide3d.geometry.metrics import curve_metrics
     from guide3d.reconstruction.reconstruction import reconstruct
+    from guide3d.reconstruction.synthetic_scene import scene
 
-    drawn, further = _scenes(claim, case["seed"])
-    drawn.extend(islice(further, max(0, case["number"] + 1 - len(drawn))))
-    scene = drawn[case["number"]]
+    drawn = scene(case["number"], case["seed"], claim.noise_px)
     try:
-        curve = reconstruct(*scene.cameras, *scene.points).curve_mm
+        curve = reconstruct(*drawn.cameras, *drawn.points).curve_mm
     except ValueError as error:
         return {"success": False, "reason": str(error)}
-    metrics = curve_metrics(curve, scene.curve_mm)
+    metrics = curve_metrics(curve, drawn.curve_mm)
     return {"success": True} | {
         name: round(float(metrics[key]), 3)
         for name, key in (("mean_mm", "mers"), ("max_mm", "max_ed"), ("tip_mm", "mete"))
     }
-
-
-@lru_cache(maxsize=2)
-def _scenes(claim: Reconstruction, seed: int) -> tuple[list[Any], Iterator[Any]]:
-    """Scenes that were drawn, and those that follow."""
-    from guide3d.reconstruction.synthetic_scene import scenes
-
-    return [], scenes(claim.count, seed, claim.noise_px)

@@ -93,7 +93,7 @@ def shown(value: Any) -> str:
 
 def require_modalities(*sets: str) -> None:
     """Refuses what is no set of modalities as the user writes them, e.g. ``I+V+M``."""
-    from enn.observation_spaces import modality_keys
+    from enn.networks.observation_spaces import modality_keys
 
     for modalities in sets:
         try:

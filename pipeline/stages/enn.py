@@ -63,7 +63,7 @@ def run_enn(settings: EnnSettings, context: StageContext) -> Results:
 
 def plan(settings: EnnSettings, context: StageContext) -> list[PolicyTrainingJob]:
     """The trainings: those of the expert row first, as later stages wait for them."""
-    from enn.observation_spaces import modality_keys
+    from enn.networks.observation_spaces import modality_keys
 
     most = max(settings.seeds, settings.ablation_seeds)
     trainings: list[PolicyTrainingJob] = []

@@ -12,7 +12,7 @@ from enn.imitation.behaviour_cloning import BehaviourCloningSettings
 from enn.imitation.cloned_policy import CloningNetworkSettings
 from enn.imitation.path_following import PathFollowerSettings, PlannedPath, fit_path_follower
 from enn.networks.network import NetworkSettings, build_network
-from enn.observation_spaces import modality_keys
+from enn.networks.observation_spaces import modality_keys
 from enn.reinforcement.rehearsal import cases_of
 from enn.reinforcement.reset_bank import CaseResetBank
 from enn.retrying import RetryingController

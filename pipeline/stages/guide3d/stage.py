@@ -32,7 +32,6 @@ PRELOAD = (
     "cathsim",
     "guide3d.dataset.dataset",
     "guide3d.reconstruction.reconstruction",
-    "pipeline.stages.guide3d.generator",
 )
 _PAIRS_A_JOB = 150
 _SECONDS_A_PAIR, _SECONDS_A_RECONSTRUCTION = 0.1, 0.05

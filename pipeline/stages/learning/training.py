@@ -250,7 +250,7 @@ def planned_training(
     expert_episodes: int = 0,
 ) -> PolicyTrainingJob:
     """The job of one training of a table; the variant "desk" sees through an encoder, unless it sees vectors alone."""
-    from enn.observation_spaces import COMPACT
+    from enn.networks.observation_spaces import COMPACT
 
     # too many, or too large a seed, are refused before any work
     held_out_seeds(seed, max(settings.evaluation_episodes, settings.drawn_episodes))

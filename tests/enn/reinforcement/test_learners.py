@@ -12,9 +12,9 @@ from stable_baselines3.common.logger import Logger
 
 from enn.networks.network import action_distribution
 from enn.reinforcement.replay import demonstration_replay
-from enn.reinforcement.sampled_envs import SampledEnvs
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import DESK_PPO, Training
+from enn.reinforcement.vector_envs import SampledEnvs
 from tests.enn.reinforcement.small_training import SMALL, demonstrated, interrupted, require_same_weights
 
 

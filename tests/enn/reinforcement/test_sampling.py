@@ -9,8 +9,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 
 from enn.encoder import EncodedEnvs
 from enn.reinforcement.reset_bank import CaseResetBank, ResetBank
-from enn.reinforcement.sampled_envs import SampledEnvs
 from enn.reinforcement.sampling import RECORD_EVERY, NotFiniteError
+from enn.reinforcement.vector_envs import SampledEnvs
 from tests.enn.rod import Rod, fitted
 
 

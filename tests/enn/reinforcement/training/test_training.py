@@ -15,7 +15,6 @@ from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointError
 from enn.reinforcement.evaluation import run_episodes
 from enn.reinforcement.replay import demonstration_replay
-from enn.reinforcement.sampled_envs import SampledEnvs
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training import (
     DESK_PPO,
@@ -29,6 +28,7 @@ from enn.reinforcement.training import (
 )
 from enn.reinforcement.training.result import COLUMNS
 from enn.reinforcement.training.training import TrainingRun
+from enn.reinforcement.vector_envs import SampledEnvs
 from tests.enn.conftest import PointEnv
 from tests.enn.event_scalars import scalars
 from tests.enn.reinforcement.small_training import SMALL, demonstrated, interrupted, require_same_weights

@@ -12,8 +12,8 @@ from torch import Tensor, nn
 
 from enn.networks.features import VARIANTS, MultimodalExtractor
 from enn.networks.normalisation import VectorExtractor
+from enn.networks.observation_spaces import select_keys, vector_spaces
 from enn.networks.policies import AsymmetricSACPolicy, LayerNormSACPolicy
-from enn.observation_spaces import select_keys, vector_spaces
 from enn.setting_kinds import Units, settings
 
 ALGORITHMS = ("sac", "ppo")

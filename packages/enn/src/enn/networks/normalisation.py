@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
-from enn.observation_spaces import vector_spaces
+from enn.networks.observation_spaces import vector_spaces
 
 LIMIT = 10.0  # normalised values are cut here: what hardly varied while fitting may jump later
 SMALLEST_SCALE = 1e-6

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
 from numpy.typing import NDArray
 
-from enn.observation_spaces import kept_space
+from enn.networks.observation_spaces import kept_space
 from enn.reinforcement.reset_bank import RECORD_EVERY, ResetBank
 from enn.reinforcement.workers import SharedWork, Workers
 

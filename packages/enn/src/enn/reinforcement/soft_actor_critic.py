@@ -93,9 +93,9 @@ class FastSAC(SAC):
         value = torch.minimum(*self.critic(data.observations, actions))
         loss = (entropy_weight * log_prob - value).mean()
         assert isinstance(self.replay_buffer, ReplayBuffer)
-        row_count = self.replay_buffer.shown_in(len(actions)) if self.cloning_weight else 0
-        if row_count:
-            loss = loss + self.cloning_weight * self._cloning_loss(data, mean, value.detach(), row_count)
+        demonstrated = self.replay_buffer.shown_in(len(actions)) if self.cloning_weight else 0
+        if demonstrated:
+            loss = loss + self.cloning_weight * self._cloning_loss(data, mean, value.detach(), demonstrated)
         self.actor.optimizer.zero_grad()
         loss.backward()
         self.actor.optimizer.step()
@@ -103,21 +103,22 @@ class FastSAC(SAC):
             parameter.requires_grad_(True)
         self.losses |= {"actor_loss": loss.detach(), "entropy": -log_prob.detach().mean()}
 
-    def _cloning_loss(self, data: Any, mean: Tensor, value: Tensor, row_count: int) -> Tensor:
-        """Squared distance of the best action to that of the last `row_count` rows where the critics prefer the latter.
+    def _cloning_loss(self, data: Any, mean: Tensor, value: Tensor, demonstrated: int) -> Tensor:
+        """Squared distance of the best action to a demonstrated one, where the critics prefer the latter.
 
         Args:
+            demonstrated: how many rows are demonstrations; they are the last ones.
             mean: before squashing. Shape (N, actions).
             value: of the actions that were drawn. Shape (N, 1).
         """
         observations = data.observations
         if isinstance(observations, dict):
-            observations = {name: rows[-row_count:] for name, rows in observations.items()}
+            observations = {name: rows[-demonstrated:] for name, rows in observations.items()}
         else:
-            observations = observations[-row_count:]
+            observations = observations[-demonstrated:]
         with torch.no_grad():
-            better = torch.minimum(*self.critic(observations, data.actions[-row_count:])) > value[-row_count:]
-        distance = (mean[-row_count:].tanh() - data.actions[-row_count:]).square().sum(dim=1, keepdim=True)
+            better = torch.minimum(*self.critic(observations, data.actions[-demonstrated:])) > value[-demonstrated:]
+        distance = (mean[-demonstrated:].tanh() - data.actions[-demonstrated:]).square().sum(dim=1, keepdim=True)
         return value.abs().mean() * (distance * better).mean()
 
     def _learn_entropy_weight(self, log_prob: Tensor) -> None:

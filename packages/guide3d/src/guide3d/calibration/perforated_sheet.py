@@ -188,13 +188,14 @@ class _Discs:
         grey: (h, w).
         centres: (n, 2) px.
         shapes: (n, 2, 2) lattice to px.
-        pixels: Offsets right (m,) and down (m,) of those that count.
-        radius: Of the holes, in pitches.
-        blur: Width of their edges, in pitches.
+        pixels: offsets right (m,) and down (m,) of those that count, px.
+        radius: of the holes, in pitches.
+        blur: width of their edges, in pitches.
 
-    rho: (n, m) distances from the centres, in pitches
-    steep: (n, m) slopes towards a larger radius
-    slopes: (n, m, 8) by the six parameters of the light and the centre's place, px
+    Attributes:
+        rho: (n, m) distances from the centres, in pitches.
+        steep: (n, m) slopes of the grey values by the radius.
+        slopes: (n, m, 8) by the six parameters of the light and the centre's place, px.
     """
 
     def __init__(
@@ -233,8 +234,8 @@ class _Discs:
     def likeness(self) -> np.ndarray:
         """How much (n,) of the variation that a lit plane leaves, the disc explains."""
         flat = self.values - (self.plane @ _solve(self.plane, self.values, self.weight)[..., None])[..., 0]
-        left = (self.weight * self.residual**2).sum(axis=1) / np.maximum((self.weight * flat**2).sum(axis=1), 1e-9)
-        return np.where(self.light[:, 3] > 0, 1 - left, 0.0)
+        rest = (self.weight * self.residual**2).sum(axis=1) / np.maximum((self.weight * flat**2).sum(axis=1), 1e-9)
+        return np.where(self.light[:, 3] > 0, 1 - rest, 0.0)
 
 
 def _solve(A: np.ndarray, b: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -166,34 +166,31 @@ def _sag(points: Array) -> float:
     return float(np.linalg.norm(offsets - share[:, None] * chord, axis=1).max())
 
 
-def scenes(
-    count: int,
-    seed: int = 0,
-    noise_px: float | None = None,
-) -> Iterator[SyntheticScene]:
-    """Draws scenes, each with a rig and a wire of its own.
+def scene(index: int, seed: int = 0, noise_px: float | None = None) -> SyntheticScene:
+    """Draws a scene: a rig and a wire whose tip lies in both images, and of which both see at least 60 mm.
 
     Args:
-        count: number of scenes; kinds take turns.
+        index: among the scenes of a seed; kinds take turns.
         seed: of all randomness; the wires do not depend on the noise.
         noise_px: None annotates exactly and densely (every px); a number clicks every 15 to 30 px with that noise.
-
-    Yields:
-        Scenes whose tip lies in both images and of which both see at least 60 mm.
     """
-    for index in range(count):
-        rng = np.random.default_rng([seed, index])
-        clicks = np.random.default_rng([seed, index, 1])
-        kind = KINDS[index % len(KINDS)]
-        while True:
-            cameras = rig(rng)
-            curve = wire(kind, rng) + np.append(rng.uniform([5.0, -40.0], [50.0, 40.0]), rng.uniform(-25.0, 25.0))
-            views = [seen(camera, curve) for camera in cameras]
-            if min(len(view) for view in views) * SPACING_MM >= 60.0:
-                break
-        curve = curve[: min(len(view) for view in views)]
-        if noise_px is None:
-            points = [resample(view, spacing=1.0) for view in views]
-        else:
-            points = [clicked(view, clicks, noise_px) for view in views]
-        yield SyntheticScene(kind, cameras, curve, (points[0], points[1]))
+    rng = np.random.default_rng([seed, index])
+    clicks = np.random.default_rng([seed, index, 1])
+    kind = KINDS[index % len(KINDS)]
+    while True:
+        cameras = rig(rng)
+        curve = wire(kind, rng) + np.append(rng.uniform([5.0, -40.0], [50.0, 40.0]), rng.uniform(-25.0, 25.0))
+        views = [seen(camera, curve) for camera in cameras]
+        if min(len(view) for view in views) * SPACING_MM >= 60.0:
+            break
+    curve = curve[: min(len(view) for view in views)]
+    if noise_px is None:
+        points = [resample(view, spacing=1.0) for view in views]
+    else:
+        points = [clicked(view, clicks, noise_px) for view in views]
+    return SyntheticScene(kind, cameras, curve, (points[0], points[1]))
+
+
+def scenes(count: int, seed: int = 0, noise_px: float | None = None) -> Iterator[SyntheticScene]:
+    """The first scenes of a seed, as `scene` draws them."""
+    return (scene(index, seed, noise_px) for index in range(count))

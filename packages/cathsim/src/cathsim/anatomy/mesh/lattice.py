@@ -39,14 +39,16 @@ def lattice_spacing(
     Raises:
         MeshRefusedError: the box is too large for any.
     """
-    ideal_width = float(np.clip(width / _ACROSS, _FINEST, max(_COARSEST, resolution / 2)))
-    box_volume = float(np.prod(sides + 8 * ideal_width))
-    spacing = max(ideal_width, min((box_volume / _MOST_VOXELS) ** (1 / 3), _LAST_RESORT))
+    ideal_spacing = float(np.clip(width / _ACROSS, _FINEST, max(_COARSEST, resolution / 2)))
+    box_volume = float(np.prod(sides + 8 * ideal_spacing))
+    spacing = max(ideal_spacing, min((box_volume / _MOST_VOXELS) ** (1 / 3), _LAST_RESORT))
     size = " x ".join(f"{1e3 * side:.4g}" for side in sides)
     budget.check_lattice(box_volume / spacing**3, spacing, f"{size} mm in {unit}")
-    if spacing == ideal_width:
+    if spacing == ideal_spacing:
         return spacing, ()
-    note = f"its voxels are {1e3 * spacing:.2g} mm wide instead of {1e3 * ideal_width:.2g}, since the surface is large"
+    note = (
+        f"its voxels are {1e3 * spacing:.2g} mm wide instead of {1e3 * ideal_spacing:.2g}, since the surface is large"
+    )
     return spacing, (f"{note}: vessels narrower than {2e3 * FOLLOWED * spacing:.2g} mm may be lost",)
 
 

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from enn.policy import Policy
 from enn.reinforcement.evaluation import EvaluationResult
 from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_bank
-from enn.reinforcement.sampled_envs import SampledEnvs
-from enn.reinforcement.subprocess_envs import POSSIBLE, SubprocessEnvs
 from enn.reinforcement.training.settings import SacSettings, TrainingSettings
+from enn.reinforcement.vector_envs import POSSIBLE, SampledEnvs, SubprocessEnvs
 from enn.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Environments in a process of their own, where they and a training's updates do not wait for each other.
+"""Environments for stable-baselines3: in this process, or in one of their own beside a training's updates.
 
 In threads of one process both want the interpreter's lock after every native call; then the environments take twice as
 long, and the updates a third longer: `docs/results/rehearsal.md#how-long-it-trains`.
@@ -20,9 +20,9 @@ from gymnasium.vector.utils import CloudpickleWrapper
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
-from enn.observation_spaces import kept_space
+from enn.networks.observation_spaces import kept_space
 from enn.reinforcement.reset_bank import ResetBank
-from enn.reinforcement.sampling import Observations, without_checks
+from enn.reinforcement.sampling import Observations, Sampling, without_checks
 from enn.reinforcement.workers import Workers
 
 POSSIBLE = os.name == "posix"  # an open connection can be handed over to a new process
@@ -30,6 +30,32 @@ _END_S = 5.0  # that the process has to end by itself
 # bytes; MuJoCo's arenas are larger: each then goes back to the system at once (GNU C library)
 _OWN_PAGES = {"MALLOC_MMAP_THRESHOLD_": str(12 * 2**20)}
 _MAIN = "import sys; sys.path[:] = {path!r}; from enn.reinforcement.environment_process import serve; serve({number})"
+
+
+class SampledEnvs(Sampling, VecEnv):
+    """`Sampling` in this process, for stable-baselines3."""
+
+    def __init__(self, factories: Sequence[Callable[[], gymnasium.Env[Any, Any]]], **settings: Any) -> None:
+        Sampling.__init__(self, factories, **settings)
+        VecEnv.__init__(self, self.num_envs, self.observation_space, self.action_space)
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of each environment."""
+        return super().get_attr(attr_name, list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Sets an attribute of each environment."""
+        super().set_attr(attr_name, value, list(self._get_indices(indices)))
+
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+        """Calls a method of each environment."""
+        return super().env_method(method_name, *method_args, indices=[*self._get_indices(indices)], **method_kwargs)
+
+    def env_is_wrapped(
+        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
+    ) -> list[bool]:
+        """Whether each environment is wrapped so; Monitor is not needed, episodes are counted here."""
+        return [False for _ in self._get_indices(indices)]
 
 
 class SubprocessEnvs(VecEnv):

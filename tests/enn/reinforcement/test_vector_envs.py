@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from enn.reinforcement.reset_bank import ResetBank
-from enn.reinforcement.sampled_envs import SampledEnvs
 from enn.reinforcement.sampling import NotFiniteError
-from enn.reinforcement.subprocess_envs import POSSIBLE, SubprocessEnvs
+from enn.reinforcement.vector_envs import POSSIBLE, SampledEnvs, SubprocessEnvs
 
 pytestmark = pytest.mark.skipif(not POSSIBLE, reason="open files cannot be handed over to a process here")
 
@@ -119,7 +118,7 @@ def test_environments_that_cannot_be_made_say_why(point_env: Any) -> None:
 def test_it_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
     program = (
         "import os, gymnasium\n"
-        "from enn.reinforcement.subprocess_envs import SubprocessEnvs\n"
+        "from enn.reinforcement.vector_envs import SubprocessEnvs\n"
         "envs = SubprocessEnvs([lambda: gymnasium.make('CartPole-v1')], seed=0)\n"
         "envs.reset()\n"
         f"open({str(tmp_path / 'pid')!r}, 'w').write(str(envs._process.pid))\n"
