@@ -27,7 +27,7 @@ BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 PAGES = (
     "pipeline/logs.md", "guide3d/dataset.md", "guide3d/reading.md", "guide3d/random_fluoroscopy.md",
     "guide3d/networks.md", "splineformer/network.md", "splineformer/navigation.md", "enn/policies.md",
-    "enn/training.md", "getting_started.md", "cheat_sheet.md",
+    "enn/training.md", "getting_started.md",
 )  # fmt: skip
 # Each is run by itself.
 ALONE = (DOCS / "conventions.md", ROOT / "packages/cathsim/README.md", *sorted((DOCS / "cathsim").glob("*.md")))
