@@ -25,7 +25,7 @@ NOTEBOOK = DOCS / "tutorial.ipynb"
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 # The first records a log, which the report reads; training leaves a policy, which imitation reads on the same page.
 PAGES = (
-    "pipeline/logs.md", "guide3d/dataset.md", "guide3d/reading.md", "guide3d/random_fluoroscopy.md",
+    "pipeline/logs.md", "guide3d/dataset.md", "guide3d/reading.md",
     "guide3d/networks.md", "splineformer/network.md", "splineformer/navigation.md", "enn/policies.md",
     "enn/training.md", "getting_started.md",
 )  # fmt: skip
