@@ -28,7 +28,7 @@ def site() -> ModuleType:
     [
         ("about.md", "![film](docs/pictures/navigation.gif)", "![film](pictures/navigation.gif)"),
         ("about.md", "see [examples/](examples) and [MIT](LICENSE)", "see examples/ and MIT"),
-        ("cathsim/environments.md", "[r](../../packages/cathsim/README.md)", "[r](../packages/cathsim.md)"),
+        ("cathsim/many_anatomies.md", "[r](../../packages/cathsim/README.md)", "[r](../packages/cathsim.md)"),
         ("packages/enn.md", "[p](../../docs/enn/policies.md#x)", "[p](../enn/policies.md#x)"),
         ("tutorial.md", "![output](tutorial_0.png)", "![output](tutorial_0.png)"),
         ("models.md", "[c](../packages/guide3d/src/guide3d/weights/reader.md)", "[c](models/reader.md)"),
