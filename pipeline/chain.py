@@ -21,7 +21,6 @@ from enn.reinforcement.free_memory import available_bytes
 from pipeline.jobs.engines.local import available_workers
 from pipeline.jobs.machine import shared_machine
 from pipeline.printing import say, written
-from pipeline.settings.quoting import unquoted
 from pipeline.stages import available_stages, load_stage, settings_of
 from pipeline.store.interruption import stop_at_once_by_ctrl_c
 
@@ -59,12 +58,6 @@ def steps_to_the_end(steps: Sequence[Step]) -> list[int]:
         for earlier in waits_for(steps, place):
             count[earlier] = max(count[earlier], count[place] + 1)
     return count
-
-
-def chosen_value(overrides: Sequence[str], key: str, default: str) -> str:
-    """The value of a setting among overrides: the last one counts."""
-    values = (word.partition("=")[2] for word in reversed(overrides) if word.startswith(f"{key}="))
-    return next(map(unquoted, values), default)
 
 
 def after_inputs(stages: Sequence[str]) -> list[str]:

@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.chain import chosen_value
 from pipeline.chain import main as run_chain
+from pipeline.settings.quoting import chosen_value
 from pipeline.stages import available_stages
 from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.costs import OK, OWN_PROCESS, kept_costs

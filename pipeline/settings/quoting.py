@@ -19,7 +19,8 @@ _MADE = ("runs_dir",)  # paths that a run makes
 
 
 def with_quoted_paths(words: Sequence[str]) -> list[str]:
-    """A command line whose paths Hydra reads as they stand: those of files that exist, and of folders to be made."""
+    """A command line whose paths Hydra reads as they stand: those of files that exist, of the home
+    folder (~/…), and of folders to be made."""
     return [_with_quoted_path(word) for word in words]
 
 
@@ -27,6 +28,8 @@ def _with_quoted_path(word: str) -> str:
     key, equals, value = word.partition("=")
     if not equals or _PLAIN.fullmatch(value) or value[:1] in ("'", '"'):
         return word
+    if value.startswith("~/"):  # which a shell leaves as it is behind `key=`
+        return f"{key}={quoted(str(Path(value).expanduser()))}"
     made = key in _MADE and "${" not in value  # which is another setting there
     return f"{key}={quoted(value)}" if made or _exists(value) else word
 
@@ -51,6 +54,12 @@ def unquoted(value: str) -> str:
         return str(OverridesParser.create().parse_override(f"key={value}").value()).replace(r"\${", "${")
     except OverrideParseException:
         return value
+
+
+def chosen_value(overrides: Sequence[str], key: str, default: str) -> str:
+    """The value of a setting among overrides: the last one counts."""
+    values = (word.partition("=")[2] for word in reversed(with_quoted_paths(overrides)) if word.startswith(f"{key}="))
+    return next(map(unquoted, values), default)
 
 
 def advice(word: str) -> str:

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 from hydra import compose, initialize_config_dir
 
-from pipeline.chain import chosen_value
 from pipeline.config import CONFIG_DIRECTORY, register_schemas
 from pipeline.launch import main
-from pipeline.settings.quoting import quoted, unquoted, with_quoted_paths
+from pipeline.settings.quoting import chosen_value, quoted, unquoted, with_quoted_paths
 
 NAMES = [
     "with space.stl", "[x],y'ü.stl", "a=b.stl", "{b}.stl", "a$x.stl", 'say"d.stl', "back\\slash.stl", "(1).stl",
@@ -38,6 +37,10 @@ def test_other_words_stay_as_they_are(tmp_path: Path, monkeypatch: pytest.Monkey
     words = ["stage=enn", "-m", "seed=0,1", "stage.phantoms=[type_1]", "phantom.file='enn'", "runs_dir=${oc.env:X}"]
     assert with_quoted_paths(words) == words
     assert with_quoted_paths(["runs_dir=new [runs]"]) == ["runs_dir='new [runs]'"]
+    monkeypatch.setenv("HOME", "/home/me")
+    at_home = with_quoted_paths(["phantom.file=~/a b.stl", "runs_dir=~/runs"])
+    assert at_home == ["phantom.file='/home/me/a b.stl'", "runs_dir='/home/me/runs'"]
+    assert chosen_value(["runs_dir=~/runs"], "runs_dir", "runs") == "/home/me/runs"
     assert chosen_value(["runs_dir='new [runs]'"], "runs_dir", "runs") == "new [runs]"
 
 
