@@ -95,7 +95,7 @@ def policy_names(job: RehearsalJob) -> dict[Path, str]:
 PARTS = 2  # of the copies, beside each other
 ENOUGH, LEAST = 6, 3  # episodes of the expert that arrive, in each part; fewer gentle ones: it plays as usual, too
 STEPS = 100_000  # that the expert simulates for an episode at most
-TRIED = {True: 5, False: 3}  # episodes of a gentle expert, of the usual one: it gives up where none of them arrives
+TRIED = {True: 3, False: 2}  # episodes of a gentle expert, of the usual one: it gives up where none of them arrives
 
 
 def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:

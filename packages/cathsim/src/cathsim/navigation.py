@@ -266,7 +266,8 @@ def require_length(task: NavigationTask, phantom: Phantom, entry: str, wire: Gui
         verdict = "which is too short for" if alone else "is too short for"
         raise ValueError(
             f"the {device} {wire.length * 1e3:.0f} mm{',' if alone else ''} {verdict} {task.target_name} of "
-            f"{phantom.name}, {shortest * 1e3:.0f} mm from {entry}: pass wire=load_guidewire(...).scaled({length:.2f})"
+            f"{phantom.name}, {shortest * 1e3:.0f} mm from {entry}, and must have {length * 1e3:.0f}: "
+            f"pass wire=load_guidewire(...).scaled({length:.2f})"
         )
 
 

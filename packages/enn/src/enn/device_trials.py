@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from enn.policy import Policy
 
 FIRST, TRIALS = 3, 6  # episodes of the usual devices, which are taken if all of them arrive; else of each policy
+HALF = 0.5  # of the copies: devices that reach the target more seldom have little to learn from
 CHANCE = 0.25  # of a few episodes by which success may differ and mean nothing
 GENTLE = 0.15  # N, 95th percentile: what presses less is not chosen for that
 Trial = tuple[bool, list[float]]  # of an episode: whether it arrived, the largest force of each step, N
@@ -135,15 +136,13 @@ def try_until_gentle(
     candidates = list(names[:1])
     trials = play(candidates, 0)
     usual = TrialStatistics.of(trials[0])
-    if usual.reached < usual.episodes:
-        candidates = list(names)
-    if usual.reached and usual.force_p95 > limit:
-        candidates += softer()
-    if len(candidates) > 1:
-        trials = play(candidates, 0)
+    pressing = usual.force_p95 > limit
+    if usual.reached < usual.episodes or pressing:
+        candidates = [*names, *(softer() if usual.reached and pressing else ())]
+        trials = [*trials, *play(candidates[1:], 0)]
     statistics = [TrialStatistics.of(one) for one in trials]
     if any(one.reached for one in statistics) and statistics[gentlest(statistics, limit)].force_p95 > limit:
-        soft = [number for number, one in enumerate(statistics) if one.force_p95 <= limit]
+        soft = [n for n, one in enumerate(statistics) if one.share >= HALF - CHANCE and one.force_p95 <= limit]
         further = play([candidates[number] for number in soft], 1) if soft else []
         for number, more in zip(soft, further, strict=True):
             statistics[number] = TrialStatistics.of([*trials[number], *more])
@@ -153,27 +152,26 @@ def try_until_gentle(
 def gentlest(statistics: Sequence[TrialStatistics], limit: float = math.inf) -> int:
     """Number of the devices that press least among those that reach the target in half of the copies.
 
-    Where none does, it is `soonest` of those that ever reach it and do not press too hard, or else of all.
     Whoever reaches it in a share of the copies that is lower than the best one's by more than `CHANCE` is left out
-    unless the others press hard. Of those that press with at most `GENTLE` the ones that reach it most often are taken.
-    Where all that reach it in half press too hard, it is the gentlest of all that ever reach it and do not.
+    unless the others press too hard. Of those that press with at most `GENTLE` the ones that reach it most often are
+    taken. Where none reaches it in half, it is `soonest` of those that do not press too hard and reach it about as
+    often as the best ones, or else of all.
 
     Args:
         limit: 95th percentile of the force from which on they press too hard, N.
     """
-    half = [number for number, one in enumerate(statistics) if one.share >= 0.5]
-    softer = [number for number, one in enumerate(statistics) if one.reached and one.force_p95 <= limit]
+    numbers, most = range(len(statistics)), max(one.share for one in statistics)
+    often = [number for number in numbers if statistics[number].reached and statistics[number].share >= most - CHANCE]
+    soft = [number for number in numbers if statistics[number].force_p95 <= limit]
+    half = [number for number in numbers if statistics[number].share >= HALF]
     if not half:
-        among: Sequence[int] = softer or range(len(statistics))
+        among: Sequence[int] = [number for number in often if number in soft] or numbers
         return among[soonest([statistics[number] for number in among])]
-    most = max(one.share for one in statistics)
-    often = [number for number in half if statistics[number].share >= most - CHANCE]
 
     def rank(number: int) -> tuple[float, float, float]:
         force = statistics[number].force_p95
         return max(force, GENTLE), -statistics[number].share, force
 
-    least = min(often, key=rank)
-    if statistics[least].force_p95 <= limit:
-        return least
-    return min([number for number in softer if number in half] or softer or half, key=rank)
+    among = [number for number in often if number in half]
+    soft = [number for number in among if number in soft] or [number for number in half if number in soft]
+    return min(soft or among, key=rank)

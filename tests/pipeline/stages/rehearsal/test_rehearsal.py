@@ -273,7 +273,7 @@ def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: 
     with caplog.at_level(logging.INFO):
         assert choose(outcomes) == (Task(catheter="simmons2"), simmons)
     assert "how it pressed: wire alone 0 of 4 (0.20 N), jb2 3 of 4 (0.40 N), simmons2 2 of 4 (0.30 N)" in caplog.text
-    assert asked == [asked_for("wire alone"), asked_for(*WITH_CATHETERS)]
+    assert asked == [asked_for("wire alone"), asked_for(*WITH_CATHETERS[1:])]
 
     outcomes[SOFTER] = TrialStatistics(3, 4, 200.0, 0.15)
     soft = Task(wire="radifocus_angled_025", catheter="jb2_4f")
@@ -289,18 +289,15 @@ def test_where_what_arrives_presses_too_hard_the_gentler_ones_get_further_copies
         "wire alone": never,
         "jb2": jb2,
         "simmons2": TrialStatistics(1, 4, 300.0, 0.5),
-        SOFTER: TrialStatistics(0, 4, 300.0, 0.1),
+        SOFTER: TrialStatistics(1, 4, 300.0, 0.1),
     }
-    outcomes |= {
-        "wire alone again": TrialStatistics(0, 8, 300.0, 0.2),
-        f"{SOFTER} again": TrialStatistics(2, 8, 250.0, 0.1),
-    }
+    outcomes[f"{SOFTER} again"] = TrialStatistics(4, 8, 250.0, 0.1)
     soft = Task(wire="radifocus_angled_025", catheter="jb2_4f")
     assert choose(outcomes) == (soft, outcomes[f"{SOFTER} again"])
-    assert asked[1:] == [asked_for(*WITH_CATHETERS), ["devices/wire alone/2", f"devices/{SOFTER}/2"]]
+    assert asked[1:] == [asked_for(*WITH_CATHETERS[1:]), [f"devices/{SOFTER}/2"]]  # the wire never arrives
 
-    outcomes[f"{SOFTER} again"] = TrialStatistics(0, 8, 300.0, 0.1)
-    assert choose(outcomes) == (Task(catheter="jb2"), jb2)  # nothing gentler arrives
+    outcomes[f"{SOFTER} again"] = TrialStatistics(3, 8, 300.0, 0.1)
+    assert choose(outcomes) == (Task(catheter="jb2"), jb2)  # nothing gentler arrives often enough to learn from
 
 
 def test_the_wire_alone_is_enough_where_it_always_arrives_and_the_shape_decides_where_none_does(chosen: Any) -> None:
@@ -311,21 +308,25 @@ def test_the_wire_alone_is_enough_where_it_always_arrives_and_the_shape_decides_
     assert choose(dict.fromkeys(WITH_CATHETERS, never)) == (BY_SHAPE, None)
 
 
-def test_where_the_wire_alone_arrives_and_presses_softer_ones_are_tried(chosen: Any) -> None:
+def test_where_the_wire_alone_arrives_and_presses_catheters_and_softer_ones_are_tried(chosen: Any) -> None:
     choose, asked = chosen
     wires = ("radifocus_angled", "radifocus_angled_025")
     outcomes = {"wire alone": TrialStatistics(4, 4, 100.0, 0.8)}
+    outcomes |= dict.fromkeys(WITH_CATHETERS[1:], TrialStatistics(0, 4, 300.0, 0.1))
+    stiff = outcomes | {"stiff in jb2_4f": outcomes[SOFTER]}
+    assert choose(stiff, Task(wire="stiff")) == (Task(wire="stiff"), outcomes["wire alone"])
+    assert asked == [asked_for("wire alone"), asked_for("jb2", "simmons2", "stiff in jb2_4f")]
+
     outcomes |= {wires[0]: TrialStatistics(4, 4, 100.0, 0.5), wires[1]: TrialStatistics(3, 4, 120.0, 0.1)}
     assert choose(outcomes) == (Task(wire=wires[1]), outcomes[wires[1]])
-    assert asked == [asked_for("wire alone"), asked_for("wire alone", *wires)]
-    assert choose(outcomes, Task(wire="stiff")) == (Task(wire="stiff"), outcomes["wire alone"])
-    assert asked == [asked_for("wire alone")]
-
-    outcomes |= dict.fromkeys(WITH_CATHETERS[1:], TrialStatistics(0, 4, 300.0, 0.1)) | {
-        "wire alone": TrialStatistics(3, 4, 150.0, 0.8)
-    }
+    assert asked == [asked_for("wire alone"), asked_for(*WITH_CATHETERS[1:], *wires)]
+    outcomes["wire alone"] = TrialStatistics(3, 4, 150.0, 0.8)
     assert choose(outcomes)[0] == Task(wire=wires[1])
-    assert asked[-1] == asked_for(*WITH_CATHETERS, *wires)
+
+    # a wire that seldom arrives is not taken for being soft
+    outcomes |= {wires[0]: TrialStatistics(1, 4, 200.0, 0.29), wires[1]: TrialStatistics(0, 4, 300.0, 0.1)}
+    outcomes |= {f"{wires[0]} again": TrialStatistics(1, 8, 200.0, 0.29), SOFTER: TrialStatistics(3, 4, 150.0, 0.44)}
+    assert choose(outcomes) == (Task(wire="radifocus_angled_025", catheter="jb2_4f"), outcomes[SOFTER])
 
 
 @pytest.mark.parametrize(

@@ -210,7 +210,7 @@ def propose_targets(tree: VesselTree) -> tuple[dict[str, Target], tuple[str, ...
         if distance < LEAST_DEPTH:
             notes.append(f"no target in {branch.name}: it is only {1e3 * (branch.length - ostium):.0f} mm long")
             continue
-        if distance < min(usual_depth, DEPTH) - 1e-9:
+        if distance < min(usual_depth, DEPTH) - 5e-4:
             notes.append(
                 f"target {branch.name} lies {1e3 * distance:.0f} mm up its branch instead of {1e3 * usual_depth:.0f}: "
                 "the branch is short"
