@@ -67,7 +67,7 @@ class Scene:
         start_seed: of the episode's start.
         attempt_steps: after which the wire is withdrawn and the policy tries again.
         attempts: at most.
-        room: what X-ray images show around the vessels; None: a water bath.
+        background: what X-ray images show around the vessels; None: a water bath.
     """
 
     def __init__(
@@ -79,12 +79,12 @@ class Scene:
         start_seed: int,
         attempt_steps: int,
         attempts: int,
-        room: XRayScene | None = None,
+        background: XRayScene | None = None,
     ) -> None:
         from enn.retrying import RetryingController
 
         self.model, self.policy, self.anatomy, self.start_seed = model, policy, anatomy, start_seed
-        self.room = room
+        self.background = background
         self.environment: Any = WatchedEnvironment(environment)  # that of the policy in everything but its class
         self.steer = RetryingController(self._attempt, attempt_steps, attempts, start_seed)
         self._first_view: Any = None
@@ -190,7 +190,7 @@ def open_scene(
         place, described = _file(anatomy, unit, ct), Path(anatomy).name
         phantom = place.load()
         known = list(phantom.targets)
-        background = place.room()
+        background = place.background()
     chosen = target or next((name for name in TARGETS if name in known), None)
     if chosen is None or chosen not in known:
         absence = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
@@ -254,7 +254,7 @@ def _environment(
 
     if isinstance(policy, ImagePolicy):
         bare = task.test_environment(place, target, task.task.wire, ("goal_image",))
-        return XrayEnvironment(bare, task.task.image_size_px, room=background, **policy.imaging)  # type: ignore[return-value]
+        return XrayEnvironment(bare, task.task.image_size_px, background=background, **policy.imaging)  # type: ignore[return-value]
     return task.test_environment(place, target, task.task.wire, policy.keys)
 
 

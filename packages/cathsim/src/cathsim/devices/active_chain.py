@@ -131,7 +131,7 @@ class ActiveChain:
         self.data = mujoco.MjData(self.model)
         self._kept = kept
         self._saved = np.zeros(self.model.nq + 2 * self.model.nv)
-        self._room = np.empty(library().cathsim_solver_room(self.model.nv))
+        self._workspace = np.empty(library().cathsim_solver_workspace(self.model.nv))
         first = self.model.geom(LINK_NAME.format(0)).id
         self.loads = np.zeros((links if drag else 0, 6))
         self.struct = SimulationStruct(
@@ -140,7 +140,7 @@ class ActiveChain:
             finest=finest,
             data=self.data._address,
             saved=self._saved.ctypes.data,
-            room=self._room.ctypes.data,
+            workspace=self._workspace.ctypes.data,
             solver_rows=library().cathsim_solver_rows(),
             vessel_geom=self.model.geom(GEOM_NAME).id,
             hulls=vessel.wall_parts(self.model),

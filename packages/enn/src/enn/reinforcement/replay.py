@@ -128,9 +128,9 @@ class ReplayBuffer(BaseReplayBuffer):
         self.full = self.added >= self.buffer_size
         self.pos = self.added % self.buffer_size
         if self.added >= CHUNK and self.added.bit_count() == 1 and not self.full:
-            self._require_room()
+            self._require_memory()
 
-    def _require_room(self) -> None:
+    def _require_memory(self) -> None:
         """Refuses images that compress so little that the rest of them will not fit."""
         images = [store for store in self._stores.values() if isinstance(store, FrameStore)]
         now = sum(store.nbytes for store in images)
