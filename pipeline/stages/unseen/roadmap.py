@@ -203,7 +203,7 @@ def training_settings(
         buffer_size=max(decisions, 1000),
         learning_starts=min(MANY_CASES.learning_starts, decisions // 4),
         action_repeat=decision_steps(settings.task),
-        reset_bank_cases=anatomies * len(settings.learnt_targets()),
+        start_state_buffer_cases=anatomies * len(settings.learnt_targets()),
         evaluate_every=max(decisions // evaluations, 1),
         evaluation_episodes=settings.validation_episodes,
         logger=chosen_logger(),

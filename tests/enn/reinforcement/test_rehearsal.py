@@ -21,7 +21,9 @@ from enn.reinforcement.training import Training, TrainingSettings
 from tests.enn.conftest import PointEnv
 from tests.enn.reinforcement.small_training import SMALL
 
-FROM_NOTHING = dataclasses.replace(SMALL, keys=("place",), gradient_steps=1.0, reset_bank_share=0.5, keep_critics=True)
+FROM_NOTHING = dataclasses.replace(
+    SMALL, keys=("place",), gradient_steps=1.0, start_state_buffer_share=0.5, keep_critics=True
+)
 
 
 class WindyEnv(PointEnv):

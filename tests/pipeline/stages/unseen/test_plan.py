@@ -124,7 +124,7 @@ def test_plan_demonstrates_and_lays_starts_in_training_anatomies(tmp_path: Path)
     assert [job.after for job in laid] == [("training/1000",), ("training/1016",)]
     waited = set(jobs["roadmap 4"].after)
     assert {"demonstrations/0", "demonstrations/1", *(job.key for job in laid)} <= waited
-    assert jobs["roadmap 4"].given.settings.reset_bank_cases == 12
+    assert jobs["roadmap 4"].given.settings.start_state_buffer_cases == 12
     none = {job.key: job.given for job in plan(small_settings(demonstrations=0), tmp_path, 1, "desk")}
     assert not [key for key in none if key.startswith("demonstrations")]
 
@@ -254,7 +254,8 @@ def test_plan_in_arch_variety_has_all_types_and_points_of_each_arch(tmp_path: Pa
     assert not any(job.given.targets for job in jobs.values() if isinstance(job.given, roadmap.AnatomiesJob))
     given = jobs["roadmap"].given
     assert given.task.targets == ("point_1", "point_2")
-    assert (given.settings.action_repeat, given.settings.reset_bank_cases) == (2, 16)  # 0.3 s; arches times points
+    assert given.settings.action_repeat == 2  # 0.3 s
+    assert given.settings.start_state_buffer_cases == 16  # arches times points
 
 
 def test_arches_of_arch_variety_with_a_steep_point_are_found() -> None:

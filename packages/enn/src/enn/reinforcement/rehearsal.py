@@ -43,8 +43,8 @@ MANY_CASES = replace(
     batch_size=256,
     gradient_steps=0.5,
     n_envs=16,
-    reset_bank_share=0.5,
-    reset_bank_capacity=64,
+    start_state_buffer_share=0.5,
+    start_state_buffer_capacity=64,
     stop_after=2,
     keep_critics=True,
 )
@@ -115,7 +115,9 @@ def rehearse(
     env = make_env()
     cases = cases_of(env)
     env.close()
-    changed: TrainingSettings = settings.sized(settings.decisions, settings.evaluation_episodes, reset_bank_cases=cases)
+    changed: TrainingSettings = settings.sized(
+        settings.decisions, settings.evaluation_episodes, start_state_buffer_cases=cases
+    )
     if demonstrations and isinstance(changed, SacSettings) and not changed.demonstrations_in_replay:
         changed = replace(changed, demonstrations_in_replay=SHOWN_SHARE, cloning_weight=SHOWN_CLONED)
     if policy is not None:
