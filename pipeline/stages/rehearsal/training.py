@@ -210,13 +210,13 @@ def read_demonstrations(folder: Path) -> list[Trajectory]:
 
 STARTS = "starts.npz"
 FURTHER = "further"  # folder, in the training's, of each that goes on from it: further1, further2, ...
-_LAID = 0.1  # of the training's job
+_INSERTED = 0.1  # of the training's job
 
 
 def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
-    """Lays starts and trains, each only where it lacks, and further while it seldom arrives: times, decisions.
+    """Inserts the wire at start states and trains, each only where it lacks, and further while it seldom arrives.
 
-    A policy that always arrives, and presses gently, is kept as it is.
+    Returns times and decisions. A policy that always arrives, and presses gently, is kept as it is.
     """
     from enn.policy import Policy
     from enn.reinforcement.checkpoint import CheckpointError
@@ -244,14 +244,14 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
 
         def elsewhere() -> list[bool]:
             assert policy is not None
-            report(_LAID, "whether fewer decisions are enough")
+            report(_INSERTED, "whether fewer decisions are enough")
             played.append(first_evaluation(policy, partial(environment, validated), usual, seed=seed))
             return [one.success for one in played[0].outcomes]
 
         def tell(progress: Progress) -> None:
             before = sum(result.timings["decisions"] for result in results)
             share = (before + progress.decisions) / (before + progress.total)
-            report(_LAID + (1 - _LAID) * share, words(progress))
+            report(_INSERTED + (1 - _INSERTED) * share, words(progress))
 
         def trained(start: Policy | None, training: TrainingSettings, folder: str, **further: Any) -> TrainingResult:
             return rehearse(
@@ -310,12 +310,12 @@ def _inserted_start_states(job: RehearsalJob, copies: Sequence[int], report: Rep
         workers = Workers(threads)
         arrays: dict[str, np.ndarray] = {}
         for first in range(0, len(copies), threads):
-            report(_LAID * first / len(copies), f"starts in copy {copies[first]}")
+            report(_INSERTED * first / len(copies), f"starts in copy {copies[first]}")
             cases = range(first, min(first + threads, len(copies)))
-            laid = workers.each(
-                lambda case: environments[case % threads].laid_starts(case, job.origin.training_seed), cases
+            inserted = workers.each(
+                lambda case: environments[case % threads].inserted_starts(case, job.origin.training_seed), cases
             )
-            arrays |= dict(zip(map(str, cases), laid, strict=True))
+            arrays |= dict(zip(map(str, cases), inserted, strict=True))
         workers.close()
         for environment in environments:
             environment.close()

@@ -8,7 +8,7 @@ A policy's folder, ``<row>/seed<k>/``, holds::
 
 A demonstration of the sampling expert is a file, ``demonstrations/<target>_<anatomy>.npz`` in the stage's folder, with
 all that an `enn.trajectory.Trajectory` holds; of one that fails it says only that, so that it is not tried again.
-``starts/<anatomy>.npz`` has an array of states for each target: the wire laid along the planned way to some places
+``starts/<anatomy>.npz`` has an array of states for each target: the wire inserted along the planned way to some places
 before the target, and each of them withdrawn a little, turning.
 """
 
@@ -138,7 +138,7 @@ STARTS = "starts"  # job and folder
 
 @dataclass(frozen=True)
 class StartsJob:
-    """Starts to lay."""
+    """Start states at which the wire is inserted."""
 
     folder: Path
     task: UnseenTask
@@ -146,9 +146,9 @@ class StartsJob:
     seed: int  # of the turns while drawing back
 
 
-def lay_starts(job: StartsJob, report: Report) -> dict[str, Any]:
-    """Lays the starts of the anatomies whose file is not there yet: how many anatomies, and how many states."""
-    from cathsim.devices.wire_placement import laid_starts
+def insert_starts(job: StartsJob, report: Report) -> dict[str, Any]:
+    """Inserts the wire at start states in anatomies whose file is not there yet: how many anatomies and states."""
+    from cathsim.devices.wire_placement import inserted_starts
 
     states = 0
     environment = None
@@ -161,7 +161,7 @@ def lay_starts(job: StartsJob, report: Report) -> dict[str, Any]:
             arrays = {}
             for number, target in enumerate(job.task.targets):
                 environment.reset(seed=0, options={"case": environment.case_of(place, number)})
-                arrays[target] = laid_starts(environment.current, generator)
+                arrays[target] = inserted_starts(environment.current, generator)
             write_arrays(path, arrays)
         with np.load(path) as content:
             states += sum(len(content[target]) for target in job.task.targets)

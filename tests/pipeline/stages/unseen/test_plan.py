@@ -119,11 +119,11 @@ def test_plan_demonstrates_and_lays_starts_in_training_anatomies(tmp_path: Path)
     jobs = {job.key: job for job in plan(small_settings(anatomies=20, demonstrations=5), tmp_path, 1, "desk")}
     shown = [jobs["demonstrations/0"].given, jobs["demonstrations/1"].given]
     assert sorted(seed for given in shown for seed in given.shown) == list(range(1000, 1005))
-    laid = [job for job in jobs.values() if isinstance(job.given, roadmap.StartsJob)]
-    assert [seed for job in laid for seed in job.given.anatomies] == list(range(1000, 1020))
-    assert [job.after for job in laid] == [("training/1000",), ("training/1016",)]
+    inserted = [job for job in jobs.values() if isinstance(job.given, roadmap.StartsJob)]
+    assert [seed for job in inserted for seed in job.given.anatomies] == list(range(1000, 1020))
+    assert [job.after for job in inserted] == [("training/1000",), ("training/1016",)]
     waited = set(jobs["roadmap 4"].after)
-    assert {"demonstrations/0", "demonstrations/1", *(job.key for job in laid)} <= waited
+    assert {"demonstrations/0", "demonstrations/1", *(job.key for job in inserted)} <= waited
     assert jobs["roadmap 4"].given.settings.start_state_buffer_cases == 12
     none = {job.key: job.given for job in plan(small_settings(demonstrations=0), tmp_path, 1, "desk")}
     assert not [key for key in none if key.startswith("demonstrations")]

@@ -11,7 +11,7 @@ import numpy as np
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike
 from cathsim.devices.choice import chosen_wire
-from cathsim.devices.wire_placement import laid_starts
+from cathsim.devices.wire_placement import inserted_starts
 from cathsim.environment import NavigateEnv
 from cathsim.guidewire import Guidewire
 from cathsim.many_anatomies import NavigateManyEnv
@@ -71,8 +71,8 @@ class NavigateCopiesEnv(NavigateManyEnv):
         self._kept: dict[int, Phantom] = {}  # so that the walls of a copy are made once
         super().__init__([int(seed) for seed in copies], targets, (guidewire,), resolution=resolution, **arguments)
 
-    def laid_starts(self, case: int, seed: int = 0) -> np.ndarray:
-        """States of a case with the wire inserted along the way to its target (`devices.wire_placement.laid_starts`).
+    def inserted_starts(self, case: int, seed: int = 0) -> np.ndarray:
+        """States of a case with the wire inserted along the way to its target; see `wire_placement.inserted_starts`.
 
         Args:
             seed: of the turns while it is withdrawn, and of the leads.
@@ -81,7 +81,7 @@ class NavigateCopiesEnv(NavigateManyEnv):
             As `reset(options={"start": row})` takes them, the case last. Shape (k, n).
         """
         self.reset(seed=seed, options={"case": case})
-        states = laid_starts(self.current, np.random.default_rng((seed, case)))
+        states = inserted_starts(self.current, np.random.default_rng((seed, case)))
         return np.concatenate((states, np.full((len(states), 1), float(case))), axis=1)
 
     def _build(self, case: int) -> NavigateEnv:
