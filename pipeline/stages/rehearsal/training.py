@@ -52,7 +52,7 @@ EXPERT = "expert"
 
 def turn_of(job: RehearsalJob) -> Turn[Path] | None:
     """Who plays in the job's turn; None: there are enough demonstrations, or no further demonstrator."""
-    turns = job.rules.turns(job.shown_by, job.start, job.tried)
+    turns = job.rules.turns(job.demonstrators, job.start, job.trial_statistics)
     try:
         turn = next(turns)
         for _ in range(job.turn):
@@ -86,7 +86,7 @@ def demonstration_file(job: RehearsalJob, name: str, copy: int, number: int) -> 
 def policy_names(job: RehearsalJob) -> dict[Path, str]:
     """Stems of the policies' files; where several have one, all but the first get a number."""
     names: dict[Path, str] = {}
-    for path in job.shown_by:
+    for path in job.demonstrators:
         alike = sum(other.stem == path.stem for other in names)
         names[path] = f"{path.stem}{alike + 1}" if alike else path.stem
     return names
@@ -95,7 +95,8 @@ def policy_names(job: RehearsalJob) -> dict[Path, str]:
 PARTS = 2  # of the copies, beside each other
 ENOUGH, LEAST = 6, 3  # episodes of the expert that arrive, in each part; fewer gentle ones: it plays as usual, too
 STEPS = 100_000  # that the expert simulates for an episode at most
-TRIED = {True: 5, False: 3}  # episodes of a gentle expert, of the usual one: it gives up where none of them arrives
+# Episodes of a gentle expert, of the usual one: it gives up where none of them arrives.
+EXPERT_TRIALS = {True: 5, False: 3}
 
 
 def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
@@ -148,7 +149,7 @@ def _episodes_of_expert(
     name = "expert, gently" if gentle else "expert"
     environment = copies_environment(job, copies, training=True, observe_every=held)
     for case in cases:
-        if sum(outcomes) == ENOUGH or (len(outcomes) == TRIED[gentle] and not any(outcomes)):
+        if sum(outcomes) == ENOUGH or (len(outcomes) == EXPERT_TRIALS[gentle] and not any(outcomes)):
             break
         file = demonstration_file(job, EXPERT, copies[case], number)
         if not file.is_file():
@@ -235,7 +236,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
         policy = None if job.start is None else Policy.load(job.start, report.device)
         environment = partial(copies_environment, job, observe_every=held_steps(job))
         may_be_fewer = settings.share_of_decisions < 1 and settings.algorithm == SAC
-        always = in_share(outcomes, job.tried, 1.0)
+        always = in_share(outcomes, job.trial_statistics, 1.0)
         evaluations = rules.fewer_evaluations if may_be_fewer and always else None
         usual = training_settings(job, report.device, evaluations=evaluations)
         shorter = training_settings(job, report.device, fewer=True)
@@ -274,7 +275,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
             policy.save(job.own_folder / POLICY, critics=True)
             return _training_record(begun, [])
         starts = _inserted_start_states(job, copies, report)
-        fewer = may_be_fewer and rules.mostly_arrives(outcomes, job.tried, elsewhere)
+        fewer = may_be_fewer and rules.mostly_arrives(outcomes, job.trial_statistics, elsewhere)
         first = played[0] if played else None
         results.append(trained(policy, shorter if fewer else usual, "", first_result=first))
         for number in range(1, settings.further_trainings + 1):

@@ -45,18 +45,18 @@ if TYPE_CHECKING:
 ARRIVED = "terminated"  # name in the file: whether the target was reached
 
 
-def demonstration_arrays(shown: Trajectory) -> dict[str, Any]:
+def demonstration_arrays(episode: Trajectory) -> dict[str, Any]:
     """The arrays of an episode by their names in the file; of one that did not arrive, only that."""
-    if not shown.terminated:
+    if not episode.terminated:
         return {ARRIVED: np.array(False)}
     return {
-        **shown.observations,
-        "actions": shown.actions,
-        "rewards": shown.rewards,
+        **episode.observations,
+        "actions": episode.actions,
+        "rewards": episode.rewards,
         ARRIVED: np.array(True),
-        "forces": shown.forces,
-        "tips": shown.tips,
-        "states": shown.simulation_states,
+        "forces": episode.forces,
+        "tips": episode.tips,
+        "states": episode.simulation_states,
     }
 
 
@@ -94,7 +94,7 @@ class DemonstrationsJob:
     folder: Path
     task: UnseenTask
     anatomies: tuple[int, ...]  # seeds of all random arches trained on, so that states know their case
-    shown: tuple[int, ...]  # those of them with a demonstration each
+    demonstrated: tuple[int, ...]  # those of them with a demonstration each
     target: str
     hold: int  # steps for which the expert holds an action: those of a decision of the policy
     seed: int
@@ -107,19 +107,19 @@ def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, A
     environment = job.task.training_environment(job.anatomies, ROADMAP_KEYS)
     target = job.task.targets.index(job.target)
     reached = 0
-    for done, seed in enumerate(job.shown):
+    for done, seed in enumerate(job.demonstrated):
         text = f"{job.target} of arch {seed}, {reached}/{done} reached"
         path = job.folder / f"{job.target}_{seed}.npz"
         if not path.is_file():
             case = environment.case_of(job.anatomies.index(seed), target)
-            tick = partial(report, done / len(job.shown), text)
+            tick = partial(report, done / len(job.demonstrated), text)
             seed_of_start = arch_demonstration_seed(job.seed)
             write_arrays(
                 path, demonstrate(environment, case, ROADMAP_KEYS, hold=job.hold, seed=seed_of_start, tick=tick)
             )
         reached += arrived(path)
     environment.close()
-    return {"shown": len(job.shown), "reached": reached}
+    return {"shown": len(job.demonstrated), "reached": reached}
 
 
 def read_demonstrations(folder: Path, anatomies: Sequence[int]) -> list[Trajectory]:

@@ -175,12 +175,12 @@ def _demonstrations(run: _Run, after: tuple[str, ...]) -> list[Job]:
             folder=run.folder / DEMONSTRATIONS,
             task=run.task,
             anatomies=anatomies,
-            shown=demonstration_arches[part::_PARTS],
+            demonstrated=demonstration_arches[part::_PARTS],
             target=DEMONSTRATED,
             hold=decision_steps(run.task.task),
             seed=run.seed,
         )
-        weight = len(part_job.shown) * _SECONDS["demonstration"]
+        weight = len(part_job.demonstrated) * _SECONDS["demonstration"]
         jobs.append(Job(f"{DEMONSTRATIONS}/{part}", record_demonstrations, part_job, after=after, weight=weight))
     return jobs
 

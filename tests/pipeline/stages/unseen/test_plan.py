@@ -117,8 +117,8 @@ def test_registrations_are_tried_on_the_same_arches_and_starts(tmp_path: Path) -
 
 def test_plan_demonstrates_and_lays_starts_in_training_anatomies(tmp_path: Path) -> None:
     jobs = {job.key: job for job in plan(small_settings(anatomies=20, demonstrations=5), tmp_path, 1, "desk")}
-    shown = [jobs["demonstrations/0"].given, jobs["demonstrations/1"].given]
-    assert sorted(seed for given in shown for seed in given.shown) == list(range(1000, 1005))
+    parts = [jobs["demonstrations/0"].given, jobs["demonstrations/1"].given]
+    assert sorted(seed for given in parts for seed in given.demonstrated) == list(range(1000, 1005))
     inserted = [job for job in jobs.values() if isinstance(job.given, roadmap.StartsJob)]
     assert [seed for job in inserted for seed in job.given.anatomies] == list(range(1000, 1020))
     assert [job.after for job in inserted] == [("training/1000",), ("training/1016",)]
