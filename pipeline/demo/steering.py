@@ -184,23 +184,23 @@ def open_scene(
     place: int | AnatomyFile
     background = None
     if anatomy is None:
-        place, described = unseen_arches(_ARCHES)[seed], f"random arch {unseen_arches(_ARCHES)[seed]}"
+        place, label = unseen_arches(_ARCHES)[seed], f"random arch {unseen_arches(_ARCHES)[seed]}"
         known = list(GENERATED_TARGETS)
     else:
-        place, described = _file(anatomy, unit, ct), Path(anatomy).name
+        place, label = _file(anatomy, unit, ct), Path(anatomy).name
         phantom = place.load()
         known = list(phantom.targets)
         background = place.background()
-    chosen = target or next((name for name in TARGETS if name in known), None)
-    if chosen is None or chosen not in known:
+    target_name = target or next((name for name in TARGETS if name in known), None)
+    if target_name is None or target_name not in known:
         absence = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
-        raise ConfigurationError(f"{described} has {absence}: choose --target from {', '.join(known) or 'none'}")
+        raise ConfigurationError(f"{label} has {absence}: choose --target from {', '.join(known) or 'none'}")
     policy = enn.load(model)  # takes seconds, after all that can be refused at once
     known_models = enn.models()
     of_both = [name for one in WITH_POLICIES if (name := f"{model}_{one}") in known_models] if catheter else []
     rules: Task | None = None
     if of_both:
-        model, policy, rules = _best_model([model, *of_both], place, chosen)
+        model, policy, rules = _best_model([model, *of_both], place, target_name)
     if TASK not in policy.metadata:
         raise ConfigurationError(
             f"the model {model!r} does not say which task it was trained for: choose another model"
@@ -209,8 +209,8 @@ def open_scene(
     steps = rules.max_steps
     task = UnseenTask(TARGETS, replace(rules, max_steps=steps_of_attempts(steps, attempts)))
     start_seed = held_out_seeds(0, _ARCHES)[seed]
-    environment = _environment(task, place, chosen, policy, background)
-    return Scene(model, policy, environment, described, start_seed, steps, attempts, background)
+    environment = _environment(task, place, target_name, policy, background)
+    return Scene(model, policy, environment, label, start_seed, steps, attempts, background)
 
 
 def _best_model(

@@ -71,7 +71,7 @@ def test_demonstrated_actions_are_cloned_where_the_critics_prefer_them(point_env
         _fill(learner, envs)
         model = learner.model
         data = learner.replay.sample(64)
-        assert learner.replay.shown_in(64) == 32
+        assert learner.replay.demonstrations_in(64) == 32
         given = shown.gather(np.arange(shown.added), np.zeros(shown.added, int))
         assert {tuple(one) for one in data.actions[-32:].tolist()} <= {tuple(one) for one in given.actions.tolist()}
         # nothing is cloned where the policy's own actions are worth more, all of it where they are worth less

@@ -34,7 +34,7 @@ from cathsim.anatomy.generator.variety_arch import (
     draw_path,
 )
 from cathsim.anatomy.geodesic import graph_distance
-from cathsim.anatomy.library import NAMED, phantom_described, phantom_description
+from cathsim.anatomy.library import NAMED, phantom_from_spec, phantom_to_spec
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.phantom import locate_targets, target_share
 
@@ -303,7 +303,7 @@ def test_a_seed_is_one_tree_with_targets_along_its_vessels() -> None:
     phantom = load_phantom("random_tree", seed=4)
     assert phantom is load_phantom("random_tree_4")
     assert np.array_equal(phantom.tree["rcca"].points, build_random_tree(RandomTree(4))["rcca"].points)
-    assert phantom.hash == phantom_described(phantom_description(phantom)).hash
+    assert phantom.hash == phantom_from_spec(phantom_to_spec(phantom)).hash
     for branch in phantom.tree:
         assert (phantom.grid.sample(branch.points[5:-5]) > 0).all(), branch.name
     place = phantom.depths.place(phantom.target("internal_carotid_left@100").position)

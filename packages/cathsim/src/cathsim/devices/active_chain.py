@@ -107,7 +107,7 @@ class ActiveChain:
 
     Args:
         models: the model, and the addresses of its twins with shorter timesteps.
-        kept: what must live as long as the chain, because the native struct points to it.
+        references: what must live as long as the chain, because the native struct points to it.
         links: number of links of the model.
         depth_samples: points a link at which the penetration is measured; 0: it is not.
         wall_stiffness: of each contact with the wall, N/mm; None: the usual contact's.
@@ -117,7 +117,7 @@ class ActiveChain:
     def __init__(
         self,
         models: tuple[mujoco.MjModel, int, int],
-        kept: tuple[Any, ...],
+        references: tuple[Any, ...],
         links: int,
         *,
         vessel: Vessel,
@@ -129,7 +129,7 @@ class ActiveChain:
     ) -> None:
         self.model, fine, finest = models
         self.data = mujoco.MjData(self.model)
-        self._kept = kept
+        self._references = references
         self._saved = np.zeros(self.model.nq + 2 * self.model.nv)
         self._workspace = np.empty(library().cathsim_solver_workspace(self.model.nv))
         first = self.model.geom(LINK_NAME.format(0)).id

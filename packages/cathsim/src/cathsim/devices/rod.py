@@ -150,7 +150,7 @@ class Rod:
                 f"a chain of {joints} joints needs twist of shape (2, {joints}) and weights of (2, {len(links)}, 2), "
                 f"got {twist.shape} and {weight.shape}"
             )
-        self._kept = (model, tables, links, from_end, before, after, cells, workspace, weight, twist)
+        self._references = (model, tables, links, from_end, before, after, cells, workspace, weight, twist)
         geom = model.geom(chain + LINK_NAME.format(0)).id
         self.struct = RodStruct(
             model=model._address,
