@@ -184,9 +184,9 @@ def choices(group: str) -> Sequence[str]:
     return CHOICES.get(group) or sorted(file.stem for file in (CONFIG_DIRECTORY / group).glob("*.yaml"))
 
 
-def settings_beside(key: str, chosen: Mapping[str, str]) -> list[str]:
+def settings_beside(key: str, choices: Mapping[str, str]) -> list[str]:
     """The settings beside a key such as ``stage.task.wire``, real or not; `chosen`: group to choice, if known."""
-    owner, stage = key.rpartition(".")[0], chosen.get("stage", "")
+    owner, stage = key.rpartition(".")[0], choices.get("stage", "")
     if owner.rpartition(".")[2] in ("task", "arch_task"):
         return [f"{owner}.{item.name}" for item in dataclasses.fields(Task)]
     kinds_of: dict[str, Any] = {item.name: item.default_factory for item in dataclasses.fields(RunConfig)}
@@ -198,7 +198,7 @@ def settings_beside(key: str, chosen: Mapping[str, str]) -> list[str]:
     if group == "stage":
         fields = dataclasses.fields(settings_of(stage)) if stage in available_stages() else ()
     else:
-        fields = dataclasses.fields(SETTINGS.get(chosen.get("engine", ""), SETTINGS[LOCAL]))
+        fields = dataclasses.fields(SETTINGS.get(choices.get("engine", ""), SETTINGS[LOCAL]))
     return [f"{group}.{item.name}" for item in fields if item.name != "name"]
 
 

@@ -271,13 +271,13 @@ def _same(one: Any, other: Any) -> bool:
 
 
 def require_same_task(
-    stage: str, wanted: Task, found: Task, whose: str, maker: str, parts: Sequence[str] = PARTS
+    stage: str, requested: Task, found: Task, whose: str, maker: str, parts: Sequence[str] = PARTS
 ) -> None:
     """Refuses what an earlier stage made for another task; `whose`: e.g. "the expert policy of type_1/bca"."""
-    differing = differences(wanted, found, parts)
+    differing = differences(requested, found, parts)
     if not differing:
         return
-    request, result = (", ".join(f"{name}={getattr(task, name)}" for name in differing) for task in (wanted, found))
+    request, result = (", ".join(f"{name}={getattr(task, name)}" for name in differing) for task in (requested, found))
     raise StageError(
         f"stage {stage} was asked for {request}, but {whose} was made by stage {maker} with {result}: give both stages "
         f"the same task ({', '.join(f'task.{name}=…' for name in differing)}), or run stage={maker} again"

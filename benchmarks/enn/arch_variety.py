@@ -124,7 +124,7 @@ class Player:
 
         return RetryingController(attempt, self.attempt_steps, seed=seed)
 
-    def tried(self, seed: int, copies: int) -> TrialStatistics:
+    def trial_statistics(self, seed: int, copies: int) -> TrialStatistics:
         """How the policy fares in copies of the present arch."""
         environment = NavigateCopiesEnv(
             self.bare.phantom, (self.bare.task.target,), copies=range(1, TRIALS + 1),
@@ -147,7 +147,7 @@ def play(players: list[Player], case: int, seed: int, given: argparse.Namespace)
     goal, steep = players[0].bare.task.target, players[0].steep()
     branch = players[0].bare.phantom.target(goal).branch
     if given.among:
-        tries = [partial(player.tried, FIRST_TRIAL + seed) for player in players]
+        tries = [partial(player.trial_statistics, FIRST_TRIAL + seed) for player in players]
         in_turn = [players[best_devices(tries, int(steep))]]
     else:
         in_turn = players[:1] if len(players) == 1 else players[::-1] if steep else players

@@ -27,8 +27,8 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
 
 from enn.reinforcement.replay import ReplayBuffer, nbytes_needed
-from enn.reinforcement.reset_bank import ResetBank
 from enn.reinforcement.soft_actor_critic import SacLearner
+from enn.reinforcement.start_state_buffer import StartStateBuffer
 from enn.reinforcement.training import DESK_SAC, Training
 from enn.reinforcement.vector_envs import SampledEnvs
 
@@ -120,10 +120,10 @@ def updates(quick: bool) -> dict[str, float]:
 
 
 def simulation(quick: bool) -> dict[str, float]:
-    """A step of the simulator inside the sampler, random actions, with the cost of recording for the bank."""
+    """A step of the simulator inside the sampler, random actions, with the cost of recording for the buffer."""
     result = {}
-    for name, bank in (("step_ms", None), ("step_with_bank_ms", ResetBank(0.5))):
-        envs = SampledEnvs([navigate] * 4, seed=0, reset_bank=bank)
+    for name, buffer in (("step_ms", None), ("step_with_buffer_ms", StartStateBuffer(0.5))):
+        envs = SampledEnvs([navigate] * 4, seed=0, start_state_buffer=buffer)
         envs.reset()
         generator = np.random.default_rng(0)
         forwards = np.array([0.7, 0.0])

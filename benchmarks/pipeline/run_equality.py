@@ -95,13 +95,13 @@ def main() -> int:
     parser.add_argument("after", type=Path, nargs="?")
     parser.add_argument("stages", nargs="*", help="stages to compare; all by default")
     parser.add_argument("--quick", action="store_true", help="run phantoms and expert twice and compare them")
-    asked = parser.parse_args()
-    if asked.quick:
+    arguments = parser.parse_args()
+    if arguments.quick:
         with tempfile.TemporaryDirectory() as folder:
-            return compare(*(smoke_run(Path(folder), name) for name in ("before", "after")), asked.stages)
-    if asked.after is None:
+            return compare(*(smoke_run(Path(folder), name) for name in ("before", "after")), arguments.stages)
+    if arguments.after is None:
         parser.error("give the folders of two runs, or --quick")
-    return compare(asked.before, asked.after, asked.stages)
+    return compare(arguments.before, arguments.after, arguments.stages)
 
 
 def smoke_run(folder: Path, name: str) -> Path:

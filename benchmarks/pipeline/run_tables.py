@@ -59,8 +59,8 @@ def as_markdown(
         columns = [column for column in columns if column in wanted]
     lines = [f"| {name} | {' | '.join(columns)} |", "|" + "---|" * (len(columns) + 1)]
     for row, cells in rows.items():
-        told = [words(cells.get(column), joined.get((name, row, column))) for column in columns]
-        lines.append(f"| {row} | {' | '.join(told)} |")
+        cells_text = [words(cells.get(column), joined.get((name, row, column))) for column in columns]
+        lines.append(f"| {row} | {' | '.join(cells_text)} |")
     return "\n".join(lines)
 
 

@@ -99,10 +99,10 @@ def make_env(
     """
     if n_envs < 1:
         raise ValueError(f"n_envs must be at least 1, got {n_envs}")
-    wanted = getattr(cfg, "task", None)
+    task_name = getattr(cfg, "task", None)
     kind = AsyncVectorEnv if use_async_envs else SyncVectorEnv
     made: dict[int, VectorEnv] = {}
-    for number, task in enumerate(TASKS if wanted is None else (wanted,)):
+    for number, task in enumerate(TASKS if task_name is None else (task_name,)):
         phantom, slash, target = str(task).partition("/")
         if not (phantom and slash and target):
             raise ValueError(f"a task is PHANTOM/TARGET, such as {TASKS[0]}, got {task!r}")

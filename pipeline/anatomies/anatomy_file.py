@@ -82,9 +82,9 @@ class AnatomyFile:
         """Its phantom, grid nodes `resolution` m apart; a ValueError says why it cannot be imported."""
         return _imported(replace(self, ct=None), resolution)
 
-    def room(self) -> XRayScene | None:
+    def background(self) -> XRayScene | None:
         """Its CT, which X-ray images show around its vessels, or None; a ValueError if it is not the anatomy's."""
-        return None if self.ct is None else _room(self)
+        return None if self.ct is None else _background(self)
 
 
 def in_settings(text: object) -> str:
@@ -112,7 +112,7 @@ def _imported(file: AnatomyFile, resolution: float) -> Phantom:
 
 
 @functools.lru_cache(maxsize=1)  # a CT has hundreds of MB
-def _room(file: AnatomyFile) -> XRayScene:
+def _background(file: AnatomyFile) -> XRayScene:
     from cathsim.fluoroscopy import ct_scene
 
     assert file.ct is not None

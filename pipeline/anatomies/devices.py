@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 _LEAST_TIMES, _TIMES = 2.0, 3.0  # of the steps that a way takes at full speed: the fewest of an episode; a long one's
-_ROOM = 0.03  # m of wire beyond the way to the target and what lies in the sheath
+_MARGIN = 0.03  # m of wire beyond the way to the target and what lies in the sheath
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ def fitted_task(task: Task, phantom: Phantom, targets: Sequence[Any]) -> Task:
     ways = [phantom.way_length(target, entry_name(entry_place(task.entry), target)) for target in targets]
     if task.wire_length_mm or task.wire == NO_WIRE:
         return task
-    needed = max(ways) + RESERVE + _ROOM
+    needed = max(ways) + RESERVE + _MARGIN
     return task if needed <= task.guidewire().length else replace(task, wire_length_mm=10.0 * math.ceil(100.0 * needed))
 
 

@@ -226,7 +226,7 @@ def settle(settings: ChosenAnatomies) -> None:
         phantom = file.load()
         for note in phantom.imported.notes if phantom.imported else ():
             _LOGGER.info("%s: note: %s", settings.file_name, in_settings(note))
-        file.room()  # now, and not after the work
+        file.background()  # now, and not after the work
         if settings.point_mm is not None:
             point = world_point(phantom, settings.point_mm)
             phantom.target(point)

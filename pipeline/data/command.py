@@ -49,7 +49,7 @@ def _list(sources: Sources) -> int:
 
 def _fetch(sources: Sources, names: list[str]) -> int:
     failed = False
-    for name in sources.chosen(names):
+    for name in sources.select(names):
         for file in sources.missing(name):
             url, place = sources.url(name, file), sources.place(name, file)
             try:

@@ -69,7 +69,7 @@ class Sources:
     entries: dict[str, Source]
     folder: Path
 
-    def chosen(self, names: list[str]) -> list[str]:
+    def select(self, names: list[str]) -> list[str]:
         """The names, or without any all of them; a ConfigurationError lists them if one is unknown."""
         for name in names:
             if name not in self.entries:

@@ -9,9 +9,9 @@ from typing import Any
 import imageio_ffmpeg
 import numpy as np
 
+from cathsim.viewing.display_fluoroscope import VIEWS, DisplayWindow
 from cathsim.viewing.film import Film, film_palette, write_gif
 from cathsim.viewing.opencv import cv2
-from cathsim.viewing.room_fluoroscope import VIEWS, DisplayWindow
 from pipeline.demo.steering import Scene
 from pipeline.store.atomic_files import atomic_path
 
@@ -118,7 +118,13 @@ class DemoFilm(Film):
 
         radius, catheter = wire_radius_of(environment.simulation), catheter_in(environment.simulation)
         fluoroscope = fluoroscope_of(
-            environment.phantom, VIEW_PX, radius, catheter, view, field=self.scene.field, room=self.scene.room
+            environment.phantom,
+            VIEW_PX,
+            radius,
+            catheter,
+            view,
+            field=self.scene.field,
+            background=self.scene.background,
         )
         return np.asarray(frame_of(environment.simulation, fluoroscope, self._noise, view).image)
 

@@ -67,7 +67,7 @@ class Scene:
         start_seed: of the episode's start.
         attempt_steps: after which the wire is withdrawn and the policy tries again.
         attempts: at most.
-        room: what X-ray images show around the vessels; None: a water bath.
+        background: what X-ray images show around the vessels; None: a water bath.
     """
 
     def __init__(
@@ -79,12 +79,12 @@ class Scene:
         start_seed: int,
         attempt_steps: int,
         attempts: int,
-        room: XRayScene | None = None,
+        background: XRayScene | None = None,
     ) -> None:
         from enn.retrying import RetryingController
 
         self.model, self.policy, self.anatomy, self.start_seed = model, policy, anatomy, start_seed
-        self.room = room
+        self.background = background
         self.environment: Any = WatchedEnvironment(environment)  # that of the policy in everything but its class
         self.steer = RetryingController(self._attempt, attempt_steps, attempts, start_seed)
         self._first_view: Any = None
@@ -184,23 +184,23 @@ def open_scene(
     place: int | AnatomyFile
     background = None
     if anatomy is None:
-        place, described = unseen_arches(_ARCHES)[seed], f"random arch {unseen_arches(_ARCHES)[seed]}"
+        place, label = unseen_arches(_ARCHES)[seed], f"random arch {unseen_arches(_ARCHES)[seed]}"
         known = list(GENERATED_TARGETS)
     else:
-        place, described = _file(anatomy, unit, ct), Path(anatomy).name
+        place, label = _file(anatomy, unit, ct), Path(anatomy).name
         phantom = place.load()
         known = list(phantom.targets)
-        background = place.room()
-    chosen = target or next((name for name in TARGETS if name in known), None)
-    if chosen is None or chosen not in known:
+        background = place.background()
+    target_name = target or next((name for name in TARGETS if name in known), None)
+    if target_name is None or target_name not in known:
         absence = "none of bca, lcca and lsa" if target is None else f"no target {target!r}"
-        raise ConfigurationError(f"{described} has {absence}: choose --target from {', '.join(known) or 'none'}")
+        raise ConfigurationError(f"{label} has {absence}: choose --target from {', '.join(known) or 'none'}")
     policy = enn.load(model)  # takes seconds, after all that can be refused at once
     known_models = enn.models()
     of_both = [name for one in WITH_POLICIES if (name := f"{model}_{one}") in known_models] if catheter else []
     rules: Task | None = None
     if of_both:
-        model, policy, rules = _best_model([model, *of_both], place, chosen)
+        model, policy, rules = _best_model([model, *of_both], place, target_name)
     if TASK not in policy.metadata:
         raise ConfigurationError(
             f"the model {model!r} does not say which task it was trained for: choose another model"
@@ -209,8 +209,8 @@ def open_scene(
     steps = rules.max_steps
     task = UnseenTask(TARGETS, replace(rules, max_steps=steps_of_attempts(steps, attempts)))
     start_seed = held_out_seeds(0, _ARCHES)[seed]
-    environment = _environment(task, place, chosen, policy, background)
-    return Scene(model, policy, environment, described, start_seed, steps, attempts, background)
+    environment = _environment(task, place, target_name, policy, background)
+    return Scene(model, policy, environment, label, start_seed, steps, attempts, background)
 
 
 def _best_model(
@@ -254,7 +254,7 @@ def _environment(
 
     if isinstance(policy, ImagePolicy):
         bare = task.test_environment(place, target, task.task.wire, ("goal_image",))
-        return XrayEnvironment(bare, task.task.image_size_px, room=background, **policy.imaging)  # type: ignore[return-value]
+        return XrayEnvironment(bare, task.task.image_size_px, background=background, **policy.imaging)  # type: ignore[return-value]
     return task.test_environment(place, target, task.task.wire, policy.keys)
 
 

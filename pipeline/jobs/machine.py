@@ -96,10 +96,10 @@ class Machine:
     """What jobs share."""
 
     def __init__(
-        self, cores: int, room_gb: float, gpus: Sequence[Gpu] = (), shared: Path | None = None
+        self, cores: int, available_gb: float, gpus: Sequence[Gpu] = (), shared: Path | None = None
     ) -> None:  # fmt: skip
         """So many jobs at the same time, memory and GPUs; `shared`: folder of the chain whose stages share them."""
-        self.room_gb, self.gpus, self._shared = room_gb, list(gpus), shared
+        self.available_gb, self.gpus, self._shared = available_gb, list(gpus), shared
         self._state: dict[str, Any] = {"cores": cores, "jobs": [], "waiting": {}}
 
     @classmethod
@@ -110,7 +110,7 @@ class Machine:
             return cls(cores, available() / _GB, gpus_of(device, find_gpus() if device != CPU else ()))
         machine = cls(cores, 0.0, shared=Path(folder))
         with machine._locked() as state:
-            machine.room_gb = state["room_gb"]
+            machine.available_gb = state["available_gb"]
             if device != CPU:
                 if state["gpus"] is None:
                     state["gpus"] = [asdict(gpu) for gpu in find_gpus()]
@@ -127,9 +127,9 @@ class Machine:
                 f"{len(self.gpus)} {wide} have so much, {most:.1f} GB the most: free memory there, or set "
                 "stage.device=cpu"
             )
-        if job.memory_gb > self.room_gb:
+        if job.memory_gb > self.available_gb:
             raise StageError(
-                f"{job.key} needs about {job.memory_gb:.1f} GB of memory, {self.room_gb:.1f} GB are available: "
+                f"{job.key} needs about {job.memory_gb:.1f} GB of memory, {self.available_gb:.1f} GB are available: "
                 "end other programs, or make it smaller (stage.decisions or the side of the images, for a training)"
             )
 
@@ -137,7 +137,7 @@ class Machine:
         """Gives a job a core, memory, and the GPUs with most memory free (() for none); None: one is missing."""
         with self._locked() as state:
             others, own = state["jobs"], str(os.getpid())
-            left_gb = self.room_gb - sum(other["memory_gb"] for other in others)
+            left_gb = self.available_gb - sum(other["memory_gb"] for other in others)
             has_memory, has_core = job.memory_gb <= left_gb, len(others) < state["cores"]
             may_start = has_memory and has_core and not self._another_comes_first(state, left_gb)
             state["waiting"].pop(own, None)
@@ -211,10 +211,10 @@ def _lives(owner: str) -> bool:
 
 
 @contextlib.contextmanager
-def shared_machine(cores: int, room_gb: float) -> Iterator[None]:
+def shared_machine(cores: int, available_gb: float) -> Iterator[None]:
     """Has the stages that are started while the body runs share so many cores, so much memory, and the GPUs."""
     with tempfile.TemporaryDirectory(prefix="endonav-machine-") as name:
-        state: dict[str, Any] = {"cores": cores, "room_gb": room_gb, "gpus": None, "jobs": [], "waiting": {}}
+        state: dict[str, Any] = {"cores": cores, "available_gb": available_gb, "gpus": None, "jobs": [], "waiting": {}}
         Path(name, _STATE).write_text(json.dumps(state), "utf-8")
         os.environ[FOLDER] = name
         try:

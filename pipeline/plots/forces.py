@@ -69,9 +69,9 @@ def draw_boxes(episodes: Sequence[EpisodeForces], real_mean_n: float, real_sd_n:
     tasks = sorted({(episode.phantom, episode.target) for episode in episodes})
     samples, labels = [], []
     for phantom, target in tasks:
-        chosen = [episode for episode in episodes if (episode.phantom, episode.target) == (phantom, target)]
-        samples.append(pooled(chosen))
-        labels.append(f"{phantom}\n{target.upper()}\n{len(chosen)} episodes")
+        selection = [episode for episode in episodes if (episode.phantom, episode.target) == (phantom, target)]
+        samples.append(pooled(selection))
+        labels.append(f"{phantom}\n{target.upper()}\n{len(selection)} episodes")
     low, high = real_mean_n - real_sd_n, real_mean_n + real_sd_n
     with chart(file, max(4.5, 1.5 + 1.1 * len(tasks)), grid="y") as axes:
         axes.axhspan(low, high, color=_REAL, alpha=0.15, label="real, mean ± SD")

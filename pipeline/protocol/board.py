@@ -29,9 +29,9 @@ _TREES, _EACH = range(700_000, 700_050), 2  # of random trees: nothing is traine
 
 @dataclass(frozen=True)
 class Episode:
-    """Where an episode is played: the anatomy's name and what it is told by, and what `reset` is called with."""
+    """Where an episode is played: its labels, such as the name of the anatomy, and what `reset` is called with."""
 
-    told: dict[str, str]
+    labels: dict[str, str]
     seed: int
     options: dict[str, Any]
 
@@ -112,7 +112,7 @@ def measure_row(
     for number, episode in enumerate(played):
         outcome = _play(policy, environment, episode)
         branch = bare.phantom.target(bare.task.target).branch
-        cases.append({**episode.told, "seed": episode.seed, "target": branch, **outcome})
+        cases.append({**episode.labels, "seed": episode.seed, "target": branch, **outcome})
         tell(board, number + 1, len(played))
     environment.close()
     return {

@@ -159,9 +159,9 @@ def describe_episode(
 
 def _imported_from(phantom: Phantom) -> dict[str, Any]:
     """Where the anatomy of a file came from, so that the episode can be repeated; nothing of another anatomy."""
-    from cathsim.anatomy.library import phantom_description
+    from cathsim.anatomy.library import phantom_to_spec
 
-    return {} if phantom.source is None else {ANATOMY: phantom_description(phantom)}
+    return {} if phantom.source is None else {ANATOMY: phantom_to_spec(phantom)}
 
 
 def _devices_of(simulation: Simulation) -> dict[str, Any]:

@@ -162,13 +162,13 @@ def _environment(
 def recorded_phantom(info: EpisodeInfo) -> Phantom:
     """The anatomy that an episode was recorded in; an EpisodeReadError where its file is gone or has changed."""
     from cathsim import load_phantom
-    from cathsim.anatomy.library import phantom_described
+    from cathsim.anatomy.library import phantom_from_spec
 
-    described = info.configuration.get(ANATOMY)
-    if described is None:
+    description = info.configuration.get(ANATOMY)
+    if description is None:
         return load_phantom(info.phantom)
     try:
-        return dataclasses.replace(phantom_described(described), name=info.phantom)
+        return dataclasses.replace(phantom_from_spec(description), name=info.phantom)
     except ValueError as error:
         raise EpisodeReadError(f"the log of seed {info.seed} was recorded in the anatomy of a file: {error}") from error
 

@@ -63,7 +63,7 @@ class ShownFigure:
 
 
 def gather_figures(
-    stage: str, folder: Path, report: Path, *, embed_limit: int, room: float = math.inf
+    stage: str, folder: Path, report: Path, *, embed_limit: int, free_bytes: float = math.inf
 ) -> list[ShownFigure]:
     """Collects the figures of one stage folder.
 
@@ -71,7 +71,7 @@ def gather_figures(
         stage: name of the folder, ``expert`` or ``expert@seed=1``; it heads figures without a group of their own.
         report: the report's folder; large files are copied below it, so that it can be moved as a whole.
         embed_limit: size in bytes up to which a file goes inside the page.
-        room: bytes of the page that its figures may take together; what does not fit lies beside it.
+        free_bytes: of the page that its figures may take together; what does not fit lies beside it.
     """
     figures = []
     for figure in read_figures(folder):
@@ -80,9 +80,9 @@ def gather_figures(
         if media_type is None:
             continue
         size = file.stat().st_size
-        if size <= embed_limit and _BASE64 * size <= room:
+        if size <= embed_limit and _BASE64 * size <= free_bytes:
             source = f"data:{media_type};base64,{base64.b64encode(file.read_bytes()).decode()}"
-            room -= len(source)
+            free_bytes -= len(source)
         else:
             relative = Path(FIGURES_FOLDER, stage, figure.file)
             with atomic_path(report / relative) as temporary:

@@ -109,10 +109,10 @@ def _largest_forces(material: Material, folder: Path) -> list[Figure]:
     labels, groups = row_labels("cathsim_results"), group_labels()
     phantoms: dict[str, dict[tuple[str, str], NDArray[np.float64]]] = {}
     for (stage, phantom, target, row), evaluations in named_rows(material.evaluations).items():
-        chosen = of_mode(evaluations, DETERMINISTIC)
-        if stage == "baselines" and chosen:
+        deterministic = of_mode(evaluations, DETERMINISTIC)
+        if stage == "baselines" and deterministic:
             boxes = phantoms.setdefault(groups.get(phantom, phantom), {})
-            boxes[labels.get(row, row), target] = np.array([one.metrics.force_max for one in chosen])
+            boxes[labels.get(row, row), target] = np.array([one.metrics.force_max for one in deterministic])
     if not phantoms:
         return []
     file = "largest_forces.png"
@@ -126,9 +126,9 @@ def _largest_forces(material: Material, folder: Path) -> list[Figure]:
 
 def _heat(material: Material, folder: Path) -> list[Figure]:
     figures = []
-    chosen = of_mode([one for one in material.evaluations if one.stage == "baselines"], DETERMINISTIC)
-    for phantom, target in sorted({(one.phantom, one.target) for one in chosen}):
-        of_task = [one for one in chosen if (one.phantom, one.target) == (phantom, target)]
+    deterministic = of_mode([one for one in material.evaluations if one.stage == "baselines"], DETERMINISTIC)
+    for phantom, target in sorted({(one.phantom, one.target) for one in deterministic}):
+        of_task = [one for one in deterministic if (one.phantom, one.target) == (phantom, target)]
         vessel = _phantom(phantom, material.run_path / of_task[0].log)
         if vessel is None:
             continue

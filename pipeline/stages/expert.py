@@ -105,7 +105,7 @@ def record_trial(trial: Trial, settings: ExpertSettings, folder: Path, *, seed: 
     film = None
     if settings.film and not trial.evaluation and trial.episode < settings.film_episodes:
         file = settings.anatomy_file
-        film = Film(room=None if file is None else file.room())
+        film = Film(background=None if file is None else file.background())
     try:
         metrics = record_episode(
             environment,

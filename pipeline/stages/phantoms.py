@@ -74,7 +74,7 @@ def check_phantoms(settings: PhantomsSettings) -> None:
     _LOGGER.info("phantoms: reading %s, a minute for a new file", file.path)
     try:
         file.load(settings.resolution_mm / _MM)
-        file.room()
+        file.background()
     except ValueError as error:
         raise ConfigurationError(f"phantom {file.name} cannot be built: {in_settings(error)}") from error
 
@@ -87,7 +87,7 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> Results:
     for anatomy in context.folder.resumable(anatomies, key=lambda a: a.label, label="phantoms"):
         try:
             phantom = _build(anatomy, settings)
-            background = None if anatomy.file is None else anatomy.file.room()
+            background = None if anatomy.file is None else anatomy.file.background()
         except ValueError as error:
             raise ConfigurationError(f"phantom {anatomy.label} cannot be built: {in_settings(error)}") from error
         if background is not None and phantom.imported is not None:
@@ -182,13 +182,13 @@ def write_bundle(phantom: Phantom, folder: Path, *, wall_thickness: float, pictu
                 draw_import(phantom, path)
 
 
-def write_radiograph(phantom: Phantom, room: XRayScene, path: Path) -> None:
+def write_radiograph(phantom: Phantom, background: XRayScene, path: Path) -> None:
     """Writes a picture of an anatomy's contrast run in its CT, by both C-arms."""
+    from cathsim.viewing.display_fluoroscope import contrast_picture
     from cathsim.viewing.opencv import cv2
-    from cathsim.viewing.room_fluoroscope import contrast_picture
 
     with atomic_path(path) as temporary:
-        encoded = cv2.imencode(".png", contrast_picture(phantom, _RADIOGRAPH_PX, room))[1]
+        encoded = cv2.imencode(".png", contrast_picture(phantom, _RADIOGRAPH_PX, background))[1]
         temporary.write_bytes(encoded.tobytes())
 
 

@@ -28,7 +28,7 @@ from pipeline.tables import Table, read_notes, read_results
 METRICS = "metrics.json"
 TABLES_FOLDER = "tables"
 LEARNING_FOLDER = "learning"
-PAGE_ROOM_BYTES = 12_000_000  # of embedded figures: the page stays below 15 MB
+EMBEDDED_BYTES = 12_000_000  # of embedded figures: the page stays below 15 MB
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -112,14 +112,14 @@ def mixed_seeds(finished: Mapping[str, Manifest]) -> dict[str, str]:
 def _figures(
     finished: dict[str, Manifest], learning: LearningSection, settings: ReportSettings, context: StageContext
 ) -> list[ShownFigure]:
-    """The figures of every stage, then those of learning, as many inside the page as it has room for."""
+    """The figures of every stage, then those of learning, as many inside the page as fit there."""
     folders = {name: context.run_path / name for name in finished}
     if learning.folder is not None:
         folders = {LEARNING_FOLDER: learning.folder, **folders}  # first, so that films take the bytes that remain
-    free_bytes, figures = PAGE_ROOM_BYTES, {}
+    free_bytes, figures = EMBEDDED_BYTES, {}
     for name, folder in folders.items():
         figures[name] = gather_figures(
-            name, folder, context.path, embed_limit=int(settings.embed_limit_mb * 1e6), room=free_bytes
+            name, folder, context.path, embed_limit=int(settings.embed_limit_mb * 1e6), free_bytes=free_bytes
         )
         free_bytes -= sum(figure.embedded_bytes for figure in figures[name])
     ordered = [*(name for name in figures if name != LEARNING_FOLDER), LEARNING_FOLDER]

@@ -89,10 +89,10 @@ def validate_forces(
     inside = [episode for episode in episodes if episode.phantom == settings.phantom]
     if not inside and episodes:
         _LOGGER.warning("validate: no episodes in %s, comparing those of all phantoms", settings.phantom)
-    chosen = inside or episodes
+    selection = inside or episodes
     try:
         comparison = compare_forces(
-            pooled(chosen),
+            pooled(selection),
             real_mean_n=settings.real_mean_n,
             real_sd_n=settings.real_sd_n,
             generator=np.random.default_rng(seed),
@@ -102,16 +102,16 @@ def validate_forces(
             f"the expert stage's episodes cannot be compared with real forces ({error}): record more of them"
         ) from error
     pushed = pushed_forces(settings.phantom, settings.speed_steps, seed=seed)
-    wall, devices = pooled_wall(chosen), {episode.device for episode in chosen}
+    wall, devices = pooled_wall(selection), {episode.device for episode in selection}
     agrees, differs = verdict(
         comparison,
         pushed,
         None if wall is None else wall.load_cell_n,
-        operators={episode.operator for episode in chosen},
+        operators={episode.operator for episode in selection},
         catheters={name for name in devices if name != WIRE and not name.endswith(ALONE)},
         catheters_alone={name.removesuffix(ALONE) for name in devices if name.endswith(ALONE)},
         bare_wire=WIRE in devices,
-        free_force_n=min((e.free_force_n for e in chosen if e.free_force_n is not None), default=None),
+        free_force_n=min((e.free_force_n for e in selection if e.free_force_n is not None), default=None),
     )
     write_text(folder / VERDICT, f"Agrees: {agrees}\n\nDiffers: {differs}\n")
     return {"force_validation": table_rows(comparison, pushed, agrees, differs, wall)}
@@ -209,16 +209,18 @@ def figures(episodes: list[EpisodeForces], settings: ValidateSettings, phantoms:
     """Draws distribution, box plots, and a heat map for each phantom."""
     real = settings.real_mean_n, settings.real_sd_n
     in_phantom = [episode for episode in episodes if episode.phantom == settings.phantom]
-    chosen = in_phantom or episodes
+    selection = in_phantom or episodes
     place = settings.phantom if in_phantom else "all phantoms"
-    draw_distribution(pooled(chosen), *real, folder / DISTRIBUTION)
+    draw_distribution(pooled(selection), *real, folder / DISTRIBUTION)
     draw_boxes(episodes, *real, folder / BOXES)
     words = " ".join((folder / VERDICT).read_text(encoding="utf-8").split())
     entries = [
-        Figure("Contact forces beside real ones", f"{len(chosen)} episodes in {place}. {words}", DISTRIBUTION, GROUP),
+        Figure(
+            "Contact forces beside real ones", f"{len(selection)} episodes in {place}. {words}", DISTRIBUTION, GROUP
+        ),
         Figure("Contact forces by arch and target", f"{len(episodes)} expert episodes.", BOXES, GROUP),
     ]
-    wall = pooled_wall(chosen)
+    wall = pooled_wall(selection)
     if wall is not None:
         draw_quantities(wall, *real, folder / LOAD_CELL)
         caption = (

@@ -6,7 +6,7 @@ import pytest
 from cathsim import NavigateEnv
 from cathsim.devices.arena import PROTRUSION
 from cathsim.devices.simulation import DualSimulation
-from cathsim.devices.wire_placement import SHAPES, laid_starts, place_wire, plan_way, pushed_shapes
+from cathsim.devices.wire_placement import SHAPES, inserted_starts, place_wire, plan_way, pushed_shapes
 
 
 @pytest.fixture(scope="module")
@@ -68,12 +68,12 @@ def test_a_way_too_long_or_too_short_is_refused(environment: NavigateEnv, way: n
         place_wire(environment.simulation, onwards, 0.0)
 
 
-def test_laid_starts_lie_before_the_target(environment: NavigateEnv) -> None:
+def test_inserted_starts_lie_before_the_target(environment: NavigateEnv) -> None:
     phantom, task = environment.phantom, environment.task
     environment.reset(seed=0)
     whole = task.remaining(phantom, environment.simulation.tip)
-    starts = laid_starts(environment, np.random.default_rng(0))
-    np.testing.assert_array_equal(starts, laid_starts(environment, np.random.default_rng(0)))
+    starts = inserted_starts(environment, np.random.default_rng(0))
+    np.testing.assert_array_equal(starts, inserted_starts(environment, np.random.default_rng(0)))
     assert len(starts) >= 8
     remaining = []
     for start in starts:

@@ -165,7 +165,7 @@ def test_encoder_and_what_learns_through_it(tmp_path: Path) -> None:
             assert device_of(encoder) == torch.device(place)
             outcomes[place] = report["tip_mm"]
             encoder.save(tmp_path / "encoder.pt")
-            trained = dataclasses.replace(training, device=place, reset_bank_share=0.0)
+            trained = dataclasses.replace(training, device=place, start_state_buffer_share=0.0)
             read = Encoder.load(tmp_path / "encoder.pt")  # the training brings it to its own device
             policy = Training(trained, Rod, tmp_path / place[:3], seed=0, encoder=read).run().policy
             seen[place] = policy.act_batch({key: samples.observations[key][:2] for key in policy.keys})

@@ -14,7 +14,7 @@ from enn.imitation.path_following import PathFollowerSettings, PlannedPath, fit_
 from enn.networks.network import NetworkSettings, build_network
 from enn.networks.observation_spaces import modality_keys
 from enn.reinforcement.rehearsal import cases_of
-from enn.reinforcement.reset_bank import CaseResetBank
+from enn.reinforcement.start_state_buffer import CaseStartStateBuffer
 from enn.retrying import RetryingController
 from tests.enn.rod import Rod
 
@@ -45,7 +45,7 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: build_network(NetworkSettings(), IMAGES, ACTIONS), "image is an image: give it an encoder, or a network"),
     (lambda: cases_of(gymnasium.make("CartPole-v1")), "a rehearsal needs an environment with cases"),
     (
-        lambda: CaseResetBank(3).add_episode(np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 1.0]])),
+        lambda: CaseStartStateBuffer(3).add_episode(np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 1.0]])),
         "an episode stays in one case, got states of 2",
     ),
     (lambda: RetryingController(lambda seed: None, 0, None), "1 step at least, got None with 0"),

@@ -42,8 +42,8 @@ class Field:
 
     def describe(self) -> dict[str, Any]:
         """Give the field as JSON holds it."""
-        described: dict[str, Any] = {"shape": list(self.shape), "unit": self.unit, "frame": self.frame}
-        return described | {"meaning": self.meaning} | ({"parts": list(self.parts)} if self.parts else {})
+        description: dict[str, Any] = {"shape": list(self.shape), "unit": self.unit, "frame": self.frame}
+        return description | {"meaning": self.meaning} | ({"parts": list(self.parts)} if self.parts else {})
 
 
 @dataclass(frozen=True)

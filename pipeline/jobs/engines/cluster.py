@@ -133,15 +133,15 @@ def end_earlier_jobs(stage: Path) -> None:
     lease_s = float(read_driver(str(jobs)).get("lease_s", _LONGEST_LEASE_S))
     Driver(stage, lease_s)  # before looking: a job that starts later sees that its token is another
     alive = {path.parent: MessageReader(path.parent) for path in jobs.glob(f"*/{MESSAGES}")}
-    deadline, told = time.monotonic() + lease_s, False
+    deadline, warned = time.monotonic() + lease_s, False
     while True:
         for place, reader in list(alive.items()):
             if any(message.kind in (ENDED, LOST) for message in reader.new()):
                 del alive[place]
         if not alive or time.monotonic() >= deadline:
             break
-        if not told:
-            told = True
+        if not warned:
+            warned = True
             _LOGGER.info("waiting for %d jobs of an earlier run to end, %.0f s at the most", len(alive), lease_s)
         time.sleep(_SECONDS_BETWEEN_LOOKS)
     for place in alive:

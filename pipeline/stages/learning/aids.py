@@ -55,9 +55,11 @@ def of_training(job: PolicyTrainingJob) -> list[str]:
         aids.append(f"a newton costs {task.force_penalty:g} in the reward")
     if task.accuracy != ACCURACY_OF_TESTS:
         aids.append(f"trained in {task.accuracy} physics, chosen and tested in {ACCURACY_OF_TESTS} ones")
-    if settings.reset_bank_share:
+    if settings.start_state_buffer_share:
         states = "demonstrations and own successes" if job.demonstrations else "own successes"
-        aids.append(f"{100 * settings.reset_bank_share:.0f} % of the resets along the path, to states of {states}")
+        aids.append(
+            f"{100 * settings.start_state_buffer_share:.0f} % of the resets along the path, to states of {states}"
+        )
     if (in_replay := getattr(settings, "demonstrations_in_replay", 0.0)) and job.demonstrations:  # of SAC alone
         share, count = 100 * in_replay, len(job.demonstrations)
         aids.append(f"{share:.0f} % of each batch are steps of the planner's demonstrations ({count})")

@@ -96,16 +96,16 @@ def readable(logs: Iterable[Path], read: Callable[[Path], Trajectory]) -> Iterat
             yield episode
 
 
-def read_episodes(logs: Sequence[Path], wanted: int | None = None) -> list[Trajectory]:
+def read_episodes(logs: Sequence[Path], count: int | None = None) -> list[Trajectory]:
     """Reads so many episodes (None: all) with images that are to be learnt from together."""
-    episodes = list(itertools.islice(readable(logs, read_episode), wanted))
+    episodes = list(itertools.islice(readable(logs, read_episode), count))
     if not episodes:
         raise StageError(
             f"there is no expert episode to learn from{_of(logs)}: run stage=enn with stage.expert_episodes>0"
         )
     require_alike(episodes)
-    if wanted is not None and len(episodes) < wanted:
-        _LOGGER.warning("%d expert episodes were asked for, there are %d", wanted, len(episodes))
+    if count is not None and len(episodes) < count:
+        _LOGGER.warning("%d expert episodes were asked for, there are %d", count, len(episodes))
     return episodes
 
 
@@ -161,26 +161,26 @@ def load_policy(file: Path, maker: str, device: str = "cpu") -> Policy:
         raise StageError(f"{error}; run stage={maker} again") from error
 
 
-def require_expert(stage: str, asked: LearningTask, folder: Path) -> None:
+def require_expert(stage: str, task: LearningTask, folder: Path) -> None:
     """Refuses an expert that was trained for another task than a stage was asked for."""
     trained = task_from(load_expert(folder).metadata.get(TASK))
     if trained is not None:
-        require_same_task(stage, asked.task, trained, f"the expert policy of {asked.name}", "enn")
+        require_same_task(stage, task.task, trained, f"the expert policy of {task.name}", "enn")
     logs = expert_logs(folder) or sorted(folder.glob("evaluation/*/*.mcap"))
     require_same_task(
-        stage, asked.task, task_of_logs(logs, asked.task).task, f"the expert's first episode of {asked.name}", "enn"
+        stage, task.task, task_of_logs(logs, task.task).task, f"the expert's first episode of {task.name}", "enn"
     )
 
 
-def require_demonstrations(stage: str, asked: LearningTask, logs: Sequence[Path]) -> None:
+def require_demonstrations(stage: str, task: LearningTask, logs: Sequence[Path]) -> None:
     """Refuses episodes of the sampling expert with another wire or other actions than a stage learns with.
 
     Where they started and when they were cut off does not matter.
     """
     for log in logs:
         with contextlib.suppress(EpisodeReadError):
-            log_task = task_of_log(log, asked.task).task
-            require_same_task(stage, asked.task, log_task, f"the episode {log}", "expert", MOTION)
+            log_task = task_of_log(log, task.task).task
+            require_same_task(stage, task.task, log_task, f"the episode {log}", "expert", MOTION)
 
 
 def task_of_logs(logs: Sequence[Path], like: Task | None = None) -> LearningTask:

@@ -164,7 +164,7 @@ _ELSEWHERE = (
     "decisions",
     "device",
     "logger",
-    "reset_bank_cases",
+    "start_state_buffer_cases",
 )
 
 

@@ -216,7 +216,7 @@ def words(progress: Progress) -> str:
 def _demonstrations(job: PolicyTrainingJob) -> list[Trajectory]:
     """The expert's episodes, as far as the training uses them."""
     learns = job.settings.learns_from_demonstrations
-    if not (job.settings.reset_bank_share or learns):
+    if not (job.settings.start_state_buffer_share or learns):
         return []
     return repeat(job.demonstrations, job.task, job.keys if learns else ())
 
@@ -336,7 +336,7 @@ def _check_demonstrations(trainings: Sequence[PolicyTrainingJob], settings: Lear
     """Warns of tasks without demonstrations, and refuses those of another wire; tip motors have none."""
     if not settings.demonstrations or settings.task.actions != FEEDER:
         return
-    for training in {one.task.name: one for one in trainings if one.settings.reset_bank_share > 0}.values():
+    for training in {one.task.name: one for one in trainings if one.settings.start_state_buffer_share > 0}.values():
         require_demonstrations(settings.name, training.task, training.demonstrations)
         if not training.demonstrations:
             _LOGGER.warning(

@@ -228,12 +228,12 @@ def train(job: NavigatorJob, perception: NavigatorPerception, report: Tell) -> t
             )
             passes = cloning.passes(len(episodes))
 
-            def told(epoch: int, loss: float) -> None:
+            def report_loss(epoch: int, loss: float) -> None:
                 curves.add(epoch, "cloning", loss=loss)
                 report(cloned * epoch / passes, f"cloning, loss {loss:.4f}")
 
             with Curves(job.own_folder) as curves:
-                losses = clone_sequences(policy, episodes, cloning, seed=seed, progress=told)
+                losses = clone_sequences(policy, episodes, cloning, seed=seed, progress=report_loss)
     # a teacher knows more than the images show: to predict its roadmap teaches more than its actions alone
     advised = SequenceCloningSettings(epochs=job.epochs, batch_size=16, weight_decay=0.1, noise=0.15, hint_weight=10.0)
     before = len(episodes)

@@ -52,10 +52,11 @@ class RehearsalJob:
     tested: str | None = None  # for tests, the row of the table; None: for the training
     copies: tuple[int, ...] = ()  # of a test: seeds
     # of demonstrations: the policies that may give them; the first is `start`, where there is one
-    shown_by: tuple[Path, ...] = ()
+    demonstrators: tuple[Path, ...] = ()
     part: int = 0  # of demonstrations and trials: its number among those that are made beside each other
     turn: int = 0  # of demonstrations: its number (`pipeline.stages.rehearsal.training`)
-    tried: TrialStatistics | None = None  # of the policy to start from, in trials of its devices; None: there were none
+    # of the policy to start from, in trials of its devices; None: there were none
+    trial_statistics: TrialStatistics | None = None
 
     @property
     def training_cases(self) -> tuple[int, ...]:
@@ -97,7 +98,7 @@ def copies_environment(
         period=settings.breath_s,
     )
     shaped: dict[str, Any] = {
-        "force_penalty": settings.price_of_force(job.task, job.tried),
+        "force_penalty": settings.price_of_force(job.task, job.trial_statistics),
         "force_threshold": settings.force_threshold_n,
         "path_penalty": settings.path_penalty,
     }

@@ -79,7 +79,7 @@ def film_scan(job: RehearsalJob, report: Report) -> dict[str, Any]:
     scan = environment.current
     controller = retrying(controllers(Policy.load(job.policy), settings.mode), steps, settings.attempts)(seeds[number])
     file = settings.anatomy_file
-    film = Film(STRIDE * math.ceil(task.max_steps / _USUAL_STEPS), None if file is None else file.room())
+    film = Film(STRIDE * math.ceil(task.max_steps / _USUAL_STEPS), None if file is None else file.background())
     try:
         observation, info = scan.reset(seed=seeds[number])
         film.add(scan)

@@ -88,13 +88,13 @@ class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings,
         if self.policy is not None and self.fresh:
             raise ConfigurationError("stage.fresh=true starts from nothing: leave out stage.policy")
 
-    def price_of_force(self, task: Task, tried: TrialStatistics | None = None) -> float:
+    def price_of_force(self, task: Task, trial_statistics: TrialStatistics | None = None) -> float:
         """What a newton and step cost in training, 1/N, by the devices, and how the starting policy fared with them."""
         if self.force_penalty is not None:
             return self.force_penalty
-        if tried is not None and not task.two_devices:  # what it need not learn any more is to arrive
-            always = tried.reached == tried.episodes
-            return PRICE_OF_PRESSING if always and tried.force_p95 > PRESSING else PRICES_OF_FORCE[False]
+        if trial_statistics is not None and not task.two_devices:  # what it need not learn any more is to arrive
+            always = trial_statistics.reached == trial_statistics.episodes
+            return PRICE_OF_PRESSING if always and trial_statistics.force_p95 > PRESSING else PRICES_OF_FORCE[False]
         return PRICES_OF_FORCE[task.two_devices]
 
     def fit(self, phantom: Phantom) -> None:

@@ -46,7 +46,7 @@ BEFORE, AFTER = "before", "after"
 TRAINING, FILM = "training", "film"
 _LOGGER = logging.getLogger(__name__)
 _PARTS = 2  # of the tests in copies, beside each other
-_SECONDS = {"decision": 15e-3, "test": 1.0, "shown": 1.5, "film": 40.0}  # guesses
+_SECONDS = {"decision": 15e-3, "test": 1.0, "demonstration": 1.5, "film": 40.0}  # guesses
 
 
 def check_rehearsal(settings: RehearsalSettings) -> None:
@@ -92,7 +92,7 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> Results
         f"{phantom.name}/{tested} {kind}": row(outcomes, tested, kind) for tested in played for kind in (SCAN, COPIES)
     }
     origin = "nothing" if start is None else "a policy"
-    demonstration_counts = shown_by(outcomes)
+    demonstration_counts = count_demonstrations(outcomes)
     if demonstration_counts and not any(demonstration_counts.values()):
         _LOGGER.warning(
             "%s brought these devices to %s in any copy of %s: nothing was shown to the training",
@@ -117,13 +117,13 @@ def plan(
     task: Task,
     target: str,
     start: Path | None,
-    asked: Sequence[Path] = (),
-    tried: TrialStatistics | None = None,
+    demonstrators: Sequence[Path] = (),
+    trial_statistics: TrialStatistics | None = None,
 ) -> list[Job]:
     """The jobs: demonstrations by other policies, tests before, the training, tests after."""
     origin = Origin("rehearsal", AFTER, context.seed, context.budget)
-    job = RehearsalJob(context.path, origin, settings, task, target, start, tried=tried)
-    jobs = _demonstrations(replace(job, shown_by=tuple(asked))) if settings.demonstrations else []
+    job = RehearsalJob(context.path, origin, settings, task, target, start, trial_statistics=trial_statistics)
+    jobs = _demonstrations(replace(job, demonstrators=tuple(demonstrators))) if settings.demonstrations else []
     demonstration_keys = tuple(one.key for one in jobs)
     weight, memory = settings.decisions * _SECONDS["decision"], policy_gb(settings.task.image_size_px, 0)
     jobs.append(Job(TRAINING, train, job, after=demonstration_keys, weight=weight, gpu_gb=memory))
@@ -146,9 +146,9 @@ def plan(
 def _demonstrations(job: RehearsalJob) -> list[Job]:
     """The turns that there may be, each after the one before; those that nobody has are left out when it is known."""
     jobs: list[Job] = []
-    for turn in range(job.rules.most_turns(len(job.shown_by))):
+    for turn in range(job.rules.most_turns(len(job.demonstrators))):
         before = tuple(one.key for one in jobs[-PARTS:])
-        weight = 0.0 if turn else _SECONDS["shown"] * len(job.training_cases) / PARTS
+        weight = 0.0 if turn else _SECONDS["demonstration"] * len(job.training_cases) / PARTS
         jobs += [
             Job(
                 f"{DEMONSTRATIONS}/{turn}/{part}",
@@ -163,7 +163,7 @@ def _demonstrations(job: RehearsalJob) -> list[Job]:
     return jobs
 
 
-def shown_by(outcomes: dict[str, Any]) -> dict[str, int]:
+def count_demonstrations(outcomes: dict[str, Any]) -> dict[str, int]:
     """How many episodes each demonstrator brought to the target, by the stem of its file."""
     counts: dict[str, int] = {}
     for key, outcome in outcomes.items():

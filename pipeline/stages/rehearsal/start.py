@@ -72,8 +72,8 @@ def with_chosen_devices(
     _LOGGER.info("copies of %s in which a policy reached %s, and how it pressed: %s", phantom.name, target, results)
     if not any(one.reached for one in statistics.values()):
         return with_catheter_where_steep(phantom, target, task, choose=True), None
-    chosen = list(statistics)[gentlest(list(statistics.values()), PRESSING)]
-    return jobs[chosen].task, statistics[chosen]
+    devices = list(statistics)[gentlest(list(statistics.values()), PRESSING)]
+    return jobs[devices].task, statistics[devices]
 
 
 def _with_catheters(task: Task) -> dict[str, Task]:

@@ -52,7 +52,7 @@ EXPERT = "expert"
 
 def turn_of(job: RehearsalJob) -> Turn[Path] | None:
     """Who plays in the job's turn; None: there are enough demonstrations, or no further demonstrator."""
-    turns = job.rules.turns(job.shown_by, job.start, job.tried)
+    turns = job.rules.turns(job.demonstrators, job.start, job.trial_statistics)
     try:
         turn = next(turns)
         for _ in range(job.turn):
@@ -86,7 +86,7 @@ def demonstration_file(job: RehearsalJob, name: str, copy: int, number: int) -> 
 def policy_names(job: RehearsalJob) -> dict[Path, str]:
     """Stems of the policies' files; where several have one, all but the first get a number."""
     names: dict[Path, str] = {}
-    for path in job.shown_by:
+    for path in job.demonstrators:
         alike = sum(other.stem == path.stem for other in names)
         names[path] = f"{path.stem}{alike + 1}" if alike else path.stem
     return names
@@ -95,7 +95,8 @@ def policy_names(job: RehearsalJob) -> dict[Path, str]:
 PARTS = 2  # of the copies, beside each other
 ENOUGH, LEAST = 6, 3  # episodes of the expert that arrive, in each part; fewer gentle ones: it plays as usual, too
 STEPS = 100_000  # that the expert simulates for an episode at most
-TRIED = {True: 3, False: 2}  # episodes of a gentle expert, of the usual one: it gives up where none of them arrives
+# Episodes of a gentle expert, of the usual one: it gives up where none of them arrives.
+EXPERT_TRIALS = {True: 3, False: 2}
 
 
 def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
@@ -148,7 +149,7 @@ def _episodes_of_expert(
     name = "expert, gently" if gentle else "expert"
     environment = copies_environment(job, copies, training=True, observe_every=held)
     for case in cases:
-        if sum(outcomes) == ENOUGH or (len(outcomes) == TRIED[gentle] and not any(outcomes)):
+        if sum(outcomes) == ENOUGH or (len(outcomes) == EXPERT_TRIALS[gentle] and not any(outcomes)):
             break
         file = demonstration_file(job, EXPERT, copies[case], number)
         if not file.is_file():
@@ -210,13 +211,13 @@ def read_demonstrations(folder: Path) -> list[Trajectory]:
 
 STARTS = "starts.npz"
 FURTHER = "further"  # folder, in the training's, of each that goes on from it: further1, further2, ...
-_LAID = 0.1  # of the training's job
+_INSERTED = 0.1  # of the training's job
 
 
 def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
-    """Lays starts and trains, each only where it lacks, and further while it seldom arrives: times, decisions.
+    """Inserts the wire at start states and trains, each only where it lacks, and further while it seldom arrives.
 
-    A policy that always arrives, and presses gently, is kept as it is.
+    Returns times and decisions. A policy that always arrives, and presses gently, is kept as it is.
     """
     from enn.policy import Policy
     from enn.reinforcement.checkpoint import CheckpointError
@@ -235,7 +236,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
         policy = None if job.start is None else Policy.load(job.start, report.device)
         environment = partial(copies_environment, job, observe_every=held_steps(job))
         may_be_fewer = settings.share_of_decisions < 1 and settings.algorithm == SAC
-        always = in_share(outcomes, job.tried, 1.0)
+        always = in_share(outcomes, job.trial_statistics, 1.0)
         evaluations = rules.fewer_evaluations if may_be_fewer and always else None
         usual = training_settings(job, report.device, evaluations=evaluations)
         shorter = training_settings(job, report.device, fewer=True)
@@ -244,14 +245,14 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
 
         def elsewhere() -> list[bool]:
             assert policy is not None
-            report(_LAID, "whether fewer decisions are enough")
+            report(_INSERTED, "whether fewer decisions are enough")
             played.append(first_evaluation(policy, partial(environment, validated), usual, seed=seed))
             return [one.success for one in played[0].outcomes]
 
         def tell(progress: Progress) -> None:
             before = sum(result.timings["decisions"] for result in results)
             share = (before + progress.decisions) / (before + progress.total)
-            report(_LAID + (1 - _LAID) * share, words(progress))
+            report(_INSERTED + (1 - _INSERTED) * share, words(progress))
 
         def trained(start: Policy | None, training: TrainingSettings, folder: str, **further: Any) -> TrainingResult:
             return rehearse(
@@ -274,7 +275,7 @@ def train(job: RehearsalJob, report: Report) -> dict[str, Any]:
             policy.save(job.own_folder / POLICY, critics=True)
             return _training_record(begun, [])
         starts = _inserted_start_states(job, copies, report)
-        fewer = may_be_fewer and rules.mostly_arrives(outcomes, job.tried, elsewhere)
+        fewer = may_be_fewer and rules.mostly_arrives(outcomes, job.trial_statistics, elsewhere)
         first = played[0] if played else None
         results.append(trained(policy, shorter if fewer else usual, "", first_result=first))
         for number in range(1, settings.further_trainings + 1):
@@ -310,12 +311,12 @@ def _inserted_start_states(job: RehearsalJob, copies: Sequence[int], report: Rep
         workers = Workers(threads)
         arrays: dict[str, np.ndarray] = {}
         for first in range(0, len(copies), threads):
-            report(_LAID * first / len(copies), f"starts in copy {copies[first]}")
+            report(_INSERTED * first / len(copies), f"starts in copy {copies[first]}")
             cases = range(first, min(first + threads, len(copies)))
-            laid = workers.each(
-                lambda case: environments[case % threads].laid_starts(case, job.origin.training_seed), cases
+            inserted = workers.each(
+                lambda case: environments[case % threads].inserted_starts(case, job.origin.training_seed), cases
             )
-            arrays |= dict(zip(map(str, cases), laid, strict=True))
+            arrays |= dict(zip(map(str, cases), inserted, strict=True))
         workers.close()
         for environment in environments:
             environment.close()

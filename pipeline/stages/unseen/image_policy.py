@@ -87,15 +87,15 @@ class ImagePolicyJob(PolicyJob):
 
         return (*(("goal_image",) if self.xray else IMAGE_KEYS), *further)
 
-    def seen(self, environment: Any, clutter: float = 0.0, room: XRayScene | None = None, **further: Any) -> Any:
+    def seen(self, environment: Any, clutter: float = 0.0, background: XRayScene | None = None, **further: Any) -> Any:
         """The environment as the policy sees it: X-ray images with so much clutter, in water or an X-ray background."""
         from cathsim.observations.xray import XrayEnvironment
 
         if not self.xray:
             return environment
         return XrayEnvironment(
-            environment, self.task.task.image_size_px, clutter=clutter_of(clutter), room=room, views=self.views,
-            field=self.field, **further,
+            environment, self.task.task.image_size_px, clutter=clutter_of(clutter), background=background,
+            views=self.views, field=self.field, **further,
         )  # fmt: skip
 
 

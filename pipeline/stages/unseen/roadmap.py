@@ -8,7 +8,7 @@ A policy's folder, ``<row>/seed<k>/``, holds::
 
 A demonstration of the sampling expert is a file, ``demonstrations/<target>_<anatomy>.npz`` in the stage's folder, with
 all that an `enn.trajectory.Trajectory` holds; of one that fails it says only that, so that it is not tried again.
-``starts/<anatomy>.npz`` has an array of states for each target: the wire laid along the planned way to some places
+``starts/<anatomy>.npz`` has an array of states for each target: the wire inserted along the planned way to some places
 before the target, and each of them withdrawn a little, turning.
 """
 
@@ -45,18 +45,18 @@ if TYPE_CHECKING:
 ARRIVED = "terminated"  # name in the file: whether the target was reached
 
 
-def demonstration_arrays(shown: Trajectory) -> dict[str, Any]:
+def demonstration_arrays(episode: Trajectory) -> dict[str, Any]:
     """The arrays of an episode by their names in the file; of one that did not arrive, only that."""
-    if not shown.terminated:
+    if not episode.terminated:
         return {ARRIVED: np.array(False)}
     return {
-        **shown.observations,
-        "actions": shown.actions,
-        "rewards": shown.rewards,
+        **episode.observations,
+        "actions": episode.actions,
+        "rewards": episode.rewards,
         ARRIVED: np.array(True),
-        "forces": shown.forces,
-        "tips": shown.tips,
-        "states": shown.simulation_states,
+        "forces": episode.forces,
+        "tips": episode.tips,
+        "states": episode.simulation_states,
     }
 
 
@@ -94,7 +94,7 @@ class DemonstrationsJob:
     folder: Path
     task: UnseenTask
     anatomies: tuple[int, ...]  # seeds of all random arches trained on, so that states know their case
-    shown: tuple[int, ...]  # those of them with a demonstration each
+    demonstrated: tuple[int, ...]  # those of them with a demonstration each
     target: str
     hold: int  # steps for which the expert holds an action: those of a decision of the policy
     seed: int
@@ -107,19 +107,19 @@ def record_demonstrations(job: DemonstrationsJob, report: Report) -> dict[str, A
     environment = job.task.training_environment(job.anatomies, ROADMAP_KEYS)
     target = job.task.targets.index(job.target)
     reached = 0
-    for done, seed in enumerate(job.shown):
+    for done, seed in enumerate(job.demonstrated):
         text = f"{job.target} of arch {seed}, {reached}/{done} reached"
         path = job.folder / f"{job.target}_{seed}.npz"
         if not path.is_file():
             case = environment.case_of(job.anatomies.index(seed), target)
-            tick = partial(report, done / len(job.shown), text)
+            tick = partial(report, done / len(job.demonstrated), text)
             seed_of_start = arch_demonstration_seed(job.seed)
             write_arrays(
                 path, demonstrate(environment, case, ROADMAP_KEYS, hold=job.hold, seed=seed_of_start, tick=tick)
             )
         reached += arrived(path)
     environment.close()
-    return {"shown": len(job.shown), "reached": reached}
+    return {"shown": len(job.demonstrated), "reached": reached}
 
 
 def read_demonstrations(folder: Path, anatomies: Sequence[int]) -> list[Trajectory]:
@@ -138,7 +138,7 @@ STARTS = "starts"  # job and folder
 
 @dataclass(frozen=True)
 class StartsJob:
-    """Starts to lay."""
+    """Start states at which the wire is inserted."""
 
     folder: Path
     task: UnseenTask
@@ -146,9 +146,9 @@ class StartsJob:
     seed: int  # of the turns while drawing back
 
 
-def lay_starts(job: StartsJob, report: Report) -> dict[str, Any]:
-    """Lays the starts of the anatomies whose file is not there yet: how many anatomies, and how many states."""
-    from cathsim.devices.wire_placement import laid_starts
+def insert_starts(job: StartsJob, report: Report) -> dict[str, Any]:
+    """Inserts the wire at start states in anatomies whose file is not there yet: how many anatomies and states."""
+    from cathsim.devices.wire_placement import inserted_starts
 
     states = 0
     environment = None
@@ -161,7 +161,7 @@ def lay_starts(job: StartsJob, report: Report) -> dict[str, Any]:
             arrays = {}
             for number, target in enumerate(job.task.targets):
                 environment.reset(seed=0, options={"case": environment.case_of(place, number)})
-                arrays[target] = laid_starts(environment.current, generator)
+                arrays[target] = inserted_starts(environment.current, generator)
             write_arrays(path, arrays)
         with np.load(path) as content:
             states += sum(len(content[target]) for target in job.task.targets)
@@ -203,7 +203,7 @@ def training_settings(
         buffer_size=max(decisions, 1000),
         learning_starts=min(MANY_CASES.learning_starts, decisions // 4),
         action_repeat=decision_steps(settings.task),
-        reset_bank_cases=anatomies * len(settings.learnt_targets()),
+        start_state_buffer_cases=anatomies * len(settings.learnt_targets()),
         evaluate_every=max(decisions // evaluations, 1),
         evaluation_episodes=settings.validation_episodes,
         logger=chosen_logger(),

@@ -34,7 +34,7 @@ from pipeline.stages.unseen.roadmap import (
     RoadmapJob,
     StartsJob,
     build_anatomies,
-    lay_starts,
+    insert_starts,
     policy_to_start_from,
     record_demonstrations,
     train_roadmap,
@@ -112,9 +112,9 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     by_images = [_by_images(run, row) for row in images]
     learnt_in = [len(job.given.anatomies) for job in by_images if job.given.start is None]
     built = _anatomies(run, max([most * trains, *learnt_in]), validated=trains)
-    laid = _starts(run, most) if trains else []
+    inserted = _starts(run, most) if trains else []
     demonstrations = _demonstrations(run, after=_keys(built)) if trains and DEMONSTRATED in task.targets else []
-    prepared = [*built, *laid, *demonstrations]
+    prepared = [*built, *inserted, *demonstrations]
     teacher, tests = _roadmap(run, _keys(prepared))
     # policies by images are the longest chain of jobs: next after their teacher
     jobs = [*prepared, teacher, *by_images, tests]
@@ -160,8 +160,8 @@ def _starts(run: _Run, arches: int) -> list[Job]:
     jobs = []
     for part in _parts(run.arches[:arches]):
         starts_job = StartsJob(run.folder / STARTS, run.task, tuple(part), run.seed)
-        weight = len(part) * _SECONDS["starts"]
-        jobs.append(Job(f"{STARTS}/{part[0]}", lay_starts, starts_job, after=(f"training/{part[0]}",), weight=weight))
+        after, weight = (f"training/{part[0]}",), len(part) * _SECONDS["starts"]
+        jobs.append(Job(f"{STARTS}/{part[0]}", insert_starts, starts_job, after=after, weight=weight))
     return jobs
 
 
@@ -175,12 +175,12 @@ def _demonstrations(run: _Run, after: tuple[str, ...]) -> list[Job]:
             folder=run.folder / DEMONSTRATIONS,
             task=run.task,
             anatomies=anatomies,
-            shown=demonstration_arches[part::_PARTS],
+            demonstrated=demonstration_arches[part::_PARTS],
             target=DEMONSTRATED,
             hold=decision_steps(run.task.task),
             seed=run.seed,
         )
-        weight = len(part_job.shown) * _SECONDS["demonstration"]
+        weight = len(part_job.demonstrated) * _SECONDS["demonstration"]
         jobs.append(Job(f"{DEMONSTRATIONS}/{part}", record_demonstrations, part_job, after=after, weight=weight))
     return jobs
 

@@ -74,7 +74,7 @@ def run_tests(
     controllers: Callable[[str], Callable[[int], Controller]],
     observation: tuple[str, ...],
     report: Callable[[float, str], None],
-    seen: Callable[[Any, float, XRayScene | None], Any] = lambda environment, clutter, room: environment,
+    seen: Callable[[Any, float, XRayScene | None], Any] = lambda environment, clutter, background: environment,
 ) -> list[dict[str, Any]]:
     """Puts a policy to its tests; episodes whose log is there are not repeated.
 
@@ -94,7 +94,7 @@ def run_tests(
             environment = seen(
                 job.task.test_environment(phantom, target, test.wire, observation, test.registration_noise, test.entry),
                 test.clutter,
-                phantom.room() if isinstance(phantom, AnatomyFile) else None,
+                phantom.background() if isinstance(phantom, AnatomyFile) else None,
             )
             seeds = held_out_seeds(job.seed, len(test.phantoms) * test.episodes)
             metrics += run_trials(

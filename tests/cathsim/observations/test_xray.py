@@ -69,8 +69,8 @@ def test_observations_are_noisy_images_and_a_contrast_run_alone() -> None:
     assert abs((plain - images[0])[0][lumen].mean()) < 3
 
 
-def test_a_room_of_ones_own_is_around_the_vessels() -> None:
-    env = environment(room=scene("patient"))
+def test_a_background_of_ones_own_is_around_the_vessels() -> None:
+    env = environment(background=scene("patient"))
     observation, bath = advanced(env, 0), advanced(environment(), 0)
     for name in ("image", "plain", "contrast"):
         assert np.abs(observation[name].astype(float) - bath[name]).mean() > 10

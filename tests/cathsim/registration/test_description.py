@@ -16,7 +16,7 @@ from cathsim.blood.flow import BloodFlow
 from cathsim.fluoroscopy import BiplaneFluoroscope
 from cathsim.fluoroscopy.scene import SCENES
 from cathsim.registration import MANY
-from cathsim.registration.description import describe, described
+from cathsim.registration.description import from_spec, to_spec
 from tests.cathsim.equal_observations import same
 
 COARSE = 2e-3
@@ -81,10 +81,10 @@ def test_an_environment_is_made_again_from_json(arguments: dict[str, Any]) -> No
 
 def test_a_function_without_a_place_is_refused() -> None:
     with pytest.raises(ValueError, match=r"function .*<lambda> cannot be written as JSON"):
-        describe(lambda info: 0.0)
+        to_spec(lambda info: 0.0)
     for name in ("math:nothing", "cathsim:ENVIRONMENT", "math"):
         with pytest.raises(ValueError, match=f"there is no function '{name}'"):
-            described({"class": "function", "name": name})
+            from_spec({"class": "function", "name": name})
 
 
 def test_cameras_are_described(type_1: Phantom) -> None:
@@ -133,19 +133,19 @@ def test_wrappers_stay_in_the_specification(own_arch: Phantom) -> None:
 
 def test_what_cannot_be_described_is_refused(bend: Phantom) -> None:
     with pytest.raises(ValueError, match="phantom 'bend' was put together by hand"):
-        describe(bend)
+        to_spec(bend)
 
     @dataclasses.dataclass(frozen=True)
     class Local(NavigationTask):
         pass
 
     with pytest.raises(ValueError, match="a Local cannot be written as JSON"):
-        describe(Local())
+        to_spec(Local())
     for value in ({"class": "os:system"}, {"class": "nowhere:Nothing"}, {"class": "json"}):
         with pytest.raises(ValueError, match="there is no settings class"):
-            described(value)
+            from_spec(value)
     with pytest.raises(ValueError, match=r"Guidewire has no colour|cannot be made of"):
-        described({"class": "cathsim.guidewire:Guidewire", "colour": "red"})
+        from_spec({"class": "cathsim.guidewire:Guidewire", "colour": "red"})
 
 
 @pytest.mark.parametrize(

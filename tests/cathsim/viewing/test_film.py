@@ -1,4 +1,4 @@
-"""Films, windows and videos of episodes, and the fluoroscope of the room."""
+"""Films, windows and videos of episodes, and the fluoroscope of a display."""
 
 import pickle
 import sys
@@ -19,8 +19,8 @@ from cathsim.observations.framing import framed
 from cathsim.registration import MANY
 from cathsim.viewing import camera_view as view
 from cathsim.viewing.display import LEAST_HEIGHT
-from cathsim.viewing.film import HEIGHT_PX, ROOM_PX, STRIDE, Film, film_states, write_gif
-from cathsim.viewing.room_fluoroscope import CATHETER, VIEWS, WIRE, RoomFluoroscope, contrast_picture
+from cathsim.viewing.display_fluoroscope import CATHETER, VIEWS, WIRE, DisplayFluoroscope, contrast_picture
+from cathsim.viewing.film import BIPLANE_PX, HEIGHT_PX, STRIDE, Film, film_states, write_gif
 
 FORWARD = np.array([1.0, 0.0], np.float32)
 
@@ -132,7 +132,7 @@ def test_devices_are_drawn_where_they_are(catheter: str | None) -> None:
     for _ in range(10):
         environment.step(np.array([1.0, 0.0] if catheter is None else [1.0, 0.0, 0.5, 0.0]))
     simulation = environment.simulation
-    panels = np.split(RoomFluoroscope(simulation, SIZE, scene("patient")).image(), len(VIEWS), axis=1)
+    panels = np.split(DisplayFluoroscope(simulation, SIZE, scene("patient")).image(), len(VIEWS), axis=1)
     for angle, panel in zip(VIEWS, panels, strict=True):
         assert panel.shape == (SIZE, SIZE, 3)
         drawn = np.argwhere(np.abs(panel.astype(int) - WIRE).max(axis=-1) < 90)[:, ::-1]
@@ -150,14 +150,14 @@ def test_contrast_medium_shows_the_vessels() -> None:
     assert picture[rows, columns].mean() < picture.mean() - 20
 
 
-def test_a_film_in_a_room_has_both_c_arms() -> None:
+def test_a_film_with_a_background_has_both_c_arms() -> None:
     environment = NavigateEnv("type_1", "bca", observation="tip")
     environment.reset(seed=0)
-    film = Film(room=scene("patient"))
+    film = Film(background=scene("patient"))
     film.add(environment)
     film.close()
-    assert film._frames[0].shape[0] == ROOM_PX
-    assert film._frames[0].shape[1] >= 2 * ROOM_PX
+    assert film._frames[0].shape[0] == BIPLANE_PX
+    assert film._frames[0].shape[1] >= 2 * BIPLANE_PX
 
 
 def test_states_of_two_devices_make_a_film_and_none_are_refused(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def test_demonstrated_actions_are_cloned_where_the_critics_prefer_them(point_env
         _fill(learner, envs)
         model = learner.model
         data = learner.replay.sample(64)
-        assert learner.replay.shown_in(64) == 32
+        assert learner.replay.demonstrations_in(64) == 32
         given = shown.gather(np.arange(shown.added), np.zeros(shown.added, int))
         assert {tuple(one) for one in data.actions[-32:].tolist()} <= {tuple(one) for one in given.actions.tolist()}
         # nothing is cloned where the policy's own actions are worth more, all of it where they are worth less
@@ -112,7 +112,7 @@ def test_actions_of_demonstrations_are_cloned_before_the_first_roll_out(point_en
 def test_a_training_with_demonstrations_and_a_falling_deviation_is_resumed_as_if_it_had_not_been_interrupted(
     point_env: Any, tmp_path: Path
 ) -> None:
-    settings = dataclasses.replace(SMALL_PPO, decisions=500, reset_bank_share=0.0, log_std_final=-2.5)
+    settings = dataclasses.replace(SMALL_PPO, decisions=500, start_state_buffer_share=0.0, log_std_final=-2.5)
     shown = demonstrated(point_env)
     straight = Training(settings, point_env, None, 1, shown).run().policy
     interrupted(Training(settings, point_env, tmp_path, 1, shown), 300)
@@ -120,14 +120,19 @@ def test_a_training_with_demonstrations_and_a_falling_deviation_is_resumed_as_if
 
 
 def test_an_environment_may_observe_more_than_the_networks_read(point_env: Any) -> None:
-    settings = dataclasses.replace(SMALL_PPO, keys=("place",), reset_bank_share=0.0, cloning_weight=0.0)
+    settings = dataclasses.replace(SMALL_PPO, keys=("place",), start_state_buffer_share=0.0, cloning_weight=0.0)
     policy = Training(settings, lambda: point_env(("place", "range"), max_steps=10), None, 1).run().policy
     assert policy.keys == ("place",)
 
 
 def test_the_deviation_of_actions_falls_evenly_to_the_end_of_the_budget(point_env: Any) -> None:
     settings = dataclasses.replace(
-        SMALL_PPO, decisions=700, learning_starts=100, log_std_final=-2.5, reset_bank_share=0.0, cloning_weight=0.0
+        SMALL_PPO,
+        decisions=700,
+        learning_starts=100,
+        log_std_final=-2.5,
+        start_state_buffer_share=0.0,
+        cloning_weight=0.0,
     )
     # after 100 random decisions roll-outs of 128: the last that was full ended at 612 of the 700
     policy = Training(settings, point_env, None, 1).run().policy

@@ -9,9 +9,9 @@ import pytest
 
 from enn.policy import Policy
 from enn.reinforcement.rehearsal import (
-    SHOWN_FIRST,
-    SHOWN_SHARE,
-    SHOWN_SLOWER,
+    DEMONSTRATION_FIRST,
+    DEMONSTRATION_SHARE,
+    DEMONSTRATION_SLOWER,
     demonstrated,
     first_evaluation,
     play_cases,
@@ -21,7 +21,9 @@ from enn.reinforcement.training import Training, TrainingSettings
 from tests.enn.conftest import PointEnv
 from tests.enn.reinforcement.small_training import SMALL
 
-FROM_NOTHING = dataclasses.replace(SMALL, keys=("place",), gradient_steps=1.0, reset_bank_share=0.5, keep_critics=True)
+FROM_NOTHING = dataclasses.replace(
+    SMALL, keys=("place",), gradient_steps=1.0, start_state_buffer_share=0.5, keep_critics=True
+)
 
 
 class WindyEnv(PointEnv):
@@ -113,9 +115,9 @@ def test_what_others_show_is_learnt_from_nothing_and_from_a_policy(monkeypatch: 
     first = rehearse(WindyEnv, settings=short, demonstrations=shown, seed=3)
     assert play_cases(first.policy, WindyEnv(), seed=7).success.sum() >= 2
     rehearse(WindyEnv, settings=short, policy=first.policy, demonstrations=shown, seed=3)
-    assert [one.demonstrations_in_replay for one in used] == [SHOWN_SHARE] * 2
-    assert used[1].learning_rate == pytest.approx(SHOWN_SLOWER * used[0].learning_rate)
-    assert used[1].learning_starts == max(short.learning_starts, round(SHOWN_FIRST * 960))
+    assert [one.demonstrations_in_replay for one in used] == [DEMONSTRATION_SHARE] * 2
+    assert used[1].learning_rate == pytest.approx(DEMONSTRATION_SLOWER * used[0].learning_rate)
+    assert used[1].learning_starts == max(short.learning_starts, round(DEMONSTRATION_FIRST * 960))
 
 
 def test_an_evaluation_plays_every_case_as_often() -> None:

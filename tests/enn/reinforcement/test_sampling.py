@@ -1,4 +1,4 @@
-"""Sampling: threads, restores, the bank, encoded environments."""
+"""Sampling: threads, restores, the buffer, encoded environments."""
 
 from typing import Any
 
@@ -8,8 +8,8 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 from enn.encoder import EncodedEnvs
-from enn.reinforcement.reset_bank import CaseResetBank, ResetBank
 from enn.reinforcement.sampling import RECORD_EVERY, NotFiniteError
+from enn.reinforcement.start_state_buffer import CaseStartStateBuffer, StartStateBuffer
 from enn.reinforcement.vector_envs import SampledEnvs
 from tests.enn.rod import Rod, fitted
 
@@ -33,8 +33,8 @@ def _same(first: list[tuple[Any, ...]], second: list[tuple[Any, ...]]) -> None:
 def test_threads_change_nothing(point_env: Any) -> None:
     runs = []
     for threads in (1, 3):
-        bank = ResetBank(share=0.5, seed=1)
-        envs = SampledEnvs([lambda: point_env(max_steps=9)] * 5, seed=2, threads=threads, reset_bank=bank)
+        buffer = StartStateBuffer(share=0.5, seed=1)
+        envs = SampledEnvs([lambda: point_env(max_steps=9)] * 5, seed=2, threads=threads, start_state_buffer=buffer)
         envs.reset()
         runs.append(_play(envs, 60))
         envs.close()
@@ -58,9 +58,9 @@ def test_action_repeat_adds_rewards_and_stops_at_the_end(point_env: Any) -> None
     assert infos[0]["episode"]["l"] == 10
 
 
-def test_successes_enter_the_bank_and_episodes_start_there(point_env: Any) -> None:
-    bank = ResetBank(share=1.0, seed=0)
-    envs = SampledEnvs([lambda: point_env(max_steps=100)], seed=4, reset_bank=bank)
+def test_successes_enter_the_buffer_and_episodes_start_there(point_env: Any) -> None:
+    buffer = StartStateBuffer(share=1.0, seed=0)
+    envs = SampledEnvs([lambda: point_env(max_steps=100)], seed=4, start_state_buffer=buffer)
     place = envs.reset()["place"]
     start, visited, ended = place[0].copy(), [place[0].copy()], False
     while not ended:
@@ -68,7 +68,7 @@ def test_successes_enter_the_bank_and_episodes_start_there(point_env: Any) -> No
         ended = bool(dones[0])
         visited.append(infos[0]["terminal_observation"]["place"] if ended else place["place"][0].copy())
     assert infos[0]["episode"] | {"r": 0, "l": 0} == {"r": 0, "l": 0, "success": True, "fresh": True}
-    kept = bank.state()["states"]
+    kept = buffer.state()["states"]
     np.testing.assert_allclose(kept[0], start, atol=1e-6)
     np.testing.assert_allclose(kept, visited[: len(visited) - 1 : RECORD_EVERY], atol=1e-6)
     assert any(np.allclose(place["place"][0], state) for state in kept)
@@ -77,7 +77,7 @@ def test_successes_enter_the_bank_and_episodes_start_there(point_env: Any) -> No
         if dones[0]:
             break
     assert infos[0]["episode"]["fresh"] is False
-    assert len(bank) == len(kept)  # a failure leaves nothing
+    assert len(buffer) == len(kept)  # a failure leaves nothing
 
 
 def test_episodes_go_where_they_fail(point_env: Any) -> None:
@@ -99,18 +99,18 @@ def test_episodes_go_where_they_fail(point_env: Any) -> None:
             won = self.case == 0 and self.steps == 2
             return observation, reward, won, truncated and not won, info | {"case": self.case, "success": won}
 
-    bank = CaseResetBank(2, share=0.0, seed=0)
-    envs = SampledEnvs([lambda: Cases(max_steps=4)] * 2, seed=0, reset_bank=bank)
+    buffer = CaseStartStateBuffer(2, share=0.0, seed=0)
+    envs = SampledEnvs([lambda: Cases(max_steps=4)] * 2, seed=0, start_state_buffer=buffer)
     envs.reset()
     _play(envs, 400)
     assert 0.1 < asked.count(0) / len(asked) < 0.25  # 0.15 of 1.3
-    assert len(bank) > 0  # the successes of case 0 alone
-    assert {float(state[-1]) for state in bank.state()["cases"][0]["states"]} == {0.0}
+    assert len(buffer) > 0  # the successes of case 0 alone
+    assert {float(state[-1]) for state in buffer.state()["cases"][0]["states"]} == {0.0}
 
 
 def test_goes_on_exactly_after_a_restore(point_env: Any) -> None:
     def make() -> SampledEnvs:
-        return SampledEnvs([lambda: point_env(max_steps=12)] * 3, seed=7, reset_bank=ResetBank(seed=2))
+        return SampledEnvs([lambda: point_env(max_steps=12)] * 3, seed=7, start_state_buffer=StartStateBuffer(seed=2))
 
     envs, other = make(), make()
     envs.reset()
@@ -139,8 +139,8 @@ def test_refusals_say_why(point_env: Any) -> None:
     class Rootless(point_env):  # type: ignore[misc]
         start_state = property()
 
-    with pytest.raises(ValueError, match=r"cannot start from a reset bank.*reset_bank_share=0"):
-        SampledEnvs([Rootless], seed=0, reset_bank=ResetBank())
+    with pytest.raises(ValueError, match=r"cannot start from a start-state buffer.*start_state_buffer_share=0"):
+        SampledEnvs([Rootless], seed=0, start_state_buffer=StartStateBuffer())
     envs = SampledEnvs([point_env], seed=0)
     envs.reset()
     with pytest.raises(ValueError, match="has 1 environments, this one 2"):

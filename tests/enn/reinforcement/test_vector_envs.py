@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from enn.reinforcement.reset_bank import ResetBank
 from enn.reinforcement.sampling import NotFiniteError
+from enn.reinforcement.start_state_buffer import StartStateBuffer
 from enn.reinforcement.vector_envs import POSSIBLE, SampledEnvs, SubprocessEnvs
 
 pytestmark = pytest.mark.skipif(not POSSIBLE, reason="open files cannot be handed over to a process here")
@@ -21,10 +21,10 @@ pytestmark = pytest.mark.skipif(not POSSIBLE, reason="open files cannot be hande
 ACTIONS = np.random.default_rng(0).uniform(-1, 1, (12, 4, 2))
 
 
-def _bank() -> ResetBank:
-    bank = ResetBank(share=0.5, seed=1)
-    bank.add_episode(np.array([[0.2, 0.1], [0.1, 0.3]]))
-    return bank
+def _buffer() -> StartStateBuffer:
+    buffer = StartStateBuffer(share=0.5, seed=1)
+    buffer.add_episode(np.array([[0.2, 0.1], [0.1, 0.3]]))
+    return buffer
 
 
 def _played(envs: SampledEnvs | SubprocessEnvs, actions: np.ndarray) -> list[tuple[Any, ...]]:
@@ -42,9 +42,9 @@ def _without_arrays(moments: list[tuple[Any, ...]]) -> list[Any]:
 
 def test_it_gives_what_the_environments_would_here_and_goes_on_from_a_state(point_env: Any) -> None:
     given: dict[str, Any] = {"factories": [lambda: point_env(max_steps=5)] * 4, "seed": 3, "action_repeat": 2}
-    here = SampledEnvs(**given, reset_bank=_bank(), keys=("place",))
-    apart = SubprocessEnvs(**given, reset_bank=_bank(), keys=("place",), threads=2)
-    other = SubprocessEnvs(**given, reset_bank=_bank(), keys=("place",))
+    here = SampledEnvs(**given, start_state_buffer=_buffer(), keys=("place",))
+    apart = SubprocessEnvs(**given, start_state_buffer=_buffer(), keys=("place",), threads=2)
+    other = SubprocessEnvs(**given, start_state_buffer=_buffer(), keys=("place",))
     with contextlib.closing(here), contextlib.closing(apart), contextlib.closing(other):
         assert apart.observation_space == here.observation_space
         assert apart.action_space == here.action_space

@@ -127,8 +127,8 @@ def test_the_patients_ct_is_what_the_navigator_sees_around_the_vessels(tmp_path:
     bath = open_scene("navigator", **own)
     ct = ct_of(bath.environment.phantom, tmp_path / "ct.nii.gz")
     scene = open_scene("navigator", **own, ct=str(ct))
-    assert scene.room is not None
-    assert scene.room.name == "ct"
+    assert scene.background is not None
+    assert scene.background.name == "ct"
     seen, of_bath = (one.environment.reset(seed=one.start_seed)[0] for one in (scene, bath))
     assert np.abs(seen["plain"].astype(float) - of_bath["plain"]).mean() > 10
     assert scene.steer(seen, {}).shape == (2,)

@@ -31,7 +31,7 @@ def takes(machine: Machine, key: str, memory_gb: float, gpu_gb: float = 0.0) -> 
 def test_there_are_as_many_jobs_as_cores_and_no_more_memory_than_there_is() -> None:
     with shared_machine(3, 4.0):
         one, other = here(), here()
-        assert one.room_gb == 4.0
+        assert one.available_gb == 4.0
         assert takes(one, "large", 3.0)
         assert not takes(other, "too large", 1.5)
         assert takes(other, "a", 0.5)
@@ -60,7 +60,7 @@ def test_what_a_killed_stage_had_is_free() -> None:
 
 def test_a_folder_that_is_gone_means_no_sharing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(FOLDER, str(tmp_path / "gone"))
-    assert Machine.here(2, lambda: 3 * GB, "cpu").room_gb == 3.0
+    assert Machine.here(2, lambda: 3 * GB, "cpu").available_gb == 3.0
     with shared_machine(1, 1.0):
         folder = Path(os.environ[FOLDER])
         assert folder.is_dir()

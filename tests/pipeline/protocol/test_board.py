@@ -56,7 +56,7 @@ def test_a_random_policy_gets_a_row_that_is_the_same_again(tmp_path: Path, capsy
 @pytest.mark.parametrize(("board", "count"), [("arch_variety", 240), ("dual_device_nav", 98), ("random_trees", 100)])
 def test_all_episodes_are_other_ones(board: str, count: int) -> None:
     episodes = boards()[board].episodes
-    assert len({(*one.told.values(), one.seed) for one in episodes}) == len(episodes) == count
+    assert len({(*one.labels.values(), one.seed) for one in episodes}) == len(episodes) == count
 
 
 @pytest.mark.parametrize(("name", "prefix"), [("arch_variety", "arch_variety_"), ("random_trees", "")])
@@ -65,7 +65,7 @@ def test_the_anatomies_are_those_that_a_row_names(name: str, prefix: str) -> Non
     environment = board.make("tracking", None, 64)
     for episode in (board.episodes[7], board.episodes[-1]):
         environment.reset(seed=episode.seed, options=episode.options)
-        assert environment.unwrapped.phantom.name == f"{prefix}{episode.told['anatomy']}"
+        assert environment.unwrapped.phantom.name == f"{prefix}{episode.labels['anatomy']}"
 
 
 @needs_onnx

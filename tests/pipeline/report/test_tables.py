@@ -177,14 +177,14 @@ def test_the_expert_is_open_where_it_is_alone_and_more_than_two_figures_are_fold
     assert choose_film([figure("picture", "expert")]) is None
 
 
-def test_figures_beyond_the_page_s_room_lie_beside_it(tmp_path: Path) -> None:
+def test_figures_beyond_the_page_s_bytes_lie_beside_it(tmp_path: Path) -> None:
     stage, report = tmp_path / "learning", tmp_path / "report"
     stage.mkdir()
     for name, width in (("a", 1900), ("b", 300)):
         noise = np.random.default_rng(0).integers(0, 256, (40, width), dtype=np.uint8)
         Image.fromarray(noise).save(stage / f"{name}.png")
     write_figures(stage, [Figure("A", "", "a.png"), Figure("B", "", "b.png")])
-    wide, narrow = gather_figures("learning", stage, report, embed_limit=10**9, room=30_000)
+    wide, narrow = gather_figures("learning", stage, report, embed_limit=10**9, free_bytes=30_000)
     assert (wide.is_wide, narrow.is_wide) == (True, False)
     assert (wide.shown_size, narrow.shown_size) == ((950, 20), (150, 20))  # two dots of the picture a pixel
     assert wide.source == "figures/learning/a.png"

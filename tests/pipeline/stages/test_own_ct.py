@@ -13,7 +13,7 @@ from PIL import Image
 
 from cathsim import load_phantom
 from cathsim.viewing import film
-from cathsim.viewing.film import ROOM_PX, VIEW_WIDTH_PX
+from cathsim.viewing.film import BIPLANE_PX, VIEW_WIDTH_PX
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.jobs.worker import Report
 from pipeline.launch import main
@@ -58,40 +58,42 @@ def test_the_expert_s_film_shows_both_c_arms_in_the_ct(scan: dict[str, Any], tmp
     settings = ExpertSettings(**scan, phantoms=["x"], targets=["bca"], threads=1, task=Task(max_steps=2))
     record_trial(Trial("arch", "bca", 0), settings, tmp_path, seed=0)
     with Image.open(tmp_path / "arch" / "bca" / "000.gif") as shown:
-        assert shown.size in {(2 * ROOM_PX, ROOM_PX), (2 * ROOM_PX + VIEW_WIDTH_PX, ROOM_PX)}
-        assert np.asarray(shown.convert("L"), float)[:, :ROOM_PX].std() > 20
+        assert shown.size in {(2 * BIPLANE_PX, BIPLANE_PX), (2 * BIPLANE_PX + VIEW_WIDTH_PX, BIPLANE_PX)}
+        assert np.asarray(shown.convert("L"), float)[:, :BIPLANE_PX].std() > 20
 
 
 def test_the_rehearsal_films_in_the_ct(scan: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    rooms: list[Any] = []
+    backgrounds: list[Any] = []
 
     class Kept(film.Film):
-        def __init__(self, stride: int, room: Any) -> None:
-            rooms.append(room)
+        def __init__(self, stride: int, background: Any) -> None:
+            backgrounds.append(background)
             super().__init__(stride)  # the usual fluoroscopy is faster
 
     monkeypatch.setattr(film, "Film", Kept)
     job = job_of(tmp_path, **scan, targets=["bca"])
     (tmp_path / "after" / SCAN / "0").mkdir(parents=True)
     film_scan(replace(job, policy=GENERALIST, tested="after"), Report())
-    assert [room.name for room in rooms] == ["ct"]
+    assert [background.name for background in backgrounds] == ["ct"]
 
 
 def test_policies_of_images_are_tested_in_the_ct(scan: dict[str, Any], tmp_path: Path) -> None:
     place = AnatomyFile.of(scan["file"], ct=scan["ct"])
     job = replace(image_job(tmp_path, 1, XRAY), tests=(HeldOutSet("arch", (place, 1), targets=("bca",)),))
-    rooms: list[Any] = []
+    backgrounds: list[Any] = []
 
-    def seen(environment: Any, clutter: float, room: Any) -> Any:
-        rooms.append(room)
+    def seen(environment: Any, clutter: float, background: Any) -> Any:
+        backgrounds.append(background)
         return environment
 
     forward = np.array([1.0, 0.0])
     run_tests(job, lambda mode: lambda seed: lambda observation, info: forward, ("tip",), lambda *_: None, seen)
-    assert [room and room.name for room in rooms] == ["ct", None]
-    assert rooms[0] is place.room(), "read once"
+    assert [background and background.name for background in backgrounds] == ["ct", None]
+    assert backgrounds[0] is place.background(), "read once"
     bare = job.task.test_environment(place, "bca", "default", ("goal_image",))
-    images = [job.seen(bare, room=room).reset(seed=0)[0]["image"].astype(float) for room in (place.room(), None)]
+    images = [
+        job.seen(bare, background=one).reset(seed=0)[0]["image"].astype(float) for one in (place.background(), None)
+    ]
     assert np.abs(images[0] - images[1]).mean() > 10
 
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from guide3d.geometry.polyline import arc_length, at_length
-from splineformer.build import VARIANTS, described, rebuilt, size_of
+from splineformer.build import VARIANTS, from_spec, size_of, to_spec
 from splineformer.learning.targets import course_of
 from splineformer.modeling.ordered import OrderedSettings, OrderedSplineFormer
 from splineformer.modeling.published import FIRST_END, SplineFormer, SplineFormerSettings
@@ -45,10 +45,10 @@ def test_the_published_variant_sees_lines_whatever_shade_and_contrast() -> None:
 
 
 def test_a_published_network_that_read_grey_levels_is_refused() -> None:
-    old = described(network("published"))
+    old = to_spec(network("published"))
     del old["settings"]["line_px"]
     with pytest.raises(ValueError, match=r"settings are of another version .*line_px"):
-        rebuilt(old)
+        from_spec(old)
 
 
 def test_cache_gives_what_the_whole_sequence_gives() -> None:

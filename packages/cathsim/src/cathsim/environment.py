@@ -19,7 +19,7 @@ from cathsim.blood.flow import BloodFlow, blood_flow
 from cathsim.contact.breathing import Breathing
 from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.devices.catheter import Catheter
-from cathsim.devices.choice import chosen_catheter, chosen_wire, simulation_of
+from cathsim.devices.choice import resolve_catheter, resolve_wire, simulation_of
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire
 from cathsim.navigation import Arrival, Goal, NavigationTask, navigation_task, require_reach, straight_distance
@@ -29,7 +29,7 @@ from cathsim.observations.sensors import Sensors
 from cathsim.observations.tracking import VIEW
 from cathsim.presets import Accuracy
 from cathsim.presets import accuracy as preset
-from cathsim.registration.description import Specified, chosen, described
+from cathsim.registration.description import Specified, from_spec, resolve_argument
 from cathsim.registration.usage import Usage, exclusive
 from cathsim.robot.feeders import ROTATION_STEP as ROTATION_STEP
 from cathsim.robot.feeders import TRANSLATION_STEP as TRANSLATION_STEP
@@ -215,23 +215,25 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     ) -> None:
         if actions not in ACTIONS:
             raise ValueError(f"unknown actions '{actions}'; there are {', '.join(ACTIONS)}")
-        fields = {name: described(value) for name, value in task_fields.items()}
-        episode_task = navigation_task(target, fields, described(task))
-        self.phantom = chosen("phantom", phantom, Phantom, partial(load_phantom, seed=phantom_seed))
+        fields = {name: from_spec(value) for name, value in task_fields.items()}
+        episode_task = navigation_task(target, fields, from_spec(task))
+        self.phantom = resolve_argument("phantom", phantom, Phantom, partial(load_phantom, seed=phantom_seed))
         episode_task.goal(self.phantom)  # refuses an unknown target before anything is built
         self.simulation = simulation_of(
             self.phantom,
-            chosen_wire(wire),
-            chosen_catheter(catheter),
-            chosen("accuracy", accuracy, Accuracy, preset),
+            resolve_wire(wire),
+            resolve_catheter(catheter),
+            resolve_argument("accuracy", accuracy, Accuracy, preset),
             torsion=torsion,
             entry=entry_name(entry, episode_task.target),
-            contact=contact if isinstance(contact, str) else chosen("contact", contact, Decomposition, decomposition),
+            contact=contact
+            if isinstance(contact, str)
+            else resolve_argument("contact", contact, Decomposition, decomposition),
             tip_motors=actions == "tip_motors",
-            blood=None if blood is None else chosen("blood", blood, BloodFlow, blood_flow),
+            blood=None if blood is None else resolve_argument("blood", blood, BloodFlow, blood_flow),
             wall_stiffness=wall_stiffness,
-            pace=chosen("pace", pace, Pace, named_pace),
-            breathing=None if breathing is None else chosen("breathing", breathing, Breathing),
+            pace=resolve_argument("pace", pace, Pace, named_pace),
+            breathing=None if breathing is None else resolve_argument("breathing", breathing, Breathing),
         )
         self.render_mode, self._contact_info = render_mode, contact_info
         fps = 1 / self.simulation.pace.interval
@@ -245,7 +247,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
             material = wire_material(wire if isinstance(wire, str) else "default", wire_radius_of(self.simulation))
             pair = partial(BiplaneFluoroscope.of, self.phantom, size=image_size, material=material)
-            biplane = chosen("cameras", cameras, BiplaneFluoroscope, pair)
+            biplane = resolve_argument("cameras", cameras, BiplaneFluoroscope, pair)
         self._task = episode_task
         self.sensors = Sensors(
             self.simulation,
@@ -256,7 +258,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             channels_last=channels_last,
             registration_noise=registration_noise,
             biplane=biplane,
-            scan=None if scan is None else chosen("scan", scan, Scan),
+            scan=None if scan is None else resolve_argument("scan", scan, Scan),
             view=quantity("view", view, Annotated[tuple[_Degrees, _Degrees], Listed]),
         )
         self.fluoroscope, self.biplane = self.sensors.fluoroscope, self.sensors.biplane

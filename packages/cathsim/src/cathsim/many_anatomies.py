@@ -12,10 +12,10 @@ import numpy as np
 
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike, as_target
-from cathsim.devices.choice import chosen_wire
+from cathsim.devices.choice import resolve_wire
 from cathsim.environment import NavigateEnv
 from cathsim.guidewire import Guidewire
-from cathsim.registration.description import Specified, described
+from cathsim.registration.description import Specified, from_spec
 from cathsim.registration.usage import Usage, exclusive
 
 # a phantom's name or a mesh's path; the seed of a random arch; a name that needs a seed, and that
@@ -116,9 +116,9 @@ class NavigateManyEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         for name in ("phantom", "target", "wire", "phantom_seed"):
             if name in arguments:
                 raise ValueError(f"an environment over many anatomies takes {name}s, a list, instead of {name}")
-        self.phantoms = tuple(described(phantom) for phantom in phantoms)
+        self.phantoms = tuple(from_spec(phantom) for phantom in phantoms)
         self.targets = tuple(as_target(target) for target in targets)
-        self.wires = tuple(chosen_wire(wire) for wire in wires)
+        self.wires = tuple(resolve_wire(wire) for wire in wires)
         self.resolution = resolution
         self._arguments = arguments
         self.case = 0

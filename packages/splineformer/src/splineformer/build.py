@@ -63,16 +63,16 @@ def build(settings: SplineFormerSettings | OrderedSettings) -> CurveNetwork:
     return network
 
 
-def described(network: CurveNetwork) -> dict[str, Any]:
-    """What a model file keeps to build the network again: see `rebuilt`."""
+def to_spec(network: CurveNetwork) -> dict[str, Any]:
+    """What a model file keeps to build the network again: see `from_spec`."""
     settings = {
         key: list(value) if isinstance(value, tuple) else value for key, value in asdict(network.settings).items()
     }
     return {"layout": LAYOUT, "variant": network.variant, "settings": settings}
 
 
-def rebuilt(description: Mapping[str, Any]) -> CurveNetwork:
-    """Builds a network, its weights still to be filled in, from what `described` gave.
+def from_spec(description: Mapping[str, Any]) -> CurveNetwork:
+    """Builds a network, its weights still to be filled in, from what `to_spec` gave.
 
     Raises:
         ValueError: another layout or variant, or settings of another version.

@@ -18,7 +18,7 @@ from guide3d.learning.bounded_content import built_from
 from guide3d.learning.model_file import UNFIT, read_model, write_model
 from guide3d.reading.image_reading import MapReader, shipped_reader
 from guide3d.shipped import shipped_file
-from splineformer.build import described, rebuilt
+from splineformer.build import from_spec, to_spec
 from splineformer.image_input import Picture, picture_of
 from splineformer.map_picture import picture_by_reader
 from splineformer.modeling.curve_network import WIRES, CurveBatch, CurveNetwork
@@ -123,7 +123,7 @@ class Predictor:
         content = read_model(path, KIND)
         try:
             with built_from(content):
-                network = rebuilt(content["network"])
+                network = from_spec(content["network"])
             network.load_state_dict(content["weights"])
             source_px = int(content["preprocessing"]["source_px"])
             input = str(content["preprocessing"].get("input", "levels"))
@@ -158,7 +158,7 @@ class Predictor:
         write_model(
             path,
             kind=KIND,
-            network=described(self.network),
+            network=to_spec(self.network),
             preprocessing={"size_px": size, "source_px": self.source_px, "input": self.input},
             module=copy.deepcopy(self.network).half() if half else self.network,
             metadata=metadata,

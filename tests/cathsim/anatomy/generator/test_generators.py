@@ -27,14 +27,14 @@ from cathsim.anatomy.generator.scan_arch import (
 )
 from cathsim.anatomy.generator.variety_arch import (
     ARCH_TYPES,
-    COURSES,
+    PATHS,
     Knot,
     VarietyArch,
     build_variety_arch,
-    draw_course,
+    draw_path,
 )
 from cathsim.anatomy.geodesic import graph_distance
-from cathsim.anatomy.library import NAMED, phantom_described, phantom_description
+from cathsim.anatomy.library import NAMED, phantom_from_spec, phantom_to_spec
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.phantom import locate_targets, target_share
 
@@ -232,13 +232,13 @@ def test_a_type_that_there_is_not_is_refused():
         VarietyArch("I", -1)
 
 
-@pytest.mark.parametrize("name", [name for name, course in COURSES.items() if course[0].heading is not None])
+@pytest.mark.parametrize("name", [name for name, path in PATHS.items() if path[0].heading is not None])
 def test_means_of_many_draws_are_those_of_the_waypoints(name):
     rng = np.random.default_rng(1)
     parent = Knot(np.zeros(3), np.array([0.0, 0.0, 1.0]), 0.01, 0.0)
     start = np.array([0.01, -0.05, 0.14])
-    ends = np.array([draw_course(name, start, rng, parent=parent)[-1].place for _ in range(300)])
-    last = COURSES[name][-1]
+    ends = np.array([draw_path(name, start, rng, parent=parent)[-1].place for _ in range(300)])
+    last = PATHS[name][-1]
     offset = np.where([axis in last.fixed for axis in "xyz"], 0.0, start)
     spread = 1e-3 * np.array(last.place_spread_mm)
     assert ends.mean(axis=0) == pytest.approx(offset + 1e-3 * np.array(last.place_mm), abs=4 * spread.max() / 300**0.5)
@@ -303,7 +303,7 @@ def test_a_seed_is_one_tree_with_targets_along_its_vessels() -> None:
     phantom = load_phantom("random_tree", seed=4)
     assert phantom is load_phantom("random_tree_4")
     assert np.array_equal(phantom.tree["rcca"].points, build_random_tree(RandomTree(4))["rcca"].points)
-    assert phantom.hash == phantom_described(phantom_description(phantom)).hash
+    assert phantom.hash == phantom_from_spec(phantom_to_spec(phantom)).hash
     for branch in phantom.tree:
         assert (phantom.grid.sample(branch.points[5:-5]) > 0).all(), branch.name
     place = phantom.depths.place(phantom.target("internal_carotid_left@100").position)

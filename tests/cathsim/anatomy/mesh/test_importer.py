@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from cathsim.anatomy import Branch, ImportReport, MeshRefusedError, Phantom, VesselTree, import_mesh, load_phantom
-from cathsim.anatomy.library import phantom_described, phantom_description
+from cathsim.anatomy.library import phantom_from_spec, phantom_to_spec
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.mesh import importer
 from cathsim.anatomy.mesh.reading import Triangles, clean_triangles
@@ -135,13 +135,13 @@ def test_a_disguised_phantom_comes_back(number: int, phantom: Phantom, cache: Pa
 
 def test_it_can_be_described_and_a_changed_file_is_refused(plain: tuple[Path, Phantom], tmp_path: Path):
     path, found = plain
-    description = json.loads(json.dumps(phantom_description(found)))
-    assert phantom_described(description).hash == found.hash
+    description = json.loads(json.dumps(phantom_to_spec(found)))
+    assert phantom_from_spec(description).hash == found.hash
     moved = tmp_path / "arch_0.stl"
     moved.write_bytes(path.read_bytes()[:-1] + b"\x01")
     description["mesh"]["path"] = str(moved)
     with pytest.raises(ValueError, match="phantom 'arch_0' is another than the one described"):
-        phantom_described(description)
+        phantom_from_spec(description)
 
 
 def test_it_is_cached_with_its_report(plain: tuple[Path, Phantom], cache: Path, monkeypatch: pytest.MonkeyPatch):

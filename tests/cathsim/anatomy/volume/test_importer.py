@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy import Phantom, import_anatomy, load_phantom
-from cathsim.anatomy.library import phantom_described, phantom_description
+from cathsim.anatomy.library import phantom_from_spec, phantom_to_spec
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.surface import open_ends
 from cathsim.anatomy.vessel_tree import nearest_on_branch
@@ -219,8 +219,8 @@ def test_a_volume_survives_load_phantom_cache_description_and_pickling(
     again = import_anatomy(thick, resolution=COARSE, cache_dir=cache)
     assert again.imported == imported.imported
     np.testing.assert_array_equal(again.grid.dense(), imported.grid.dense())
-    description = json.loads(json.dumps(phantom_description(imported)))
-    assert phantom_described(description).hash == imported.hash
+    description = json.loads(json.dumps(phantom_to_spec(imported)))
+    assert phantom_from_spec(description).hash == imported.hash
     assert pickle.loads(pickle.dumps(imported)).imported == imported.imported
 
 

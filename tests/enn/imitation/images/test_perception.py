@@ -94,10 +94,10 @@ def test_a_policy_of_x_ray_images_needs_no_mask(segmenter: LumenSegmenter, tmp_p
 
 def test_subtracted_images_lose_what_stands_still(segmenter: LumenSegmenter) -> None:
     generator = np.random.default_rng(0)
-    room = generator.uniform(60, 200, (SIZE, SIZE))
+    background = generator.uniform(60, 200, (SIZE, SIZE))
     vessel = np.ones((SIZE, SIZE))
     vessel[10:20] = 0.6
-    plain, contrast = room.astype(np.uint8), (vessel * room).astype(np.uint8)
+    plain, contrast = background.astype(np.uint8), (vessel * background).astype(np.uint8)
     left = subtracted(plain, contrast)
     assert left[10:20].std() < 2.0
     assert left[20:].std() < 0.01

@@ -120,7 +120,7 @@ def test_the_seed_decides_and_what_is_called_after_evaluations_sees_them_and_cha
         require_same_weights(plain.policy, other.policy)
 
 
-def test_starts_enter_the_bank_and_validation_has_its_own_environments(point_env: Any) -> None:
+def test_starts_enter_the_buffer_and_validation_has_its_own_environments(point_env: Any) -> None:
     made: list[str] = []
 
     def named(name: str) -> Any:
@@ -131,10 +131,10 @@ def test_starts_enter_the_bank_and_validation_has_its_own_environments(point_env
         return make
 
     starts = [np.full((4, 2), 0.5), np.full((2, 2), -0.5)]
-    settings = dataclasses.replace(SMALL, decisions=400, evaluate_every=400, n_envs=2, reset_bank_share=0.5)
+    settings = dataclasses.replace(SMALL, decisions=400, evaluate_every=400, n_envs=2, start_state_buffer_share=0.5)
     training = Training(settings, named("training"), seed=0, starts=starts, make_validation_env=named("validation"))
     run = TrainingRun(training, None)
-    assert len(run.sampled.reset_bank) == 6
+    assert len(run.sampled.start_state_buffer) == 6
     run.close()
     made.clear()
     training.run()
@@ -188,16 +188,16 @@ def test_a_smaller_budget_makes_smaller_what_has_no_room_in_it() -> None:
     assert THESIS_SAC.sized(THESIS_SAC.decisions, 30) == dataclasses.replace(THESIS_SAC, buffer_size=600_000)
 
 
-def test_demonstrations_enter_bank_and_replay(point_env: Any) -> None:
+def test_demonstrations_enter_buffer_and_replay(point_env: Any) -> None:
     trajectories = demonstrated(point_env)
     settings = dataclasses.replace(
-        SMALL, decisions=240, demonstrations_in_replay=0.25, evaluate_every=0, reset_bank_share=1.0
+        SMALL, decisions=240, demonstrations_in_replay=0.25, evaluate_every=0, start_state_buffer_share=1.0
     )
     run = TrainingRun(Training(settings, point_env, None, 0, trajectories), None)
     assert isinstance(run.learner, SacLearner)
     assert run.learner.replay.demonstrations.added == sum(map(len, trajectories))
     assert isinstance(run.sampled, SampledEnvs)
-    assert len(run.sampled.reset_bank) >= 3
+    assert len(run.sampled.start_state_buffer) >= 3
     drawn = run.learner.replay.demonstrations.gather(
         np.arange(len(trajectories[0])), np.zeros(len(trajectories[0]), int)
     )

@@ -54,7 +54,7 @@ def test_a_desk_training_names_every_aid() -> None:
     note = note_of_jobs([DESK], of_training)
     for aid in (
         "geodesic, less 40 a metre",
-        f"{100 * DESK_SAC.reset_bank_share:.0f} % of the resets along the path, to states of demonstrations",
+        f"{100 * DESK_SAC.start_state_buffer_share:.0f} % of the resets along the path, to states of demonstrations",
         "25 % of each batch",
         "an encoder fitted beforehand",
         f"actions held for {DESK_SAC.action_repeat} steps",

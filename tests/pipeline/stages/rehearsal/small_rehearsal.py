@@ -29,7 +29,7 @@ def job_of(folder: Path, **changed: Any) -> RehearsalJob:
 def all_demonstrations(job: RehearsalJob) -> dict[str, list[int]]:
     """Every turn of a rehearsal's demonstrations: by policy, episodes played and arrived."""
     told: dict[str, list[int]] = {}
-    for turn in range(job.rules.most_turns(len(job.shown_by))):
+    for turn in range(job.rules.most_turns(len(job.demonstrators))):
         given = [replace(job, turn=turn, part=part) for part in range(PARTS)]
         if any(nothing_to_record(one) is not None for one in given):
             break

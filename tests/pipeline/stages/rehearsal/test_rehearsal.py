@@ -113,11 +113,11 @@ def test_the_whole_stage_leaves_a_table_and_pictures(tmp_path: Path) -> None:
 def test_a_catheter_is_chosen_unless_a_policy_is_given(
     changed: dict[str, Any], choose: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def asked(*_: Any, choose: bool = True) -> Task:
+    def choice(*_: Any, choose: bool = True) -> Task:
         raise ValueError(f"choose is {choose}")
 
     for name in ("with_catheter_where_steep", "with_chosen_devices"):
-        monkeypatch.setattr(f"pipeline.stages.rehearsal.stage.{name}", asked)
+        monkeypatch.setattr(f"pipeline.stages.rehearsal.stage.{name}", choice)
     with pytest.raises(ConfigurationError, match=f"choose is {choose}"):
         run_rehearsal(RehearsalSettings(**TINY | changed), context(tmp_path, "rehearsal"))
 
@@ -227,18 +227,18 @@ Outcomes = dict[str, TrialStatistics]
 
 @pytest.fixture
 def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Chooses with trials that end as said; also which were asked for, call by call."""
-    asked: list[list[str]] = []
+    """Chooses with trials that end as said; also which played, call by call."""
+    calls: list[list[str]] = []
     phantom = load_phantom("type_1")
 
     def choose(
         outcomes: Outcomes, task: Task | None = None, target: str = "lcca", **changed: Any
     ) -> tuple[Task, TrialStatistics | None]:
-        asked.clear()
+        calls.clear()
 
         def run(folder: Any, jobs: Any, **_: Any) -> dict[str, Any]:
             assert [job.given.part % 2 for job in jobs] == [0, 1] * (len(jobs) // 2)
-            asked.append([job.key for job in jobs[::2]])
+            calls.append([job.key for job in jobs[::2]])
             return {job.key: [job.key.split("/")[1]] for job in jobs}
 
         class Told:  # what the trials come to
@@ -253,7 +253,7 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         settings = RehearsalSettings(**changed)
         return start.with_chosen_devices(settings, context(tmp_path, "rehearsal"), phantom, target, task or Task())
 
-    return choose, asked
+    return choose, calls
 
 
 SOFTER = "radifocus_angled_025 in jb2_4f"
@@ -265,7 +265,7 @@ def asked_for(*names: str) -> list[str]:
 
 
 def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: pytest.LogCaptureFixture) -> None:
-    choose, asked = chosen
+    choose, calls = chosen
     never = TrialStatistics(0, 4, 300.0, 0.2)
     jb2 = TrialStatistics(3, 4, 150.0, 0.4)
     simmons = TrialStatistics(2, 4, 150.0, 0.3)
@@ -273,7 +273,7 @@ def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: 
     with caplog.at_level(logging.INFO):
         assert choose(outcomes) == (Task(catheter="simmons2"), simmons)
     assert "how it pressed: wire alone 0 of 4 (0.20 N), jb2 3 of 4 (0.40 N), simmons2 2 of 4 (0.30 N)" in caplog.text
-    assert asked == [asked_for("wire alone"), asked_for(*WITH_CATHETERS[1:])]
+    assert calls == [asked_for("wire alone"), asked_for(*WITH_CATHETERS[1:])]
 
     outcomes[SOFTER] = TrialStatistics(3, 4, 200.0, 0.15)
     soft = Task(wire="radifocus_angled_025", catheter="jb2_4f")
@@ -283,7 +283,7 @@ def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: 
 
 
 def test_where_what_arrives_presses_too_hard_the_gentler_ones_get_further_copies(chosen: Any) -> None:
-    choose, asked = chosen
+    choose, calls = chosen
     never, jb2 = TrialStatistics(0, 4, 300.0, 0.2), TrialStatistics(2, 4, 150.0, 0.32)
     outcomes = {
         "wire alone": never,
@@ -294,32 +294,32 @@ def test_where_what_arrives_presses_too_hard_the_gentler_ones_get_further_copies
     outcomes[f"{SOFTER} again"] = TrialStatistics(4, 8, 250.0, 0.1)
     soft = Task(wire="radifocus_angled_025", catheter="jb2_4f")
     assert choose(outcomes) == (soft, outcomes[f"{SOFTER} again"])
-    assert asked[1:] == [asked_for(*WITH_CATHETERS[1:]), [f"devices/{SOFTER}/2"]]  # the wire never arrives
+    assert calls[1:] == [asked_for(*WITH_CATHETERS[1:]), [f"devices/{SOFTER}/2"]]  # the wire never arrives
 
     outcomes[f"{SOFTER} again"] = TrialStatistics(3, 8, 300.0, 0.1)
     assert choose(outcomes) == (Task(catheter="jb2"), jb2)  # nothing gentler arrives often enough to learn from
 
 
 def test_the_wire_alone_is_enough_where_it_always_arrives_and_the_shape_decides_where_none_does(chosen: Any) -> None:
-    choose, asked = chosen
+    choose, calls = chosen
     always, never = TrialStatistics(4, 4, 100.0, 0.2), TrialStatistics(0, 4, 300.0, 0.2)
     assert choose({"wire alone": always}) == (Task(), always)
-    assert asked == [asked_for("wire alone")]
+    assert calls == [asked_for("wire alone")]
     assert choose(dict.fromkeys(WITH_CATHETERS, never)) == (BY_SHAPE, None)
 
 
 def test_where_the_wire_alone_arrives_and_presses_catheters_and_softer_ones_are_tried(chosen: Any) -> None:
-    choose, asked = chosen
+    choose, calls = chosen
     wires = ("radifocus_angled", "radifocus_angled_025")
     outcomes = {"wire alone": TrialStatistics(4, 4, 100.0, 0.8)}
     outcomes |= dict.fromkeys(WITH_CATHETERS[1:], TrialStatistics(0, 4, 300.0, 0.1))
     stiff = outcomes | {"stiff in jb2_4f": outcomes[SOFTER]}
     assert choose(stiff, Task(wire="stiff")) == (Task(wire="stiff"), outcomes["wire alone"])
-    assert asked == [asked_for("wire alone"), asked_for("jb2", "simmons2", "stiff in jb2_4f")]
+    assert calls == [asked_for("wire alone"), asked_for("jb2", "simmons2", "stiff in jb2_4f")]
 
     outcomes |= {wires[0]: TrialStatistics(4, 4, 100.0, 0.5), wires[1]: TrialStatistics(3, 4, 120.0, 0.1)}
     assert choose(outcomes) == (Task(wire=wires[1]), outcomes[wires[1]])
-    assert asked == [asked_for("wire alone"), asked_for(*WITH_CATHETERS[1:], *wires)]
+    assert calls == [asked_for("wire alone"), asked_for(*WITH_CATHETERS[1:], *wires)]
     outcomes["wire alone"] = TrialStatistics(3, 4, 150.0, 0.8)
     assert choose(outcomes)[0] == Task(wire=wires[1])
 
@@ -340,9 +340,9 @@ def test_where_the_wire_alone_arrives_and_presses_catheters_and_softer_ones_are_
     ],
 )
 def test_without_a_choice_of_policies_nothing_is_tried(chosen: Any, changed: dict[str, Any]) -> None:
-    choose, asked = chosen
+    choose, calls = chosen
     assert choose({}, **changed) == (BY_SHAPE, None)
-    assert asked == []
+    assert calls == []
 
 
 def test_a_trial_plays_the_policy_in_copies_of_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -410,7 +410,7 @@ def test_a_given_policy_brings_its_catheter_or_steers_a_wire_alone(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("tried", "price"),
+    ("trial_statistics", "price"),
     [
         (TrialStatistics(4, 4, 60.0, 0.5), 1.0),
         (TrialStatistics(4, 4, 60.0, 0.2), 0.1),
@@ -420,10 +420,10 @@ def test_a_given_policy_brings_its_catheter_or_steers_a_wire_alone(tmp_path: Pat
     ids=["presses", "presses little", "does not always arrive", "not tried"],
 )
 def test_a_newton_costs_more_with_two_devices_and_where_the_wire_presses(
-    tried: TrialStatistics | None, price: float
+    trial_statistics: TrialStatistics | None, price: float
 ) -> None:
     alone, both = Task(), Task(catheter="jb2")
-    assert [RehearsalSettings().price_of_force(task, tried) for task in (alone, both)] == [price, 0.3]
+    assert [RehearsalSettings().price_of_force(task, trial_statistics) for task in (alone, both)] == [price, 0.3]
     for given in (0.0, 0.2):
-        assert RehearsalSettings(force_penalty=given).price_of_force(alone, tried) == given
+        assert RehearsalSettings(force_penalty=given).price_of_force(alone, trial_statistics) == given
         assert RehearsalSettings(force_penalty=given).price_of_force(both) == given

@@ -22,7 +22,7 @@ from enn.trajectory import Trajectory
 from pipeline.jobs.worker import Report
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment, training_settings
 from pipeline.stages.rehearsal.settings import RehearsalSettings
-from pipeline.stages.rehearsal.stage import plan, shown_by
+from pipeline.stages.rehearsal.stage import count_demonstrations, plan
 from pipeline.stages.rehearsal.start import advising_policies
 from pipeline.stages.rehearsal.training import (
     demonstration_file,
@@ -69,11 +69,11 @@ def test_a_further_training_goes_on_from_the_one_before(tmp_path: Path, monkeypa
 
 
 def test_what_was_played_to_choose_the_length_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked, counts = list[bool](), {"play": 0, "evaluate": 0}
+    outcomes, counts = list[bool](), {"play": 0, "evaluate": 0}
 
     def mostly_arrives(self: RehearsalRules, *given: Any) -> bool:
         elsewhere: Callable[[], Sequence[bool]] = given[-1]
-        asked.extend(elsewhere())
+        outcomes.extend(elsewhere())
         return True
 
     def count(name: str) -> None:
@@ -90,7 +90,7 @@ def test_what_was_played_to_choose_the_length_counts(tmp_path: Path, monkeypatch
     monkeypatch.setattr(RehearsalRules, "mostly_arrives", mostly_arrives)
     job = replace(job_of(tmp_path, share_of_decisions=0.5), start=GENERALIST)
     assert train(job, Report())["decisions"] == 24
-    assert len(asked) == 2  # the scan and a copy
+    assert len(outcomes) == 2  # the scan and a copy
     assert counts["play"] == counts["evaluate"] > 1  # one of them before the training, which does not play it again
 
 
@@ -100,12 +100,12 @@ def leave(job: RehearsalJob, name: str, turn: int, arrivals: Sequence[bool]) -> 
         write_arrays(demonstration_file(job, name, copy, turn), {"terminated": np.array(arrives)})
 
 
-@pytest.mark.parametrize(("cores", "asked", "threads"), [(1, 0, 1), (2, 0, 2), (16, 0, 4), (2, 3, 3)])
+@pytest.mark.parametrize(("cores", "setting", "threads"), [(1, 0, 1), (2, 0, 2), (16, 0, 4), (2, 3, 3)])
 def test_a_training_has_a_thread_for_each_core_within_reason(
-    cores: int, asked: int, threads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cores: int, setting: int, threads: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("pipeline.stages.rehearsal.copies.available_workers", lambda: cores)
-    assert training_settings(job_of(tmp_path, threads=asked), "cpu").threads == threads
+    assert training_settings(job_of(tmp_path, threads=setting), "cpu").threads == threads
 
 
 @pytest.mark.parametrize(
@@ -124,8 +124,8 @@ def test_a_training_has_a_thread_for_each_core_within_reason(
 def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
     tmp_path: Path, arrivals: tuple[bool, ...], others: tuple[bool, ...] | None, trials: int, decisions: int
 ) -> None:
-    tried = TrialStatistics(1, trials, 100.0, 0.1) if trials else None
-    job = replace(job_of(tmp_path, copies=3, share_of_decisions=0.5), tried=tried)
+    trial_statistics = TrialStatistics(1, trials, 100.0, 0.1) if trials else None
+    job = replace(job_of(tmp_path, copies=3, share_of_decisions=0.5), trial_statistics=trial_statistics)
     leave(job, "generalist", 0, arrivals)
     leave(job, "navigator", 0, [True] * len(arrivals))
 
@@ -133,8 +133,8 @@ def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
         assert others is not None  # it is not played where the first round says enough
         return others
 
-    assert not job.rules.mostly_arrives(first_turn(job), tried, elsewhere)  # of nothing
-    fewer = job.rules.mostly_arrives(first_turn(replace(job, start=GENERALIST)), tried, elsewhere)
+    assert not job.rules.mostly_arrives(first_turn(job), trial_statistics, elsewhere)  # of nothing
+    fewer = job.rules.mostly_arrives(first_turn(replace(job, start=GENERALIST)), trial_statistics, elsewhere)
     training = training_settings(job, "cpu", fewer=fewer)
     assert (training.decisions, training.evaluate_every) == (decisions, decisions // 3)
     assert training.learning_rate * decisions == pytest.approx(48 * training_settings(job, "cpu").learning_rate)
@@ -143,14 +143,14 @@ def test_a_policy_that_mostly_arrives_is_trained_for_fewer_decisions(
 
 def test_a_policy_that_always_arrives_is_trained_until_the_last_evaluation_but_one(tmp_path: Path) -> None:
     def always_arrives(job: RehearsalJob) -> bool:
-        return in_share(first_turn(job), job.tried, 1.0)
+        return in_share(first_turn(job), job.trial_statistics, 1.0)
 
     job = replace(job_of(tmp_path, copies=3), start=GENERALIST)
     assert not always_arrives(job)  # nothing was played
     leave(job, "generalist", 0, [True] * 4)
     assert always_arrives(job)
-    assert always_arrives(replace(job, tried=TrialStatistics(8, 8, 100.0, 0.1)))
-    assert not always_arrives(replace(job, tried=TrialStatistics(7, 8, 100.0, 0.1)))
+    assert always_arrives(replace(job, trial_statistics=TrialStatistics(8, 8, 100.0, 0.1)))
+    assert not always_arrives(replace(job, trial_statistics=TrialStatistics(7, 8, 100.0, 0.1)))
     assert not always_arrives(replace(job, start=None))
     leave(job, "generalist", 0, [True, True, True, False])
     assert not always_arrives(job)
@@ -194,10 +194,10 @@ def test_a_policy_that_always_arrives_and_presses_gently_is_not_trained(
 
 def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = Task(start_rotation_deg=180.0, max_steps=200)
-    asked = advising_policies(tmp_path, 0, task, GENERALIST)
-    assert [file.stem for file in asked] == ["generalist", "navigator", "navigator_seed1"]
+    demonstrators = advising_policies(tmp_path, 0, task, GENERALIST)
+    assert [file.stem for file in demonstrators] == ["generalist", "navigator", "navigator_seed1"]
     job = job_of(tmp_path, copies=2, demonstrations=4, task=task)
-    job = replace(job, start=GENERALIST, shown_by=tuple(asked))
+    job = replace(job, start=GENERALIST, demonstrators=tuple(demonstrators))
     # it arrives nearly always, so nobody else is asked
     assert all_demonstrations(job) == {"generalist": [3, 3]}
     shown = read_demonstrations(tmp_path)
@@ -212,12 +212,12 @@ def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, m
 @pytest.mark.parametrize(("reached", "others"), [(None, False), (4, False), (1, False), (0, True)])
 def test_trials_of_the_devices_count_when_others_are_asked(tmp_path: Path, reached: int | None, others: bool) -> None:
     """It arrives in both of two copies that one process plays, in three of four altogether: all of them count."""
-    asked = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))[:2]
+    demonstrators = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))[:2]
     job = job_of(tmp_path, copies=3, demonstrations=12)
-    job = replace(job, start=GENERALIST, shown_by=asked, turn=1)
-    job = replace(job, tried=None if reached is None else TrialStatistics(reached, 4, 100.0, 0.1))
+    job = replace(job, start=GENERALIST, demonstrators=demonstrators, turn=1)
+    job = replace(job, trial_statistics=None if reached is None else TrialStatistics(reached, 4, 100.0, 0.1))
     leave(job, "generalist", 0, [True, True, True, False])
-    assert turn_of(job) == (Turn(asked[1]) if others else None)
+    assert turn_of(job) == (Turn(demonstrators[1]) if others else None)
 
 
 def test_images_show_the_way_and_the_best_is_asked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -236,8 +236,8 @@ def test_images_show_the_way_and_the_best_is_asked_again(tmp_path: Path, monkeyp
             return Trajectory(seen, np.zeros((1, 2)), np.zeros(1), arrives, np.zeros(1), np.zeros((2, 3)), states)
 
     monkeypatch.setattr("pipeline.stages.rehearsal.training._Steered", Steered)
-    asked = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))
-    job = replace(job_of(tmp_path, copies=2, demonstrations=3), start=GENERALIST, shown_by=asked)
+    demonstrators = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))
+    job = replace(job_of(tmp_path, copies=2, demonstrations=3), start=GENERALIST, demonstrators=demonstrators)
     assert all_demonstrations(job) == {"generalist": [3, 0], "navigator": [9, 3], "navigator_seed1": [3, 0]}
     turns = [("generalist", 0), ("navigator", 0), ("navigator_seed1", 0), ("navigator", 1), ("navigator", 2)]
     assert played == [(name, case, number) for name, number in turns for case in (0, 2, 1)]  # one part, then the other
@@ -252,24 +252,26 @@ def test_images_show_the_way_and_the_best_is_asked_again(tmp_path: Path, monkeyp
     assert all_demonstrations(alone) == {"generalist": [3, 0], "navigator": [6, 1], "navigator_seed1": [3, 0]}
 
 
-def waiting(settings: RehearsalSettings, folder: Path, start: Path | None, *asked: Path) -> dict[str, tuple[str, ...]]:
+def waiting(
+    settings: RehearsalSettings, folder: Path, start: Path | None, *demonstrators: Path
+) -> dict[str, tuple[str, ...]]:
     """By job of a plan, those that it waits for."""
-    jobs = plan(settings, context(folder, "rehearsal"), settings.task, "bca", start, asked)
+    jobs = plan(settings, context(folder, "rehearsal"), settings.task, "bca", start, demonstrators)
     return {one.key: one.after for one in jobs}
 
 
 def test_turns_are_jobs_one_after_the_other_and_the_training_follows_them(tmp_path: Path) -> None:
-    asked = advising_policies(tmp_path, 0, Task(), GENERALIST)
+    demonstrators = advising_policies(tmp_path, 0, Task(), GENERALIST)
     settings = job_of(tmp_path, demonstrations=6).settings
-    after = waiting(settings, tmp_path, GENERALIST, *asked)
+    after = waiting(settings, tmp_path, GENERALIST, *demonstrators)
     turns = [f"demonstrations/{turn}" for turn in range(6)]  # of three policies, and three more of the best
     assert after["training"] == tuple(f"{turn}/{part}" for turn in turns for part in range(2))
     for earlier, later in itertools.pairwise(turns):
         assert after[f"{later}/0"] == after[f"{later}/1"] == (f"{earlier}/0", f"{earlier}/1")
     played = {"demonstrations/0/0": {"a": [6, 3]}, "demonstrations/0/1": {"a": [4, 1], "b": [2, 0]}}
-    assert shown_by(played) == {"a": 4, "b": 0}
+    assert count_demonstrations(played) == {"a": 4, "b": 0}
     none = replace(settings, demonstrations=0)
-    assert waiting(none, tmp_path, GENERALIST, *asked)["training"] == ()
+    assert waiting(none, tmp_path, GENERALIST, *demonstrators)["training"] == ()
 
 
 def test_policies_whose_files_have_one_name_are_told_apart(tmp_path: Path) -> None:
@@ -277,14 +279,14 @@ def test_policies_whose_files_have_one_name_are_told_apart(tmp_path: Path) -> No
     for file in same:
         file.parent.mkdir()
         shutil.copy(GENERALIST.with_name("generalist_simmons2.pt"), file)
-    job = replace(job_of(tmp_path, copies=1, catheter="simmons2"), shown_by=tuple(same))
+    job = replace(job_of(tmp_path, copies=1, catheter="simmons2"), demonstrators=tuple(same))
     assert all_demonstrations(job) == {"policy": [2, 0], "policy2": [2, 0]}  # after twelve steps
     assert len(list((tmp_path / "demonstrations").iterdir())) == 4
 
 
 def test_a_navigator_by_images_plays_in_the_copies(tmp_path: Path) -> None:
     navigator = GENERALIST.with_name("navigator.pt")
-    job = replace(job_of(tmp_path, copies=1, demonstrations=1), shown_by=(navigator,), part=0)
+    job = replace(job_of(tmp_path, copies=1, demonstrations=1), demonstrators=(navigator,), part=0)
     assert record_demonstrations(job, Report()) == {"navigator": [1, 0]}  # twelve steps do not lead there
     assert [file.name for file in (tmp_path / "demonstrations").iterdir()] == ["navigator_0_0.npz"]
     assert read_demonstrations(tmp_path) == []
@@ -302,9 +304,9 @@ def test_the_sampling_expert_shows_the_way_where_none_does(tmp_path: Path, monke
     assert record_demonstrations(job, Report()) == {"expert": [1, 1]}
     # enough is shown, so that no policy is asked
     always = replace(job.settings, expert="always", demonstrations=1)
-    asked = replace(job, settings=always, start=GENERALIST, shown_by=(GENERALIST,))
-    assert turn_of(asked) == Turn(None)
-    assert turn_of(replace(asked, turn=1)) is None
+    beginning = replace(job, settings=always, start=GENERALIST, demonstrators=(GENERALIST,))
+    assert turn_of(beginning) == Turn(None)
+    assert turn_of(replace(beginning, turn=1)) is None
     assert train(job, Report())["decisions"] == 48  # which takes them up
     record = json.loads((tmp_path / "seed0" / "training.json").read_text())
     assert record["settings"]["demonstrations_in_replay"] == 0.25
@@ -316,7 +318,7 @@ def test_the_sampling_expert_shows_the_way_where_none_does(tmp_path: Path, monke
 def test_the_expert_is_asked_where_policies_show_next_to_nothing(tmp_path: Path, arriving: int, expert: bool) -> None:
     """Of six episodes that are wanted a third is enough."""
     job = job_of(tmp_path, copies=5, demonstrations=6, expert="needed")
-    job = replace(job, start=GENERALIST, shown_by=(GENERALIST,))
+    job = replace(job, start=GENERALIST, demonstrators=(GENERALIST,))
     leave(job, "generalist", 0, [place < arriving for place in range(6)])
     leave(job, "generalist", 1, [False] * 6)
     number = 2 if arriving else 1  # a turn in which nobody arrives is the last one of policies

@@ -117,14 +117,14 @@ def test_registrations_are_tried_on_the_same_arches_and_starts(tmp_path: Path) -
 
 def test_plan_demonstrates_and_lays_starts_in_training_anatomies(tmp_path: Path) -> None:
     jobs = {job.key: job for job in plan(small_settings(anatomies=20, demonstrations=5), tmp_path, 1, "desk")}
-    shown = [jobs["demonstrations/0"].given, jobs["demonstrations/1"].given]
-    assert sorted(seed for given in shown for seed in given.shown) == list(range(1000, 1005))
-    laid = [job for job in jobs.values() if isinstance(job.given, roadmap.StartsJob)]
-    assert [seed for job in laid for seed in job.given.anatomies] == list(range(1000, 1020))
-    assert [job.after for job in laid] == [("training/1000",), ("training/1016",)]
+    parts = [jobs["demonstrations/0"].given, jobs["demonstrations/1"].given]
+    assert sorted(seed for given in parts for seed in given.demonstrated) == list(range(1000, 1005))
+    inserted = [job for job in jobs.values() if isinstance(job.given, roadmap.StartsJob)]
+    assert [seed for job in inserted for seed in job.given.anatomies] == list(range(1000, 1020))
+    assert [job.after for job in inserted] == [("training/1000",), ("training/1016",)]
     waited = set(jobs["roadmap 4"].after)
-    assert {"demonstrations/0", "demonstrations/1", *(job.key for job in laid)} <= waited
-    assert jobs["roadmap 4"].given.settings.reset_bank_cases == 12
+    assert {"demonstrations/0", "demonstrations/1", *(job.key for job in inserted)} <= waited
+    assert jobs["roadmap 4"].given.settings.start_state_buffer_cases == 12
     none = {job.key: job.given for job in plan(small_settings(demonstrations=0), tmp_path, 1, "desk")}
     assert not [key for key in none if key.startswith("demonstrations")]
 
@@ -254,7 +254,8 @@ def test_plan_in_arch_variety_has_all_types_and_points_of_each_arch(tmp_path: Pa
     assert not any(job.given.targets for job in jobs.values() if isinstance(job.given, roadmap.AnatomiesJob))
     given = jobs["roadmap"].given
     assert given.task.targets == ("point_1", "point_2")
-    assert (given.settings.action_repeat, given.settings.reset_bank_cases) == (2, 16)  # 0.3 s; arches times points
+    assert given.settings.action_repeat == 2  # 0.3 s
+    assert given.settings.start_state_buffer_cases == 16  # arches times points
 
 
 def test_arches_of_arch_variety_with_a_steep_point_are_found() -> None:

@@ -36,17 +36,17 @@ def test_a_policy_of_x_ray_images_observes_no_mask(tmp_path: Path) -> None:
     assert set(seen.reset(seed=0)[0]) == {"goal_image", "image", "plain", "contrast"}
 
 
-def test_laid_starts_lie_before_the_target_and_are_laid_once(tmp_path: Path) -> None:
+def test_inserted_starts_lie_before_the_target_and_are_inserted_once(tmp_path: Path) -> None:
     job = roadmap.StartsJob(tmp_path / "starts", TASK, (5,), seed=0)
-    laid = roadmap.lay_starts(job, Report())
-    assert laid["anatomies"] == 1
-    assert laid["states"] >= 8
+    inserted = roadmap.insert_starts(job, Report())
+    assert inserted["anatomies"] == 1
+    assert inserted["states"] >= 8
     written = (job.folder / "5.npz").stat().st_mtime_ns
-    assert roadmap.lay_starts(job, Report()) == laid
+    assert roadmap.insert_starts(job, Report()) == inserted
     assert (job.folder / "5.npz").stat().st_mtime_ns == written
 
     (starts,) = roadmap.read_starts(job.folder, (5,), TASK.targets)
-    assert len(starts) == laid["states"]
+    assert len(starts) == inserted["states"]
     assert (starts[:, -1] == 0).all()
     environment = TASK.training_environment((5,), ("tip",))
     begun = environment.start_state()
@@ -80,7 +80,7 @@ def test_wires_of_the_tests_and_with_a_catheter_both_devices_are_steered() -> No
 def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
     assert roadmap.build_anatomies(roadmap.AnatomiesJob((training_arch(0),), ("lcca",)), Report()) == {"anatomies": 1}
     starts = roadmap.StartsJob(tmp_path / "unseen" / "starts", TASK, (0,), seed=0)
-    assert roadmap.lay_starts(starts, Report())["states"] > 0
+    assert roadmap.insert_starts(starts, Report())["states"] > 0
     small = small_settings(targets=["lcca"], anatomies=1, validation_episodes=1, hidden=16)
     tiny = replace(roadmap.training_settings(small, 1, 160), learning_starts=32, n_envs=4)
     teacher = roadmap.RoadmapJob(

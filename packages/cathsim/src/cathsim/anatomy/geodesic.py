@@ -69,10 +69,10 @@ def _continue_outwards(field: NDArray[np.float32], band: NodeSet, spacing: float
     depth, open_ = -band.values, np.flatnonzero(~np.isfinite(field)).astype(np.int32)
     layers = int(np.ceil(MARGIN / spacing)) + 1
     for layer in range(1, layers + 1):
-        chosen = open_[depth[open_] < layer * spacing]
-        means = np.empty(len(chosen), dtype=np.float32)
-        arrays = (address(array) for array in (chosen, field, means))
-        library().cathsim_continue_outwards(ctypes.byref(nodes), len(chosen), *arrays)
+        front = open_[depth[open_] < layer * spacing]
+        means = np.empty(len(front), dtype=np.float32)
+        arrays = (address(array) for array in (front, field, means))
+        library().cathsim_continue_outwards(ctypes.byref(nodes), len(front), *arrays)
         open_ = open_[~np.isfinite(field[open_])]
 
 

@@ -133,11 +133,11 @@ def _load_arch(name: str, parameters: Recipe, resolution: float, cache_dir: Path
         return _load(name, parameters, float(resolution), directory)
 
 
-def phantom_description(phantom: Phantom) -> dict[str, Any]:
+def phantom_to_spec(phantom: Phantom) -> dict[str, Any]:
     """What a phantom was built from, as JSON holds it.
 
     Returns:
-        For `phantom_described`: name, hash, resolution (m), and measures or the arguments of the import.
+        For `phantom_from_spec`: name, hash, resolution (m), and measures or the arguments of the import.
 
     Raises:
         ValueError: it is neither of this library, nor of `build_phantom`, nor from a mesh's file.
@@ -155,7 +155,7 @@ def phantom_description(phantom: Phantom) -> dict[str, Any]:
     return description if NAMED.get(phantom.name) == parameters else {**description, **recipe_content(parameters)}
 
 
-def phantom_described(description: Mapping[str, Any]) -> Phantom:
+def phantom_from_spec(description: Mapping[str, Any]) -> Phantom:
     """Loads or builds the phantom of a description.
 
     Raises:
@@ -163,7 +163,7 @@ def phantom_described(description: Mapping[str, Any]) -> Phantom:
     """
     name, resolution = description["name"], description["resolution"]
     if "mesh" in description:
-        return _described_import(description)
+        return _import_from_spec(description)
     if any(key in description for key in ("parameters", "variety", "scan", "tree")):
         phantom = _load_arch(name, recipe_of(description), resolution)
     else:
@@ -172,7 +172,7 @@ def phantom_described(description: Mapping[str, Any]) -> Phantom:
     return phantom
 
 
-def _described_import(description: Mapping[str, Any]) -> Phantom:
+def _import_from_spec(description: Mapping[str, Any]) -> Phantom:
     from cathsim.anatomy.importing import import_again, import_digest
 
     source, resolution = description["mesh"], float(description["resolution"])

@@ -179,20 +179,20 @@ def _samples(branch: Branch, extend_start: bool, extend_end: bool) -> tuple[NDAr
     return arc, centre, tangent, bend, radius, cosine
 
 
-def _unit_slope(blocks: NodeBlocks, chosen: NDArray[np.int64], spacing: float) -> NodeBlocks:
+def _unit_slope(blocks: NodeBlocks, indices: NDArray[np.int64], spacing: float) -> NodeBlocks:
     """Divides the field by its slope at chosen nodes (n, 3) and clamps it.
 
     Where tubes were blended it becomes first-order exact, and the wall stays where it is.
     """
     band = _BAND * spacing
-    flat, at = blocks.nodes.reshape(-1), blocks.positions(np.clip(chosen, 1, np.array(blocks.shape) - 2))
-    square = np.zeros(len(chosen), dtype=np.float32)
+    flat, at = blocks.nodes.reshape(-1), blocks.positions(np.clip(indices, 1, np.array(blocks.shape) - 2))
+    square = np.zeros(len(indices), dtype=np.float32)
     for stride in STRIDES:
         square += ((flat[at + stride] - flat[at - stride]) / np.float32(2 * spacing)) ** 2
-    value = blocks.at(chosen)
+    value = blocks.at(indices)
     near = np.clip(2 - 2 * np.abs(value) / band, 0, 1)  # fades out, so that no step arises at the band's edge
     slope = 1 + near * (np.clip(np.sqrt(square), 0.6, 1.2) - 1)
     own = blocks.own.copy()
-    block = blocks.table[tuple((chosen >> 3).T)] - 1
-    own[(block, *(chosen & 7).T)] = value / slope
+    block = blocks.table[tuple((indices >> 3).T)] - 1
+    own[(block, *(indices & 7).T)] = value / slope
     return NodeBlocks.from_cores(blocks.stored, np.maximum(own, np.float32(OUTSIDE)), blocks.shape, OUTSIDE)

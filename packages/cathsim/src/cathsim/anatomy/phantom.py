@@ -141,7 +141,7 @@ class Phantom:
         """Branches in which points are, and their depths behind the ostia."""
         return BranchDepths(self.tree)
 
-    def target(self, wanted: TargetLike) -> Target:
+    def target(self, target: TargetLike) -> Target:
         """The target of a name, or of a point (3,) m in the lumen, world frame.
 
         "point_1", "point_2" and so on are points on the centrelines of the aorta's branches, drawn by the phantom's
@@ -151,7 +151,7 @@ class Phantom:
             ValueError: for an unknown name, listing the valid ones; for a point outside the lumen, or beyond a branch's
                 end.
         """
-        place = as_target(wanted)
+        place = as_target(target)
         if not isinstance(place, str):
             require_inside(place, self.grid, self.name)
             return self._point_target(target_name(place), place)
@@ -179,11 +179,11 @@ class Phantom:
         branch, arc, aside = nearest_branch(place, self.tree)
         return Target(name, branch, np.array(place), arc, aside)
 
-    def entry(self, wanted: EntryLike = "descending") -> Entry:
+    def entry(self, entry: EntryLike = "descending") -> Entry:
         """The entry of a name, or at a point in the lumen.
 
         Args:
-            wanted: one of `entries`; the open end of a branch, such as "lsa_end"; a point (3,) m where the sheath ends,
+            entry: one of `entries`; the open end of a branch, such as "lsa_end"; a point (3,) m where the sheath ends,
                 or its text of `entry_name`. The sheath of a point lies along the centreline, towards the heart, or
                 towards the target that the text names.
 
@@ -191,7 +191,7 @@ class Phantom:
             ValueError: an unknown name, listing the valid ones; a point outside the lumen, or beside a wall that the
                 sheath would point at.
         """
-        name = entry_name(wanted)
+        name = entry_name(entry)
         if name in self.entries:
             return self.entries[name]
         ends = end_names(self.tree)

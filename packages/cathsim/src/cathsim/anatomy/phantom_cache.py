@@ -39,9 +39,9 @@ DAMAGE = (BadZipFile, OSError, ValueError, KeyError, TypeError, EOFError, IndexE
 
 def default_cache_directory() -> Path:
     """Where phantoms are cached, made when needed: $CATHSIM_CACHE, else `cathsim` in the user's cache directory."""
-    chosen = os.environ.get("CATHSIM_CACHE")
-    if chosen:
-        return Path(chosen).expanduser()
+    folder = os.environ.get("CATHSIM_CACHE")
+    if folder:
+        return Path(folder).expanduser()
     base = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or "~/.cache"
     return Path(base).expanduser() / "cathsim"
 

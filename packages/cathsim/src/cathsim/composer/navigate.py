@@ -17,13 +17,13 @@ from cathsim.anatomy.point_target import TargetLike
 from cathsim.composer.entities import Feeder, GuidewireEntity, VesselArena, model_parts
 from cathsim.composer.two_devices import TwoDevices
 from cathsim.devices.catheter import Catheter
-from cathsim.devices.choice import chosen_catheter, chosen_wire, device_pair
+from cathsim.devices.choice import device_pair, resolve_catheter, resolve_wire
 from cathsim.environment import ACTIONS, ROTATION_STEP, TRANSLATION_STEP
 from cathsim.guidewire import Guidewire
 from cathsim.navigation import Goal, NavigationTask, navigation_task, require_length
 from cathsim.observations.fluoroscopes import camera, outside_sheath
 from cathsim.presets import Accuracy, accuracy
-from cathsim.registration.description import chosen
+from cathsim.registration.description import resolve_argument
 from cathsim.simulation import CONTROL_STEP, SETTLE_STEPS, vessel_of
 
 STEPPING = Accuracy(timestep=0.0025, refinement=1, mass_scale=10.0)
@@ -64,7 +64,7 @@ class NavigateTask(composer.Task):
         self.phantom, self.task = phantom, task
         self._goal = Goal(task, phantom)
         self.goal = self._goal.position
-        numerics = chosen("numerics", numerics, Accuracy, accuracy)
+        numerics = resolve_argument("numerics", numerics, Accuracy, accuracy)
         pair = device_pair(wire, catheter, torsion)
         if pair is not None and tip_motors:
             raise ValueError("two devices are simulated without tip motors: leave out the catheter for them")
@@ -291,11 +291,11 @@ def load(
         raise ValueError(f"unknown actions '{actions}'; there are {', '.join(ACTIONS)}")
     navigate = NavigateTask(
         load_phantom(phantom, seed=phantom_seed) if isinstance(phantom, str) else phantom,
-        chosen_wire(wire),
+        resolve_wire(wire),
         navigation_task(target, task_fields, task),
         entry=entry,
         tip_motors=actions == "tip_motors",
-        catheter=chosen_catheter(catheter),
+        catheter=resolve_catheter(catheter),
         torsion=torsion,
         image_size=image_size,
         numerics=numerics,

@@ -109,13 +109,13 @@ def _key(task: Task) -> str:
     return json.dumps(task, sort_keys=True)
 
 
-def expert_score(task: Task, told: Callable[[dict[str, Any]], None] | None = None) -> Score:
+def expert_score(task: Task, report: Callable[[dict[str, Any]], None] | None = None) -> Score:
     """One episode of the sampling expert, with the searches above.
 
     Args:
         task: phantom, target, wire, catheter, accuracy, max_steps, success_radius and seed of the start, as of the
             console's setup; most_force: N at which the episode ends, None: it does not.
-        told: called after each step with `steps`, those made so far.
+        report: called after each step with `steps`, those made so far.
     """
     import numpy as np
 
@@ -137,8 +137,8 @@ def expert_score(task: Task, told: Callable[[dict[str, Any]], None] | None = Non
         forces.append(info["force"])
         rewards.append(reward)
         over = terminated or truncated or (most_force is not None and info["force"] >= most_force)
-        if told is not None:
-            told({"steps": len(forces)})
+        if report is not None:
+            report({"steps": len(forces)})
     expert.close()
     metrics = EpisodeMetrics.from_arrays(
         np.array(tips), np.array(forces), np.array(rewards), bool(info["success"]), target=target, ending=info

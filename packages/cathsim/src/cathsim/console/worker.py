@@ -92,13 +92,13 @@ class RealTimeLoop(threading.Thread):
 
     # -- requests, from other threads ---------------------------------------------------------------------------------
 
-    def request(self, asked: str | Mapping[str, Any]) -> None:
+    def request(self, message: str | Mapping[str, Any]) -> None:
         """Takes a request of the page, as `read_request` does.
 
         Raises:
             ValueError: its values are impossible.
         """
-        request = read_request(asked)
+        request = read_request(message)
         kind = request["type"]
         if kind == "controls":
             catheter = request.get("catheter", (0.0, 0.0))
@@ -109,8 +109,8 @@ class RealTimeLoop(threading.Thread):
         elif kind == "release":
             self.panel.release()
         elif kind == "choose":
-            chosen = self._choices.read(request, self._setup, self._catheter)
-            self._inbox.put(kind, lambda: self._choose(chosen))
+            choice = self._choices.read(request, self._setup, self._catheter)
+            self._inbox.put(kind, lambda: self._choose(choice))
         elif kind == "view":
             view = CArm(request["primary_deg"], request["secondary_deg"], request["zoom"])
             self._inbox.put(f"view {request['camera']}", lambda: self._views.turn(request["camera"], view))
@@ -259,8 +259,8 @@ class RealTimeLoop(threading.Thread):
             criteria=[asdict(criterion) for criterion in CRITERIA],
         )
 
-    def _choose(self, chosen: Chosen) -> None:
-        setup, phantom, target, catheter = chosen
+    def _choose(self, choice: Chosen) -> None:
+        setup, phantom, target, catheter = choice
         self._say(type="loading", phantom=phantom)
         try:
             loaded = load_phantom(phantom)

@@ -39,7 +39,7 @@ class SimulationStruct(ctypes.Structure):
     """One simulation (struct Simulation of step.h)."""
 
     _fields_ = (
-        *_fields(ctypes.c_void_p, "model", "fine", "finest", "data", "saved", "room"),
+        *_fields(ctypes.c_void_p, "model", "fine", "finest", "data", "saved", "workspace"),
         *_fields(ctypes.c_int, "solver_rows", "vessel_geom", "hulls", "first_geom", "last_geom", "refinement"),
         *_fields(ctypes.c_double, "tolerance", "rise", "deep"),
         *_fields(ctypes.c_int, "depth_samples"),

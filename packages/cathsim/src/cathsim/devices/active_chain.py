@@ -107,7 +107,7 @@ class ActiveChain:
 
     Args:
         models: the model, and the addresses of its twins with shorter timesteps.
-        kept: what must live as long as the chain, because the native struct points to it.
+        references: what must live as long as the chain, because the native struct points to it.
         links: number of links of the model.
         depth_samples: points a link at which the penetration is measured; 0: it is not.
         wall_stiffness: of each contact with the wall, N/mm; None: the usual contact's.
@@ -117,7 +117,7 @@ class ActiveChain:
     def __init__(
         self,
         models: tuple[mujoco.MjModel, int, int],
-        kept: tuple[Any, ...],
+        references: tuple[Any, ...],
         links: int,
         *,
         vessel: Vessel,
@@ -129,9 +129,9 @@ class ActiveChain:
     ) -> None:
         self.model, fine, finest = models
         self.data = mujoco.MjData(self.model)
-        self._kept = kept
+        self._references = references
         self._saved = np.zeros(self.model.nq + 2 * self.model.nv)
-        self._room = np.empty(library().cathsim_solver_room(self.model.nv))
+        self._workspace = np.empty(library().cathsim_solver_workspace(self.model.nv))
         first = self.model.geom(LINK_NAME.format(0)).id
         self.loads = np.zeros((links if drag else 0, 6))
         self.struct = SimulationStruct(
@@ -140,7 +140,7 @@ class ActiveChain:
             finest=finest,
             data=self.data._address,
             saved=self._saved.ctypes.data,
-            room=self._room.ctypes.data,
+            workspace=self._workspace.ctypes.data,
             solver_rows=library().cathsim_solver_rows(),
             vessel_geom=self.model.geom(GEOM_NAME).id,
             hulls=vessel.wall_parts(self.model),

@@ -11,20 +11,20 @@ from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.presets import Accuracy
-from cathsim.registration.description import chosen
+from cathsim.registration.description import resolve_argument
 from cathsim.simulation import Simulation
 
 TORSIONS: tuple[str, ...] = get_args(Torsion)
 
 
-def chosen_wire(wire: Any) -> Guidewire | None:
+def resolve_wire(wire: Any) -> Guidewire | None:
     """A wire from a preset's name, the path of a YAML file, a `Guidewire` or its description; None: no wire."""
-    return None if wire is None else chosen("wire", wire, Guidewire, load_guidewire)
+    return None if wire is None else resolve_argument("wire", wire, Guidewire, load_guidewire)
 
 
-def chosen_catheter(catheter: Any) -> Catheter | None:
+def resolve_catheter(catheter: Any) -> Catheter | None:
     """A catheter from a preset's name, the path of a YAML file, a `Catheter` or its description; None: no catheter."""
-    return None if catheter is None else chosen("catheter", catheter, Catheter, load_catheter)
+    return None if catheter is None else resolve_argument("catheter", catheter, Catheter, load_catheter)
 
 
 def device_pair(wire: Guidewire | None, catheter: Catheter | None, torsion: str = "elastic") -> DevicePair | None:

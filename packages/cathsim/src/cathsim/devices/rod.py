@@ -52,7 +52,7 @@ class RodStruct(ctypes.Structure):
         ),
         *((name, _pointer) for name in ("from_end", "before", "after", "lengths", "inverse_weight", "cells")),
         ("twist", _pointer * DEVICES),
-        ("room", _pointer),
+        ("workspace", _pointer),
         ("lead_from", _number),
         ("lead_to", _number),
         ("hub_from", _number * DEVICES),
@@ -150,7 +150,7 @@ class Rod:
                 f"a chain of {joints} joints needs twist of shape (2, {joints}) and weights of (2, {len(links)}, 2), "
                 f"got {twist.shape} and {weight.shape}"
             )
-        self._kept = (model, tables, links, from_end, before, after, cells, workspace, weight, twist)
+        self._references = (model, tables, links, from_end, before, after, cells, workspace, weight, twist)
         geom = model.geom(chain + LINK_NAME.format(0)).id
         self.struct = RodStruct(
             model=model._address,
@@ -169,7 +169,7 @@ class Rod:
             inverse_weight=weight.ctypes.data,
             cells=cells.ctypes.data,
             twist=(ctypes.c_void_p * DEVICES)(*(row.ctypes.data for row in twist)),
-            room=workspace.ctypes.data,
+            workspace=workspace.ctypes.data,
             shown=math.nan,
         )
 

@@ -127,7 +127,7 @@ def _reset(simulation: Simulation, insertion: float, lead: float | None) -> None
     simulation.reset(insertion + min(lead, 0.0), catheter=(insertion - max(lead, 0.0), 0.0))
 
 
-def laid_starts(environment: NavigateEnv, generator: np.random.Generator) -> np.ndarray:
+def inserted_starts(environment: NavigateEnv, generator: np.random.Generator) -> np.ndarray:
     """Start states with the wire inserted towards the target, and withdrawn from there.
 
     Two devices are inserted at a lead from `LEADS` and withdrawn together.

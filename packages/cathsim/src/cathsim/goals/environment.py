@@ -20,7 +20,7 @@ from cathsim.environment import NavigateEnv
 from cathsim.goals.task import GoalTask, Infos
 from cathsim.navigation import Arrival, NavigationTask, require_reach
 from cathsim.observations.observables import GUIDANCE
-from cathsim.registration.description import chosen, described
+from cathsim.registration.description import from_spec, resolve_argument
 from cathsim.vector import ThreadedVectorEnv
 
 _GOAL_DRAWS = 0x60A1  # beside an episode's seed, so that the draw of its goal leaves those of its start as they are
@@ -77,11 +77,13 @@ class NavigateGoalEnv(NavigateEnv):
             )
         if goals is not None and (isinstance(goals, str) or not len(goals)):
             raise ValueError(f"goals must list at least one name or point, got {goals!r}")
-        phantom = chosen("phantom", phantom, Phantom, partial(load_phantom, seed=arguments.pop("phantom_seed", None)))
+        phantom = resolve_argument(
+            "phantom", phantom, Phantom, partial(load_phantom, seed=arguments.pop("phantom_seed", None))
+        )
         entry = arguments.get("entry", "descending")
         ways = centreline_goals(phantom, entry) if goals is None else {}
         targets = list(ways) if goals is None else [as_target(goal) for goal in goals]
-        task = GoalTask() if task is None else described(task)
+        task = GoalTask() if task is None else from_spec(task)
         if not isinstance(task, GoalTask):
             raise ValueError(f"task must be a GoalTask, got {task!r}")
         if arguments.get("observe_every", 1) != 1:

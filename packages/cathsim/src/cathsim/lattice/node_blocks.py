@@ -177,8 +177,8 @@ class NodeBlocks:
         """
         if condition(self.nodes[0, :1, 0, 0])[0]:  # the constant does: there is nothing to leave out
             dense = self.dense()
-            chosen = condition(dense)
-            return np.argwhere(chosen).astype(np.int32), dense[chosen]
+            mask = condition(dense)
+            return np.argwhere(mask).astype(np.int32), dense[mask]
         indices, values = [np.zeros((0, 3), dtype=np.int32)], [np.zeros(0, dtype=self.nodes.dtype)]
         for layer in np.flatnonzero(self.table.any(axis=(1, 2))):
             stored = np.argwhere(self.table[layer])
@@ -186,9 +186,9 @@ class NodeBlocks:
             first = EDGE * int(layer)
             box = (slice(first, first + EDGE), slice(int(low[0]), int(high[0])), slice(int(low[1]), int(high[1])))
             dense = self.dense(box)
-            chosen = condition(dense)
-            indices.append(np.argwhere(chosen).astype(np.int32) + np.array([first, *low], dtype=np.int32))
-            values.append(dense[chosen])
+            mask = condition(dense)
+            indices.append(np.argwhere(mask).astype(np.int32) + np.array([first, *low], dtype=np.int32))
+            values.append(dense[mask])
         return np.concatenate(indices), np.concatenate(values)
 
     def box_where(self, condition: Callable[[NDArray], NDArray[np.bool_]]) -> NDArray[np.int32]:
@@ -200,18 +200,18 @@ class NodeBlocks:
         if condition(self.nodes[0, :1, 0, 0])[0]:  # the constant does: own nodes beyond the lattice hold it, too
             indices = self.where(condition)[0]
             return np.stack([indices.min(axis=0), indices.max(axis=0)])
-        chosen, box = condition(self.own), np.empty((2, 3), dtype=np.int32)
+        mask, box = condition(self.own), np.empty((2, 3), dtype=np.int32)
         for axis in range(3):
             others = tuple(k + 1 for k in range(3) if k != axis)
-            along = (self.places[:, axis, None] + np.arange(EDGE))[chosen.any(axis=others)]
+            along = (self.places[:, axis, None] + np.arange(EDGE))[mask.any(axis=others)]
             box[:, axis] = along.min(), along.max()
         return box
 
-    def own_indices(self, chosen: NDArray[np.bool_]) -> NDArray[np.int32]:
+    def own_indices(self, mask: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Indices (n, 3) of nodes chosen among `own` (blocks - 1, 8, 8, 8), block by block."""
         places, pieces = self.places.astype(np.int32), [np.zeros((0, 3), dtype=np.int32)]
         for first in range(0, len(places), _BATCH // EDGE**3):
-            indices = np.argwhere(chosen[first : first + _BATCH // EDGE**3])
+            indices = np.argwhere(mask[first : first + _BATCH // EDGE**3])
             pieces.append(places[first + indices[:, 0]] + indices[:, 1:].astype(np.int32))
         return np.concatenate(pieces)
 
@@ -224,9 +224,9 @@ class NodeBlocks:
         if stride == 1:
             return self
         shape = tuple(-(-n // stride) for n in self.shape)
-        chosen = self._on_stride(stride)
+        mask = self._on_stride(stride)
         nx, ny, nz = shape
-        return self.from_nodes(self.own_indices(chosen) // stride, self.own[chosen], (nx, ny, nz), self.constant)
+        return self.from_nodes(self.own_indices(mask) // stride, self.own[mask], (nx, ny, nz), self.constant)
 
     def _on_stride(self, stride: int) -> NDArray[np.bool_]:
         axes = [

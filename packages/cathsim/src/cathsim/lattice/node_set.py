@@ -39,13 +39,13 @@ class NodeSet:
     def __len__(self) -> int:
         return len(self.indices)
 
-    def neighbours(self, chosen: NDArray[np.integer] | slice, step: Sequence[int]) -> NDArray[np.int32]:
+    def neighbours(self, rows: NDArray[np.integer] | slice, step: Sequence[int]) -> NDArray[np.int32]:
         """Numbers (m,) of the neighbours of chosen nodes (m,), -1 where that is none of the set.
 
         Args:
             step: -1, 0 or 1 along each axis.
         """
-        return self.numbers.nodes.reshape(-1)[self.positions[chosen] + int(np.dot(step, STRIDES))]
+        return self.numbers.nodes.reshape(-1)[self.positions[rows] + int(np.dot(step, STRIDES))]
 
     def number_at(self, index: NDArray[np.integer]) -> int:
         """Number of the node at an index (3,) of the lattice, -1 where that is none of the set."""

@@ -59,8 +59,8 @@ static int capsule_vessel(const mjModel* m, mjData* d, mjPreContact* con, int g1
   int part;
   const Vessel* v = vessel_of_geom(m, g2, &part);
   if (!v) return original(m, d, con, g1, g2, margin);
-  Vessel room;
-  v = vessel_at_moment(v, m, d, &room);
+  Vessel moved;
+  v = vessel_at_moment(v, m, d, &moved);
 
   const double radius = m->geom_size[3 * g1], half = m->geom_size[3 * g1 + 1];
   const double* centre = d->geom_xpos + 3 * g1;

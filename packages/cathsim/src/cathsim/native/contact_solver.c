@@ -30,7 +30,7 @@ typedef struct {
   Column column[SOLVER_ROWS];
 } Problem;
 
-int cathsim_solver_room(int nv) {
+int cathsim_solver_workspace(int nv) {
   return nv * (SOLVER_ROWS + 2) + 3 * SOLVER_ROWS * SOLVER_ROWS + 12 * SOLVER_ROWS;
 }
 
@@ -173,10 +173,10 @@ static void scatter(const Problem* p, double factor, const double* x, double* y)
   }
 }
 
-/* Newton's direction (I + S A)^-1 r with S = G G': r - G (I + G'A G)^-1 G' A r; `room`: two matrices and a vector. */
-static int direction(const Problem* p, const double* r, const double* ar, double* result, double* room) {
+/* Newton's direction (I + S A)^-1 r with S = G G': r - G (I + G'A G)^-1 G' A r; `workspace`: two matrices, a vector. */
+static int direction(const Problem* p, const double* r, const double* ar, double* result, double* workspace) {
   const int n = p->rows, columns = p->columns;
-  double *ga = room, *inner = ga + columns * n, *right = inner + columns * columns;
+  double *ga = workspace, *inner = ga + columns * n, *right = inner + columns * columns;
   memcpy(result, r, sizeof(double) * n);
   gather(p, ar, right);
   for (int a = 0; a < columns; a++) {
@@ -245,9 +245,9 @@ static void project(const mjModel* m, const mjData* d, const double* scale, doub
 }
 
 /* Begins where Newton's step from the last acceleration leads (z), or with no force, whichever costs less. */
-static void begin(Problem* p, const double* z0, double* y, double* ay, double* room) {
+static void begin(Problem* p, const double* z0, double* y, double* ay, double* workspace) {
   const int n = p->rows;
-  double *r = room, *ar = r + n, *work = ar + n;
+  double *r = workspace, *ar = r + n, *work = ar + n;
   double warm = INFINITY;
   evaluate(p, p->z, 1);
   for (int i = 0; i < n; i++) ar[i] = p->z[i] - z0[i];
@@ -266,9 +266,9 @@ static void begin(Problem* p, const double* z0, double* y, double* ay, double* r
   memcpy(p->z, z0, sizeof(double) * n);
 }
 
-void contact_solve(const mjModel* m, mjData* d, double* room) {
+void contact_solve(const mjModel* m, mjData* d, double* workspace) {
   const int nv = m->nv, n = d->nefc;
-  double *reached = room, *acceleration = reached + nv * SOLVER_ROWS, *scale = acceleration + nv, *A = scale + nv;
+  double *reached = workspace, *acceleration = reached + nv * SOLVER_ROWS, *scale = acceleration + nv, *A = scale + nv;
   double *z0 = A + n * n, *z = z0 + n, *y = z + n, *ay = y + n, *r = ay + n, *ar = r + n, *dy = ar + n, *dz = dy + n;
   double *trial = dz + n, *work = trial + n;
   memset(d->qfrc_constraint, 0, sizeof(double) * nv);

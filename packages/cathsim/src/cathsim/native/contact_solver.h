@@ -6,8 +6,8 @@
 
 #define SOLVER_ROWS 120 /* contact rows above which MuJoCo's own solver is left to it: with convex hulls, say */
 
-/* Numbers that `contact_solve` needs room for, with so many degrees of freedom. */
-int cathsim_solver_room(int nv);
+/* Numbers that `contact_solve` needs as workspace, with so many degrees of freedom. */
+int cathsim_solver_workspace(int nv);
 
 /* Whether `contact_solve` knows all constraints of the moment, at most `rows` of them: frictionless contacts, and elliptic
  * cones in 3 rows. */
@@ -16,6 +16,6 @@ int contact_solvable(const mjModel* m, const mjData* d, int rows);
 /* Solves for the acceleration and the forces of all contacts, to rounding, under the discrete integrator: positions,
  * velocities, constraints and the acceleration without them are those of `d`. Sets qacc, qfrc_constraint, efc_force and the
  * number of iterations. */
-void contact_solve(const mjModel* m, mjData* d, double* room);
+void contact_solve(const mjModel* m, mjData* d, double* workspace);
 
 #endif

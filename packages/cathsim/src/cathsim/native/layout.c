@@ -56,8 +56,8 @@ void cathsim_layout(const mjModel* m, const mjData* d, int64_t* seen) {
 /* Size (bytes) of a model's structure. */
 int cathsim_model_size(void) { return (int)sizeof(mjModel); }
 
-/* Makes `twin` (room for one) a model with all arrays of `m` and a timestep (s) of its own: what is written to one shows in
- * the other. It is valid as long as `m` is, and is not to be freed by MuJoCo. */
+/* Makes `twin` (memory for one) a model with all arrays of `m` and a timestep (s) of its own: what is written to one shows
+ * in the other. It is valid as long as `m` is, and is not to be freed by MuJoCo. */
 void cathsim_model_twin(const mjModel* m, double timestep, mjModel* twin) {
   *twin = *m;
   twin->opt.timestep = timestep;

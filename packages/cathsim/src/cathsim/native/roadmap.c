@@ -46,11 +46,11 @@ double cathsim_roadmap_path(const Roadmap* r, const double start[3], double step
     double g[3], left = sample(r, &r->remain, p);
     if (left > 0.5 * step) {
       gradient(r, &r->remain, p, spacing, g);
-      const double room = sample(r, &r->wall, p);
-      if (room < clearance) {
+      const double depth = sample(r, &r->wall, p);
+      if (depth < clearance) {
         double inwards[3];
         gradient(r, &r->wall, p, spacing, inwards);
-        const double push = 1 - room / clearance;
+        const double push = 1 - depth / clearance;
         for (int i = 0; i < 3; i++) g[i] -= (push < 2 ? push : 2) * inwards[i];
       }
       const double norm = sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2]);
@@ -72,9 +72,9 @@ void cathsim_roadmap_rays(const Roadmap* r, const double start[3], double limit,
     while (length < limit) {
       double p[3];
       for (int i = 0; i < 3; i++) p[i] = start[i] + length * directions[3 * n + i];
-      const double room = sample(r, &r->wall, p);
-      if (!(room > 0)) break;
-      length += room > least ? room : least;
+      const double depth = sample(r, &r->wall, p);
+      if (!(depth > 0)) break;
+      length += depth > least ? depth : least;
     }
     lengths[n] = length < limit ? length : limit;
   }

@@ -159,7 +159,7 @@ static const double* bend_of(const Rod* rod, const mjData* data, int joint) {
 static double own_turn(const double bend[2]) { return 2 * atan(tan(0.5 * bend[0]) * tan(0.5 * bend[1])); }
 
 /* Cosine and sine of a device's twist at each joint, of the moment when `spin` was called. */
-static double* spins_of(const Rod* rod, int device) { return rod->room + (4 + 2 * device) * rod->joints; }
+static double* spins_of(const Rod* rod, int device) { return rod->workspace + (4 + 2 * device) * rod->joints; }
 
 static void spin(const Rod* rod, int device) {
   double* spins = spins_of(rod, device);
@@ -221,7 +221,7 @@ static double frame_turn(const double* turns, int joint) {
  * the energy rise); returns the largest change, rad. */
 static double relax_twist(Rod* rod, const mjData* data, int device) {
   const int n = rod->joints;
-  double *turns = rod->room, *before = turns + n, *diagonal = before + n, *right = diagonal + n;
+  double *turns = rod->workspace, *before = turns + n, *diagonal = before + n, *right = diagonal + n;
   double* twist = rod->twist[device];
   const double hub = hub_angle(rod, data, device);
   for (int j = 0; j < n; j++) before[j] = torsion_before(rod, device, j);
@@ -250,7 +250,7 @@ static double relax_twist(Rod* rod, const mjData* data, int device) {
 
 /* What a change of the twists begins with: how each link is turned by its hinges, and the spins. */
 static void prepare_twists(Rod* rod, const mjData* data) {
-  for (int j = 0; j < rod->joints; j++) rod->room[j] = own_turn(bend_of(rod, data, j));
+  for (int j = 0; j < rod->joints; j++) rod->workspace[j] = own_turn(bend_of(rod, data, j));
   for (int d = 0; d < ROD_DEVICES; d++) spin(rod, d);
 }
 
@@ -261,7 +261,7 @@ static double relax_twists(Rod* rod, const mjData* data) {
     if (!rod->device[d]) continue;
     if (rod->rigid) {
       double angle = hub_angle(rod, data, d);
-      for (int j = 0; j < rod->joints; j++) rod->twist[d][j] = angle -= frame_turn(rod->room, j);
+      for (int j = 0; j < rod->joints; j++) rod->twist[d][j] = angle -= frame_turn(rod->workspace, j);
     } else {
       const double change = relax_twist(rod, data, d);
       if (change > largest) largest = change;
@@ -285,7 +285,7 @@ static void twisting_moments(Rod* rod, const mjData* data, double* moments) {
 
 static void set_rest(Rod* rod, const mjData* data) {
   mjModel* m = rod->model;
-  double* moments = rod->room + rod->joints;
+  double* moments = rod->workspace + rod->joints;
   twisting_moments(rod, data, moments);
   for (int j = 0; j < rod->joints; j++) {
     const Cell* cell = rod->cells + j;

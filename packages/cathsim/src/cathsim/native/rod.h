@@ -46,9 +46,9 @@ typedef struct {
   const double* after;       /* half of the link distal to it, m */
   const double* lengths;     /* of the links, m */
   const double* inverse_weight; /* body_invweight0 of a chain of the wire alone, then of a covered one: 2 x links x 2 */
-  Cell* cells;               /* room for one a joint */
+  Cell* cells;               /* one a joint */
   double* twist[ROD_DEVICES];   /* how far each device is turned at each joint, in the joint's frame, rad */
-  double* room;              /* for 8 numbers a joint */
+  double* workspace;         /* for 8 numbers a joint */
   double lead_from, lead_to; /* how far the wire is ahead of the catheter, m, at the control step's begin and end */
   double hub_from[ROD_DEVICES], hub_to[ROD_DEVICES]; /* angles of the hubs, rad, likewise */
   double lead;               /* of the moment, m */

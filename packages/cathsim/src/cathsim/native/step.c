@@ -29,8 +29,8 @@ int cathsim_contact_forces(const Simulation* s, const Engine* engine, int capaci
 double cathsim_penetration(const Simulation* s, int samples) {
   const mjModel* m = s->model;
   const mjData* d = s->data;
-  Vessel room;
-  const Vessel* v = vessel_at_moment(vessel_of_geom(m, s->vessel_geom, NULL), m, d, &room);
+  Vessel moved;
+  const Vessel* v = vessel_at_moment(vessel_of_geom(m, s->vessel_geom, NULL), m, d, &moved);
   double deepest = 0;
   if (!v) return 0;
   for (int g = s->first_geom; g <= s->last_geom; g++) {
@@ -50,7 +50,7 @@ double cathsim_penetration(const Simulation* s, int samples) {
   return deepest;
 }
 
-/* Where the contacts of the largest resultant force are kept, and room for those of the moment. */
+/* Where the contacts of the largest resultant force are kept, and memory for those of the moment. */
 typedef struct {
   int capacity;
   double *points, *forces;         /* capacity x 3 each */
@@ -190,7 +190,7 @@ static void finish_step(const Simulation* s, const Engine* engine, const mjModel
   unsolved.opt.tolerance = 1e30;
   unsolved.opt.disableflags |= mjDSBL_WARMSTART;
   engine->forward(&unsolved, d, mjSTAGE_VEL, 1);
-  contact_solve(model, d, s->room);
+  contact_solve(model, d, s->workspace);
   engine->check_acceleration(model, d);
   const double h = model->opt.timestep;
   for (int i = 0; i < model->nv; i++) d->qvel[i] += h * d->qacc[i];
@@ -277,7 +277,7 @@ static int substep(Simulation* s, const Engine* engine, const Account* account, 
 }
 
 /* Advances by `substeps` while the controls (nu) go linearly from one value to the other. `points` and `forces`
- * (capacity x 3) hold the contacts of the substep with the largest force, `scratch` has room for twice both; `depths`
+ * (capacity x 3) hold the contacts of the substep with the largest force, `scratch` has memory for twice both; `depths`
  * (substeps) the penetration after each substep, or NULL. */
 void cathsim_step(Simulation* s, const Engine* engine, int substeps, const double* control_from,
                   const double* control_to, int capacity, double* points, double* forces, double* scratch,
@@ -285,9 +285,9 @@ void cathsim_step(Simulation* s, const Engine* engine, int substeps, const doubl
   mjData* d = s->data;
   memset(summary, 0, sizeof *summary);
   summary->force_max = -1;
-  double* room[4];
-  for (int k = 0; k < 4; k++) room[k] = scratch + 3 * capacity * k;
-  const Account account = {capacity, points, forces, room[0], room[1], room[2], room[3], summary};
+  double* part[4];
+  for (int k = 0; k < 4; k++) part[k] = scratch + 3 * capacity * k;
+  const Account account = {capacity, points, forces, part[0], part[1], part[2], part[3], summary};
   for (int i = 0; i < substeps; i++) {
     const double t = (i + 1.0) / substeps;
     for (int k = 0; k < s->model->nu; k++) d->ctrl[k] = control_from[k] + t * (control_to[k] - control_from[k]);

@@ -23,8 +23,8 @@ typedef struct {
   const mjModel* fine;
   const mjModel* finest;
   mjData* data;
-  double* saved;          /* room for nq + 2 nv numbers */
-  double* room;           /* for cathsim_solver_room(nv) numbers */
+  double* saved;          /* memory for nq + 2 nv numbers */
+  double* workspace;      /* for cathsim_solver_workspace(nv) numbers */
   int solver_rows;        /* contact rows up to which this code solves, at most SOLVER_ROWS; 0: MuJoCo does */
   int vessel_geom;
   int hulls;              /* convex hulls that stand for its wall: the geoms after it; 0: the grid makes the contacts */
@@ -37,7 +37,7 @@ typedef struct {
   int depth_samples;      /* points a capsule of the reported penetration; 0: not reported */
   double depth;           /* penetration at the end of the last substep, m */
   const Drag* drag;       /* of the blood on the wire; NULL: there is none */
-  double* loads;          /* room for that on each link: 6 numbers */
+  double* loads;          /* memory for that on each link: 6 numbers */
   double wall_stiffness;  /* of each contact with the wall, N/m; 0: as the wire's geoms say */
   Rod* rod;               /* two devices; NULL: the chain is a bare wire */
   double breath[3];       /* farthest displacement of the vessel by breathing, m */

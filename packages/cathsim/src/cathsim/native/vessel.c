@@ -67,11 +67,11 @@ const Vessel* vessel_of_geom(const mjModel* m, int geom, int* part) {
   return __atomic_load_n(&vessels[number], __ATOMIC_ACQUIRE);
 }
 
-const Vessel* vessel_at_moment(const Vessel* v, const mjModel* m, const mjData* d, Vessel* room) {
+const Vessel* vessel_at_moment(const Vessel* v, const mjModel* m, const mjData* d, Vessel* moved) {
   if (!v || m->nuserdata < VESSEL_MOTION) return v;
-  *room = *v;
-  for (int k = 0; k < 3; k++) room->origin[k] += d->userdata[VESSEL_DISPLACEMENT + k];
-  return room;
+  *moved = *v;
+  for (int k = 0; k < 3; k++) moved->origin[k] += d->userdata[VESSEL_DISPLACEMENT + k];
+  return moved;
 }
 
 double vessel_sheath_coordinate(const Vessel* v, const double p[3]) {

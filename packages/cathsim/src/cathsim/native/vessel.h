@@ -29,8 +29,8 @@ const Vessel* vessel_of_geom(const mjModel* m, int geom, int* part);
 /* A vessel that breathing moves: the model's user data are the displacement (m) of the lumen and its velocity (m/s). */
 enum { VESSEL_DISPLACEMENT = 0, VESSEL_VELOCITY = 3, VESSEL_MOTION = 6 };
 
-/* The vessel where it lies at the moment, in `room` if it moves; its sheath never does. */
-const Vessel* vessel_at_moment(const Vessel* v, const mjModel* m, const mjData* d, Vessel* room);
+/* The vessel where it lies at the moment, in `moved` if it moves; its sheath never does. */
+const Vessel* vessel_at_moment(const Vessel* v, const mjModel* m, const mjData* d, Vessel* moved);
 
 /* Signed distance (m) at p, linear interpolation: cheap, for rejecting what is far from the wall. */
 double vessel_distance(const Vessel* v, const double p[3]);

@@ -66,7 +66,7 @@ class CArms:
                 )
 
 
-def _kept_in_a_room(make: Callable[[Phantom, CArms], Result]) -> Callable[[Phantom, CArms], Result]:
+def _kept_with_clutter(make: Callable[[Phantom, CArms], Result]) -> Callable[[Phantom, CArms], Result]:
     """Makes a function remember its results for as long as the clutter is in use, or the phantom without any.
 
     Args:
@@ -87,7 +87,7 @@ def _kept_in_a_room(make: Callable[[Phantom, CArms], Result]) -> Callable[[Phant
     return look_up
 
 
-@_kept_in_a_room
+@_kept_with_clutter
 def fluoroscope_of(phantom: Phantom, arms: CArms) -> BiplaneFluoroscope:
     """The cameras over a phantom while the wire moves."""
     return _fluoroscope(phantom, arms, arms.filling)
@@ -157,7 +157,7 @@ def as_shown(phantom: Phantom, arms: CArms, images: Sequence[NDArray[np.uint8]])
     return [_quotient(image, plain) for image, plain in zip(images, _kept_plain_images(phantom, arms), strict=True)]
 
 
-_kept_plain_images = _kept_in_a_room(_plain_images)
+_kept_plain_images = _kept_with_clutter(_plain_images)
 
 
 def _quotient(image: NDArray[np.uint8], plain: NDArray[np.uint8]) -> NDArray[np.uint8]:

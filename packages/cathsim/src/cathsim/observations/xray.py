@@ -53,7 +53,7 @@ def fluoroscope_of(
     view: str = VIEW,
     clutter: Clutter | None = None,
     field: float | None = None,
-    room: XRayScene | None = None,
+    background: XRayScene | None = None,
 ) -> BiplaneFluoroscope:
     """An X-ray camera over a phantom while the devices move.
 
@@ -64,9 +64,9 @@ def fluoroscope_of(
         view: one of `cathsim.fluoroscopy.projector.VIEWS`.
         clutter: (size, size) attenuation; None: there is none. With clutter the camera is made anew at each call.
         field: as of `cathsim.observations.framing.framed`.
-        room: X-ray background of the vessels; None: a water bath.
+        background: X-ray background of the vessels; None: a water bath.
     """
-    shot = _Shot(size, wire_radius, view, field, room)
+    shot = _Shot(size, wire_radius, view, field, background)
     if clutter is None:
         return _fluoroscope(phantom, shot, MOVING) if catheter is None else _with_catheter(phantom, shot, catheter)
     bare = _among(clutter, phantom, shot, MOVING)
@@ -80,11 +80,11 @@ class _Shot(NamedTuple):
     wire_radius: float
     view: str
     field: float | None
-    room: XRayScene | None
+    background: XRayScene | None
 
     def scene(self, filling: str) -> XRayScene:
         """What is in the way of the rays."""
-        return scene("bath", filling) if self.room is None else self.room.filled(filling)
+        return scene("bath", filling) if self.background is None else self.background.filled(filling)
 
     def camera(self, phantom: Phantom) -> XRayCamera:
         """The camera: light, blur and noise of the navigation's first one."""
@@ -126,7 +126,7 @@ def _depth(phantom: Phantom, shot: _Shot, filling: str) -> NDArray[np.float32]:
 
 @kept_with_owner
 def _kept_depth(phantom: Phantom, shot: _Shot, filling: str) -> NDArray[np.float32]:
-    raised = 0.0 if shot.field is None or shot.room is not None else raised_bath(phantom, shot.field)
+    raised = 0.0 if shot.field is None or shot.background is not None else raised_bath(phantom, shot.field)
     return optical_depth(phantom.grid, shot.camera(phantom).projector, shot.scene(filling), raised)
 
 
@@ -137,16 +137,16 @@ def contrast_run(
     clutter: Clutter | None = None,
     view: str = VIEW,
     field: float | None = None,
-    room: XRayScene | None = None,
+    background: XRayScene | None = None,
 ) -> ContrastRun:
     """The images before an episode, with a noise of the phantom's own.
 
     Args:
         size: side of the images, px.
         wire_radius: m, of the wire that is not in them.
-        clutter, view, field, room: as of `fluoroscope_of`.
+        clutter, view, field, background: as of `fluoroscope_of`.
     """
-    shot = _Shot(size, wire_radius, view, field, room)
+    shot = _Shot(size, wire_radius, view, field, background)
     if clutter is None:
         return _clean_run(phantom, shot)
     moving, filled = (_among(clutter, phantom, shot, one) for one in (MOVING, FILLED))
@@ -182,7 +182,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         clutter: draws the clutter of each episode and view; None: there is none.
         views: names of `cathsim.fluoroscopy.projector.VIEWS`.
         field: of the views, m, as of `cathsim.observations.framing.framed`.
-        room: X-ray background of every episode, as `cathsim.fluoroscopy.ct_scene` makes of the CT of the one
+        background: X-ray background of every episode, as `cathsim.fluoroscopy.ct_scene` makes of the CT of the one
             anatomy; None: a water bath.
         every: steps between two images, as with pulsed fluoroscopy; in between the observations keep the last one.
             The images that are drawn, at the reset and after every so many steps, are the same as with 1.
@@ -201,7 +201,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         clutter: DrawClutter | None = None,
         views: Sequence[str] = (VIEW,),
         field: float | None = None,
-        room: XRayScene | None = None,
+        background: XRayScene | None = None,
         every: int = 1,
     ) -> None:
         if not isinstance(every, int) or every < 1:
@@ -210,10 +210,10 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
             raise ValueError(f"views must be some of {', '.join(VIEWS)}, each once, got {', '.join(views) or 'none'}")
         require_field(field)
         self.environment, self.size, self.draw_clutter, self.every = environment, size, clutter, every
-        self.views, self.field, self.room = tuple(views), field, room
+        self.views, self.field, self.background = tuple(views), field, background
         # of the episode, a view each, where there is clutter
         self._clutter: list[Clutter | None] | None = None
-        self._rooms: list[tuple[BiplaneFluoroscope, ContrastRun]] | None = None
+        self._cluttered_runs: list[tuple[BiplaneFluoroscope, ContrastRun]] | None = None
         if not isinstance(environment.observation_space, gymnasium.spaces.Dict):
             raise ValueError("an environment with X-ray images has a dictionary of observations: name them in a tuple")
         masks = ("mask",) if catheter_in(environment.simulation) is None else ("mask", "mask_wire", "mask_catheter")
@@ -284,7 +284,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
     def _put_among(self, clutter: list[Clutter | None] | None) -> None:
         self._clutter = clutter
         pairs = None if clutter is None else zip(self.views, clutter, strict=True)
-        self._rooms = None if pairs is None else [self._seen_by(view, one) for view, one in pairs]
+        self._cluttered_runs = None if pairs is None else [self._seen_by(view, one) for view, one in pairs]
 
     @property
     def _draws_dots(self) -> bool:
@@ -300,8 +300,8 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
     def _seen_by(self, view: str, clutter: Clutter | None) -> tuple[BiplaneFluoroscope, ContrastRun]:
         simulation, phantom = self.environment.simulation, self.environment.phantom
         radius, catheter = wire_radius_of(simulation), catheter_in(simulation)
-        fluoroscope = fluoroscope_of(phantom, self.size, radius, catheter, view, clutter, self.field, self.room)
-        return fluoroscope, contrast_run(phantom, self.size, radius, clutter, view, self.field, self.room)
+        fluoroscope = fluoroscope_of(phantom, self.size, radius, catheter, view, clutter, self.field, self.background)
+        return fluoroscope, contrast_run(phantom, self.size, radius, clutter, view, self.field, self.background)
 
     def _seen(self, observation: dict[str, Any]) -> dict[str, Any]:
         if self._step % self.every == 0:
@@ -313,7 +313,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         return {**observation, **{name: picture.copy() for name, picture in self._pictures.items()}}
 
     def _drawn(self) -> dict[str, NDArray[np.uint8]]:
-        view_runs = self._rooms or [self._seen_by(view, None) for view in self.views]
+        view_runs = self._cluttered_runs or [self._seen_by(view, None) for view in self.views]
         each = [self._drawn_in(place, *view_run) for place, view_run in enumerate(view_runs)]
         return each[0] if len(each) == 1 else {name: np.concatenate([one[name] for one in each]) for name in each[0]}
 

@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from cathsim.anatomy import Phantom
-from cathsim.anatomy.library import phantom_described, phantom_description
+from cathsim.anatomy.library import phantom_from_spec, phantom_to_spec
 
 Kind = TypeVar("Kind")
 
@@ -26,8 +26,8 @@ CLASS = "class"  # the key of a described object's class; its other keys are fie
 FUNCTION = "function"
 
 
-def describe(value: Any) -> Any:
-    """An environment's argument, or a list or mapping of such, as JSON holds it; for `described`.
+def to_spec(value: Any) -> Any:
+    """An environment's argument, or a list or mapping of such, as JSON holds it; for `from_spec`.
 
     Raises:
         ValueError: it cannot be made again from a description.
@@ -39,9 +39,9 @@ def describe(value: Any) -> Any:
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {str(key): describe(one) for key, one in value.items()}
+        return {str(key): to_spec(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [describe(one) for one in value]
+        return [to_spec(one) for one in value]
     if inspect.isfunction(value):
         if "<" in value.__qualname__ or value.__module__ == "__main__":
             raise ValueError(
@@ -50,38 +50,38 @@ def describe(value: Any) -> Any:
             )
         return {CLASS: FUNCTION, "name": f"{value.__module__}:{value.__qualname__}"}
     if isinstance(value, Phantom):
-        return {CLASS: "Phantom", **phantom_description(value)}
+        return {CLASS: "Phantom", **phantom_to_spec(value)}
     if isinstance(value, BiplaneFluoroscope):
         if value.recipe is None:
             raise ValueError(
                 "a BiplaneFluoroscope of cameras of your own cannot be written as JSON: make it with "
                 "BiplaneFluoroscope.of, or name cameras 'guide3d' or 'clinical'"
             )
-        return {CLASS: "BiplaneFluoroscope", **describe(value.recipe)}
+        return {CLASS: "BiplaneFluoroscope", **to_spec(value.recipe)}
     kind = type(value)
     if not dataclasses.is_dataclass(value) or "<" in kind.__qualname__ or kind.__module__ == "__main__":
         raise ValueError(
             f"a {kind.__name__} cannot be written as JSON: expected a name, a number, a Phantom, or settings whose "
             "class a module can be asked for"
         )
-    fields = {one.name: describe(getattr(value, one.name)) for one in dataclasses.fields(value) if one.init}
+    fields = {one.name: to_spec(getattr(value, one.name)) for one in dataclasses.fields(value) if one.init}
     return {CLASS: f"{kind.__module__}:{kind.__qualname__}", **fields}
 
 
-def described(value: Any) -> Any:
-    """The value that `describe` has described; other values as they are.
+def from_spec(value: Any) -> Any:
+    """The value that `to_spec` has made plain; other values as they are.
 
     Raises:
         ValueError: a class or phantom that there is not, or that is another by now.
     """
     if isinstance(value, list | tuple):
-        return tuple(described(one) for one in value)
+        return tuple(from_spec(one) for one in value)
     if not isinstance(value, Mapping) or CLASS not in value:
         return value
     kind = value[CLASS]
     if kind == "Phantom":
-        return phantom_described({key: one for key, one in value.items() if key != CLASS})
-    arguments = {key: described(one) for key, one in value.items() if key != CLASS}
+        return phantom_from_spec({key: one for key, one in value.items() if key != CLASS})
+    arguments = {key: from_spec(one) for key, one in value.items() if key != CLASS}
     if kind == "BiplaneFluoroscope":
         from cathsim.fluoroscopy.biplane import BiplaneFluoroscope
 
@@ -109,7 +109,7 @@ def _found(place: str) -> Any:
         return None
 
 
-def chosen(argument: str, value: Any, kind: type[Kind], named: Callable[[str], Kind] | None = None) -> Kind:
+def resolve_argument(argument: str, value: Any, kind: type[Kind], named: Callable[[str], Kind] | None = None) -> Kind:
     """An argument that is a name, an object of a kind, or an object's description.
 
     Args:
@@ -120,7 +120,7 @@ def chosen(argument: str, value: Any, kind: type[Kind], named: Callable[[str], K
     """
     if named is not None and isinstance(value, str):
         return named(value)
-    value = described(value)
+    value = from_spec(value)
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
         name = "" if named is None else "a name or "
@@ -144,8 +144,8 @@ class Specification(EnvSpec):
             ValueError: an argument cannot be described.
         """
         plain = {one.name: getattr(self, one.name) for one in dataclasses.fields(self) if one.init}
-        plain["kwargs"] = describe(self.kwargs)
-        plain["additional_wrappers"] = [describe(vars(wrapper)) for wrapper in self.additional_wrappers]
+        plain["kwargs"] = to_spec(self.kwargs)
+        plain["additional_wrappers"] = [to_spec(vars(wrapper)) for wrapper in self.additional_wrappers]
         self._check_can_jsonify(plain)
         return json.dumps(plain)
 

@@ -10,12 +10,12 @@ import numpy as np
 
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.point_target import TargetLike
-from cathsim.devices.choice import chosen_wire
-from cathsim.devices.wire_placement import laid_starts
+from cathsim.devices.choice import resolve_wire
+from cathsim.devices.wire_placement import inserted_starts
 from cathsim.environment import NavigateEnv
 from cathsim.guidewire import Guidewire
 from cathsim.many_anatomies import NavigateManyEnv
-from cathsim.registration.description import chosen
+from cathsim.registration.description import resolve_argument
 from cathsim.rehearsal.perturbation import Perturbation, copy_of
 
 
@@ -59,11 +59,11 @@ class NavigateCopiesEnv(NavigateManyEnv):
             if name in arguments:
                 raise ValueError(f"copies bring their own {name}: leave it out, or change the perturbation")
         named = partial(load_phantom, seed=phantom_seed, resolution=resolution)
-        self.scan = chosen("phantom", phantom, Phantom, named)
+        self.scan = resolve_argument("phantom", phantom, Phantom, named)
         self.perturbation = (
-            Perturbation() if perturbation is None else chosen("perturbation", perturbation, Perturbation)
+            Perturbation() if perturbation is None else resolve_argument("perturbation", perturbation, Perturbation)
         )
-        guidewire = chosen_wire(wire)
+        guidewire = resolve_wire(wire)
         if guidewire is None:
             raise ValueError(
                 "copies differ in the wire's stiffness: give a wire, or use NavigateMany for a catheter alone"
@@ -71,8 +71,8 @@ class NavigateCopiesEnv(NavigateManyEnv):
         self._kept: dict[int, Phantom] = {}  # so that the walls of a copy are made once
         super().__init__([int(seed) for seed in copies], targets, (guidewire,), resolution=resolution, **arguments)
 
-    def laid_starts(self, case: int, seed: int = 0) -> np.ndarray:
-        """States of a case with the wire inserted along the way to its target (`devices.wire_placement.laid_starts`).
+    def inserted_starts(self, case: int, seed: int = 0) -> np.ndarray:
+        """States of a case with the wire inserted along the way to its target; see `wire_placement.inserted_starts`.
 
         Args:
             seed: of the turns while it is withdrawn, and of the leads.
@@ -81,7 +81,7 @@ class NavigateCopiesEnv(NavigateManyEnv):
             As `reset(options={"start": row})` takes them, the case last. Shape (k, n).
         """
         self.reset(seed=seed, options={"case": case})
-        states = laid_starts(self.current, np.random.default_rng((seed, case)))
+        states = inserted_starts(self.current, np.random.default_rng((seed, case)))
         return np.concatenate((states, np.full((len(states), 1), float(case))), axis=1)
 
     def _build(self, case: int) -> NavigateEnv:

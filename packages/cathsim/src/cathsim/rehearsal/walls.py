@@ -90,7 +90,7 @@ def _walls(phantom: Phantom) -> _Walls:
 def _displaced(phantom: Phantom, seed: int, farthest: float) -> Phantom:
     grid, walls = phantom.grid, _walls(phantom)
     moved = np.maximum(farthest * wall_field(walls.points, seed), -NARROWEST * walls.radius)
-    moved *= np.where(moved > 0, _room(grid, farthest), 1.0)
+    moved *= np.where(moved > 0, _share_outwards(grid, farthest), 1.0)
     values = walls.values.copy()
     # full at the wall, nothing at the band's edge, so that what lies farther off stays as it is
     values[walls.near] += moved * walls.fading
@@ -112,7 +112,7 @@ def _displaced(phantom: Phantom, seed: int, farthest: float) -> Phantom:
 
 
 @kept_with_owner
-def _room(grid: SignedDistanceGrid, farthest: float) -> NDArray[np.float32]:
+def _share_outwards(grid: SignedDistanceGrid, farthest: float) -> NDArray[np.float32]:
     """Which share of a displacement outwards the nodes near a scan's walls get: 0 at walls between lumens, else 1.
 
     Shape (n,): those nearer than `BAND`, in the grid's order.

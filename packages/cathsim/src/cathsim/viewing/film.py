@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cathsim.fluoroscopy import XRayScene
     from cathsim.simulation import Simulation
 
-HEIGHT_PX, ROOM_PX = 400, 320  # usually; with both C-arms and an X-ray background
+HEIGHT_PX, BIPLANE_PX = 400, 320  # usually; with both C-arms and an X-ray background
 VIEW_WIDTH_PX = 300
 FRAMES_PER_SECOND = 12.5  # of playback; every second step is shown, so at 2.5 times the episode's own speed
 STRIDE = 2
@@ -32,12 +32,12 @@ class Film:
 
     Args:
         stride: of so many steps one is shown, and the last.
-        room: X-ray background around the vessels, such as a patient's CT (`cathsim.fluoroscopy.ct_scene`), from
+        background: X-ray background around the vessels, such as a patient's CT (`cathsim.fluoroscopy.ct_scene`), from
             the front and from the side; None: the usual fluoroscopy, frontal and without a body.
     """
 
-    def __init__(self, stride: int = STRIDE, room: XRayScene | None = None) -> None:
-        self._stride, self._room = stride, room
+    def __init__(self, stride: int = STRIDE, background: XRayScene | None = None) -> None:
+        self._stride, self._background = stride, background
         self._frames: list[np.ndarray] = []
         self._count = 0
         self._take_image: Callable[[], np.ndarray] | None = None
@@ -70,17 +70,17 @@ class Film:
     def _open(self, simulation: Simulation) -> Callable[[], np.ndarray]:
         from cathsim.viewing.camera_view import RenderingUnavailableError, View
 
-        height = HEIGHT_PX if self._room is None else ROOM_PX
+        height = HEIGHT_PX if self._background is None else BIPLANE_PX
         try:
             self._view = View(simulation.phantom, width=VIEW_WIDTH_PX, height=height)
         except RenderingUnavailableError as error:
             _LOGGER.warning("the film shows fluoroscopy only: %s", error)
-        return _usual_xray(simulation) if self._room is None else _xray_in(self._room, simulation)
+        return _usual_xray(simulation) if self._background is None else _biplane_xray(self._background, simulation)
 
     def write(self, path: Path) -> None:
         """Writes the film as a GIF."""
         # one palette for the whole film keeps colours from flickering
-        greys = _GREYS if self._room is None else _NOISY_GREYS
+        greys = _GREYS if self._background is None else _NOISY_GREYS
         palette = film_palette(self._frames[:: max(1, len(self._frames) // 6)], greys, _COLOURS)
         write_gif(path, self._frames, palette, FRAMES_PER_SECOND)
 
@@ -103,10 +103,10 @@ def _usual_xray(simulation: Simulation) -> Callable[[], np.ndarray]:
     return image
 
 
-def _xray_in(background: XRayScene, simulation: Simulation) -> Callable[[], np.ndarray]:
-    from cathsim.viewing.room_fluoroscope import RoomFluoroscope
+def _biplane_xray(background: XRayScene, simulation: Simulation) -> Callable[[], np.ndarray]:
+    from cathsim.viewing.display_fluoroscope import DisplayFluoroscope
 
-    return RoomFluoroscope(simulation, ROOM_PX, background).image
+    return DisplayFluoroscope(simulation, BIPLANE_PX, background).image
 
 
 def film_states(

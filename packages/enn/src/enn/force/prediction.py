@@ -164,8 +164,8 @@ def fit_force(
             target = torch.as_tensor(standardised(samples.features))
         network.to(device)
 
-        def loss(chosen: NDArray[np.int64], training: bool, generator: np.random.Generator) -> Tensor:
-            index = torch.as_tensor(chosen)
+        def loss(batch: NDArray[np.int64], training: bool, generator: np.random.Generator) -> Tensor:
+            index = torch.as_tensor(batch)
             with bfloat16_on_processor():
                 features, force = network(images[index].to(device), vectors[index].to(device))
             features, force = features.float(), force.float()
@@ -220,8 +220,8 @@ class ForcePredictor(FittedNetwork[ForceNetwork]):
         parts, device = [], device_of(self.network)
         with torch.inference_mode():
             for start in range(0, len(images), 512):
-                chosen = slice(start, start + 512)
-                seen = torch.as_tensor(images[chosen]).to(device), torch.as_tensor(numbers[chosen]).to(device)
+                batch = slice(start, start + 512)
+                seen = torch.as_tensor(images[batch]).to(device), torch.as_tensor(numbers[batch]).to(device)
                 _, force = self.network(*seen)
                 parts.append(force.cpu().double() * self.network.force_scale.cpu().double())
         return np.clip(torch.cat(parts).numpy() if parts else np.zeros(0), 0.0, None)

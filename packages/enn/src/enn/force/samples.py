@@ -78,7 +78,7 @@ class ForceSamples:
         """Number of samples."""
         return len(self.forces)
 
-    def chosen(self, index: NDArray[np.int64]) -> ForceSamples:
+    def select(self, index: NDArray[np.int64]) -> ForceSamples:
         """Some of the samples."""
         return ForceSamples(
             self.images[index],
@@ -96,7 +96,7 @@ class ForceSamples:
         """
         if count > len(self):
             raise ValueError(f"there are {len(self)} samples, {count} were asked for: record more episodes")
-        return self.chosen(np.random.default_rng(seed).permutation(len(self))[:count])
+        return self.select(np.random.default_rng(seed).permutation(len(self))[:count])
 
 
 def force_samples(

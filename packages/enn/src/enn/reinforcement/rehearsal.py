@@ -32,8 +32,8 @@ SettingsKind = TypeVar("SettingsKind", bound=TrainingSettings)
 SLOWER, FIRST = 0.2, 0.4  # share of the learning rate; share of the decisions that it only acts
 # With demonstrations there is something to learn that it does not do yet, and to learn it from: the same two, and the
 # share of each batch that is drawn from demonstrations. Their actions are cloned where the critics prefer them.
-SHOWN_SLOWER, SHOWN_FIRST, SHOWN_SHARE = 0.3, 0.05, 0.25
-SHOWN_CLONED = 1.0  # weight of that
+DEMONSTRATION_SLOWER, DEMONSTRATION_FIRST, DEMONSTRATION_SHARE = 0.3, 0.05, 0.25
+DEMONSTRATION_CLONING = 1.0  # weight of that
 
 # Of a policy by a roadmap in many cases: a wider network than for one anatomy, and fresh starts, which hard cases lack.
 # A few cases are soon learnt; the critics are kept, since a rehearsal starts from them.
@@ -43,8 +43,8 @@ MANY_CASES = replace(
     batch_size=256,
     gradient_steps=0.5,
     n_envs=16,
-    reset_bank_share=0.5,
-    reset_bank_capacity=64,
+    start_state_buffer_share=0.5,
+    start_state_buffer_capacity=64,
     stop_after=2,
     keep_critics=True,
 )
@@ -115,11 +115,13 @@ def rehearse(
     env = make_env()
     cases = cases_of(env)
     env.close()
-    changed: TrainingSettings = settings.sized(settings.decisions, settings.evaluation_episodes, reset_bank_cases=cases)
+    changed: TrainingSettings = settings.sized(
+        settings.decisions, settings.evaluation_episodes, start_state_buffer_cases=cases
+    )
     if demonstrations and isinstance(changed, SacSettings) and not changed.demonstrations_in_replay:
-        changed = replace(changed, demonstrations_in_replay=SHOWN_SHARE, cloning_weight=SHOWN_CLONED)
+        changed = replace(changed, demonstrations_in_replay=DEMONSTRATION_SHARE, cloning_weight=DEMONSTRATION_CLONING)
     if policy is not None:
-        first, slower = (SHOWN_FIRST, SHOWN_SLOWER) if demonstrations else (FIRST, SLOWER)
+        first, slower = (DEMONSTRATION_FIRST, DEMONSTRATION_SLOWER) if demonstrations else (FIRST, SLOWER)
         changed = starting_from(replace(changed, action_repeat=policy.action_repeat), policy, first, slower)
     training = Training(
         changed,

@@ -73,7 +73,7 @@ class RehearsalRules:
     fewer_evaluations: int = 2
 
     def turns(
-        self, policies: Sequence[Who], start: Who | None, tried: TrialStatistics | None = None
+        self, policies: Sequence[Who], start: Who | None, trial_statistics: TrialStatistics | None = None
     ) -> Generator[Turn[Who], Sequence[bool], None]:
         """Turns one after the other; the caller sends where the episodes of the last one arrived.
 
@@ -82,7 +82,7 @@ class RehearsalRules:
 
         Args:
             policies: that steer the devices; the first is `start`, where there is one.
-            tried: statistics of the trials of `start` with its devices.
+            trial_statistics: statistics of the trials of `start` with its devices.
         """
         arrival_count = 0
         if self.expert == ALWAYS:
@@ -95,7 +95,7 @@ class RehearsalRules:
             outcomes = yield Turn(policy)
             arrivals[policy] = sum(outcomes)
             arrival_count += arrivals[policy]
-            if policy == start and in_share(outcomes, tried, self.often):
+            if policy == start and in_share(outcomes, trial_statistics, self.often):
                 break
         else:
             # others first: what the start shows it can do already
@@ -113,7 +113,10 @@ class RehearsalRules:
         return policies + (self.rounds - 1 if policies else 0) + (self.expert != NEVER)
 
     def mostly_arrives(
-        self, outcomes: Sequence[bool], tried: TrialStatistics | None, elsewhere: Callable[[], Sequence[bool]]
+        self,
+        outcomes: Sequence[bool],
+        trial_statistics: TrialStatistics | None,
+        elsewhere: Callable[[], Sequence[bool]],
     ) -> bool:
         """Whether the policy to start from mostly arrives, but not always, so that part of a training is enough.
 
@@ -126,7 +129,7 @@ class RehearsalRules:
         """
         if not outcomes or not self.mostly * len(outcomes) <= sum(outcomes) < len(outcomes):
             return False
-        return in_share([*outcomes, *elsewhere()], tried, self.surely)
+        return in_share([*outcomes, *elsewhere()], trial_statistics, self.surely)
 
     def sometimes_arrives(self, result: TrainingResult) -> bool:
         """Whether a trained policy arrives, but not mostly, so that another training is worth its time.
@@ -157,7 +160,7 @@ class RehearsalRules:
         )
 
 
-def in_share(outcomes: Sequence[bool], tried: TrialStatistics | None, share: float) -> bool:
+def in_share(outcomes: Sequence[bool], trial_statistics: TrialStatistics | None, share: float) -> bool:
     """Whether a policy arrives in a share of some episodes, at least one, and of the trials of its devices together."""
-    reached, episodes = (0, 0) if tried is None else (tried.reached, tried.episodes)
+    reached, episodes = (0, 0) if trial_statistics is None else (trial_statistics.reached, trial_statistics.episodes)
     return bool(outcomes) and sum(outcomes) + reached >= share * (len(outcomes) + episodes)

@@ -128,9 +128,9 @@ class ReplayBuffer(BaseReplayBuffer):
         self.full = self.added >= self.buffer_size
         self.pos = self.added % self.buffer_size
         if self.added >= CHUNK and self.added.bit_count() == 1 and not self.full:
-            self._require_room()
+            self._require_memory()
 
-    def _require_room(self) -> None:
+    def _require_memory(self) -> None:
         """Refuses images that compress so little that the rest of them will not fit."""
         images = [store for store in self._stores.values() if isinstance(store, FrameStore)]
         now = sum(store.nbytes for store in images)
@@ -151,7 +151,7 @@ class ReplayBuffer(BaseReplayBuffer):
             self._free = list(range(2 * rows - 1, rows - 1, -1))
         return self._free.pop()
 
-    def shown_in(self, batch_size: int) -> int:
+    def demonstrations_in(self, batch_size: int) -> int:
         """How many transitions of a batch are those of demonstrations: its last ones."""
         return round(batch_size * self.demonstration_share) if self.demonstrations is not None else 0
 
@@ -160,7 +160,7 @@ class ReplayBuffer(BaseReplayBuffer):
         filled = min(self.added, self.buffer_size)
         if filled == 0:
             raise ValueError("the replay buffer is empty: nothing can be drawn from it")
-        borrowed = self.shown_in(batch_size)
+        borrowed = self.demonstrations_in(batch_size)
         rows = self._generator.integers(0, filled, batch_size - borrowed)
         envs = self._generator.integers(0, self.n_envs, batch_size - borrowed)
         parts = self._arrays(rows, envs)

@@ -12,7 +12,7 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
 from numpy.typing import NDArray
 
 from enn.networks.observation_spaces import kept_space
-from enn.reinforcement.reset_bank import RECORD_EVERY, ResetBank
+from enn.reinforcement.start_state_buffer import RECORD_EVERY, StartStateBuffer
 from enn.reinforcement.workers import SharedWork, Workers
 
 logger = logging.getLogger(__name__)
@@ -37,7 +37,7 @@ class Sampling:
     Args:
         factories: each makes one environment; all with the same spaces.
         action_repeat: environment steps a decision, each with the same action; rewards are added up.
-        reset_bank: states to start from; own successes from the usual start are added to it. Needs
+        start_state_buffer: states to start from; own successes from the usual start are added to it. Needs
             `env.unwrapped.start_state()` or `env.unwrapped.simulation.state()`, and `reset(options={"start": state})`.
         keys: observations of a `Dict` to keep; none: all.
 
@@ -52,7 +52,7 @@ class Sampling:
         seed: int,
         threads: int = 1,
         action_repeat: int = 1,
-        reset_bank: ResetBank | None = None,
+        start_state_buffer: StartStateBuffer | None = None,
         keys: Sequence[str] = (),
     ) -> None:
         if not factories:
@@ -66,8 +66,8 @@ class Sampling:
                 raise ValueError("all environments sampled together need the same observation and action spaces")
         space = kept_space(first.observation_space, keys)
         self.num_envs, self.observation_space, self.action_space = len(self.envs), space, first.action_space
-        self.action_repeat, self.reset_bank = action_repeat, reset_bank
-        self._start_states = [start_state_of(env) for env in self.envs] if reset_bank is not None else []
+        self.action_repeat, self.start_state_buffer = action_repeat, start_state_buffer
+        self._start_states = [start_state_of(env) for env in self.envs] if start_state_buffer is not None else []
         spaces: dict[str, Any] = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {"": space}
         self._names = [name for name in spaces if name]
         self._checked = [name for name, space in spaces.items() if np.issubdtype(space.dtype, np.floating)]
@@ -141,7 +141,7 @@ class Sampling:
             taken, total = taken + 1, total + float(reward)
             self._lengths[index] += 1
             if (
-                self.reset_bank is not None
+                self.start_state_buffer is not None
                 and self._lengths[index] % RECORD_EVERY == 0
                 and not (terminated or truncated)
             ):
@@ -152,17 +152,17 @@ class Sampling:
 
     def _draw(self, index: int) -> dict[str, Any] | None:
         """Options of the next episode's reset."""
-        start = None if self.reset_bank is None else self.reset_bank.draw()
+        start = None if self.start_state_buffer is None else self.start_state_buffer.draw()
         self._fresh[index] = start is None
         if start is not None:
             return {"start": start}
-        case = None if self.reset_bank is None else self.reset_bank.choose_case()
+        case = None if self.start_state_buffer is None else self.start_state_buffer.choose_case()
         return None if case is None else {"case": case}
 
     def _begin(self, index: int, options: dict[str, Any] | None, seed: int | None) -> Any:
         self._returns[index], self._lengths[index] = 0.0, 0
         observation, _ = self.envs[index].reset(seed=seed, options=options)
-        self._paths[index] = [] if self.reset_bank is None else [self._start_states[index]()]
+        self._paths[index] = [] if self.start_state_buffer is None else [self._start_states[index]()]
         return observation
 
     def _finish(self, index: int, observation: Any, terminated: bool, info: dict[str, Any]) -> None:
@@ -175,11 +175,11 @@ class Sampling:
             "success": success,
             "fresh": bool(self._fresh[index]),
         }
-        if self.reset_bank is not None and self._fresh[index] and "case" in info:
-            self.reset_bank.record_outcome(info["case"], success=success)
+        if self.start_state_buffer is not None and self._fresh[index] and "case" in info:
+            self.start_state_buffer.record_outcome(info["case"], success=success)
         # episodes from the start-state buffer would fill it with states near the target alone
-        if success and self.reset_bank is not None and self._fresh[index]:
-            self.reset_bank.add_episode(np.stack(self._paths[index]))
+        if success and self.start_state_buffer is not None and self._fresh[index]:
+            self.start_state_buffer.add_episode(np.stack(self._paths[index]))
 
     def _each(self, work: Callable[[int], Any], indices: Sequence[int] | None = None) -> list[Any]:
         return self.workers.each(work, range(self.num_envs) if indices is None else indices)
@@ -218,7 +218,7 @@ class Sampling:
             "fresh": self._fresh.copy(),
             "paths": [np.stack(path) if path else None for path in self._paths],
             "decisions": self.decisions,
-            "reset_bank": None if self.reset_bank is None else self.reset_bank.state(),
+            "start_state_buffer": None if self.start_state_buffer is None else self.start_state_buffer.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> Observations:
@@ -233,8 +233,8 @@ class Sampling:
         if len(state["envs"]) != self.num_envs:
             raise ValueError(f"the saved sampling has {len(state['envs'])} environments, this one {self.num_envs}")
         self._env_seeds, self.decisions = list(state["seeds"]), state["decisions"]
-        if self.reset_bank is not None and state["reset_bank"] is not None:
-            self.reset_bank.restore(state["reset_bank"])
+        if self.start_state_buffer is not None and state["start_state_buffer"] is not None:
+            self.start_state_buffer.restore(state["start_state_buffer"])
         if any(saved is None for saved in state["envs"]):
             logger.warning("environments without state() cannot go on exactly: they start new episodes")
             again = np.random.SeedSequence((self._seed, self.decisions))
@@ -300,6 +300,6 @@ def start_state_of(env: gymnasium.Env[Any, Any]) -> Callable[[], NDArray[Any]]:
     if hasattr(inner, "simulation"):
         return inner.simulation.state
     raise ValueError(
-        f"{type(inner).__name__} cannot start from a reset bank: it needs start_state() or a simulation with state(); "
-        "train with reset_bank_share=0"
+        f"{type(inner).__name__} cannot start from a start-state buffer: it needs start_state() or a simulation with "
+        "state(); train with start_state_buffer_share=0"
     )

@@ -93,7 +93,7 @@ class FastSAC(SAC):
         value = torch.minimum(*self.critic(data.observations, actions))
         loss = (entropy_weight * log_prob - value).mean()
         assert isinstance(self.replay_buffer, ReplayBuffer)
-        demonstrated = self.replay_buffer.shown_in(len(actions)) if self.cloning_weight else 0
+        demonstrated = self.replay_buffer.demonstrations_in(len(actions)) if self.cloning_weight else 0
         if demonstrated:
             loss = loss + self.cloning_weight * self._cloning_loss(data, mean, value.detach(), demonstrated)
         self.actor.optimizer.zero_grad()

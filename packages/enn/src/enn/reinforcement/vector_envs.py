@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from enn.networks.observation_spaces import kept_space
-from enn.reinforcement.reset_bank import ResetBank
 from enn.reinforcement.sampling import Observations, Sampling, without_checks
+from enn.reinforcement.start_state_buffer import StartStateBuffer
 from enn.reinforcement.workers import Workers
 
 POSSIBLE = os.name == "posix"  # an open connection can be handed over to a new process
@@ -68,7 +68,7 @@ class SubprocessEnvs(VecEnv):
         factories: as of `SampledEnvs`; sent there by cloudpickle. The first makes an environment here, too, whose
             spaces are taken.
         threads: that step the environments there.
-        reset_bank: as of `SampledEnvs`; a copy of it goes there as it is.
+        start_state_buffer: as of `SampledEnvs`; a copy of it goes there as it is.
         evaluation_threads: of `workers`, which are for evaluations here.
         settings: further arguments of `SampledEnvs`.
 
@@ -83,7 +83,7 @@ class SubprocessEnvs(VecEnv):
         *,
         keys: Sequence[str] = (),
         threads: int = 1,
-        reset_bank: ResetBank | None = None,
+        start_state_buffer: StartStateBuffer | None = None,
         evaluation_threads: int = 1,
         **settings: Any,
     ) -> None:
@@ -100,7 +100,7 @@ class SubprocessEnvs(VecEnv):
                 env={**_OWN_PAGES, **os.environ},
             )
         self._connection = Connection(parent_socket.detach())
-        arguments = {"keys": tuple(keys), "threads": threads, "reset_bank": reset_bank, **settings}
+        arguments = {"keys": tuple(keys), "threads": threads, "start_state_buffer": start_state_buffer, **settings}
         self._waits, self._cpu_s = True, 0.0
         self._send((CloudpickleWrapper(list(factories)), arguments))  # type: ignore[arg-type]  # a list goes as well
 

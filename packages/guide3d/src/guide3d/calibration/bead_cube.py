@@ -58,8 +58,8 @@ class Beads:
     def __len__(self) -> int:
         return len(self.centres_px)
 
-    def __getitem__(self, chosen: np.ndarray) -> Beads:
-        return Beads(*(value[chosen] for value in vars(self).values()))
+    def __getitem__(self, index: np.ndarray) -> Beads:
+        return Beads(*(value[index] for value in vars(self).values()))
 
     def joined(self, more: Beads) -> Beads:
         """These beads, then more."""

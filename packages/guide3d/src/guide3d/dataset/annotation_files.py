@@ -85,7 +85,7 @@ def acquisition_of(image: str) -> str:
     return _folder(image) if match is None else match["acquisition"]
 
 
-def described(acquisition: str, video: Mapping[str, Any]) -> tuple[bool, str]:
+def fluid_and_wire(acquisition: str, video: Mapping[str, Any]) -> tuple[bool, str]:
     """Whether an acquisition is with fluid, and its wire, by its entry or else by its name.
 
     Args:
@@ -130,7 +130,7 @@ def read_raw(path: Path, damaged: list[str]) -> list[Annotation]:
             acquisition = acquisition_of(images["a"])
             if acquisition_of(images["b"]) != acquisition:
                 raise ValueError(f"the images are of two acquisitions, {images['a']} and {images['b']}")
-            fluid, wire = described(acquisition, video)
+            fluid, wire = fluid_and_wire(acquisition, video)
         except (ValueError, TypeError, OverflowError) as error:
             damaged.append(f"{path.name}, {label}: {error}")
             continue

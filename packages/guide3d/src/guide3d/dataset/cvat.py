@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from guide3d.dataset.annotation_files import Annotation, acquisition_of, camera_of, described, stays_below
+from guide3d.dataset.annotation_files import Annotation, acquisition_of, camera_of, fluid_and_wire, stays_below
 from guide3d.files import whole_file
 from guide3d.geometry.polyline import Array, checked
 from guide3d.guarded_reading import open_regular
@@ -60,7 +60,7 @@ def read_cvat(path: Path, damaged: list[str]) -> list[Annotation]:
             continue
         image_b, points_b = views["b"][key]
         try:
-            fluid, wire = described(key[0], {})
+            fluid, wire = fluid_and_wire(key[0], {})
         except ValueError as error:
             damaged.append(f"{path.name}, {error}")
             continue

@@ -131,12 +131,12 @@ def build_segmenter(name: str, image_px: int, **sizes: Any) -> nn.Module:
         raise ValueError(f"{name} cannot have the sizes {sizes}: {error}") from error
 
 
-def described(size: ShapeSize, form: SphericalForm | None, positions: int) -> dict[str, Any]:
-    """What a model file keeps to build a shape network again: see `rebuilt`."""
+def to_spec(size: ShapeSize, form: SphericalForm | None, positions: int) -> dict[str, Any]:
+    """What a model file keeps to build a shape network again: see `from_spec`."""
     return {"size": asdict(size), "form": None if form is None else asdict(form), "positions": positions}
 
 
-def rebuilt(description: Mapping[str, Any]) -> ShapeNetwork:
-    """Builds a shape network from what `described` gave."""
+def from_spec(description: Mapping[str, Any]) -> ShapeNetwork:
+    """Builds a shape network from what `to_spec` gave."""
     form = None if description["form"] is None else SphericalForm(**description["form"])
     return build_shape_network(ShapeSize(**description["size"]), form, description["positions"])

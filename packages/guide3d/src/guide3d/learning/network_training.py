@@ -12,7 +12,7 @@ import torch
 
 from guide3d.dataset.dataset import VIEWS, images_of, samples_of
 from guide3d.geometry.polyline import Array
-from guide3d.learning.build import build_shape_network, described
+from guide3d.learning.build import build_shape_network, to_spec
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.picture_store import PictureStore
 from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor, built
@@ -103,7 +103,7 @@ def _shape(
     network = build_shape_network(recipe.size, spherical, positions, pretrained=pretrained)
     _fill(network, objective.statistics())
     metadata = {"form": form, "training_frames": len(learnt), "best_epoch": 0, "step_mm": recipe.step_mm}
-    return network, objective, ShapePredictor, described(recipe.size, spherical, positions), metadata
+    return network, objective, ShapePredictor, to_spec(recipe.size, spherical, positions), metadata
 
 
 def _fgrn(data: Dataset, split: Split, recipe: FGRNRecipe, pictures: Path | None, seed: int) -> _Prepared:

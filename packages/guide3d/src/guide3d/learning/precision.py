@@ -16,14 +16,14 @@ def has_bfloat16() -> bool:
     return bool(abilities.get("avx512_bf16") or abilities.get("amx_bf16"))
 
 
-def bfloat16_on_processor(wanted: bool = True) -> torch.autocast:
+def bfloat16_on_processor(enabled: bool = True) -> torch.autocast:
     """What is computed inside on a processor that has bfloat16 takes it for convolutions and products of matrices.
 
     Weights and their gradients stay float32. A training step of convolutional networks takes 0.65 to 0.7 of the time,
     of the shape network and the ordered SplineFormer, whose attention is `attention`, 0.6 and 0.8. Group normalisation
     in bfloat16 may cost more than is won. On a GPU it changes nothing.
     """
-    return torch.autocast("cpu", torch.bfloat16, enabled=wanted and has_bfloat16())
+    return torch.autocast("cpu", torch.bfloat16, enabled=enabled and has_bfloat16())
 
 
 def bfloat16_in_training(module: nn.Module) -> AbstractContextManager[object]:

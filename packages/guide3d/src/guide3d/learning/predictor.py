@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array
 from guide3d.learning.bounded_content import built_from
-from guide3d.learning.build import ShapeSize, build_segmenter, described, rebuilt
+from guide3d.learning.build import ShapeSize, build_segmenter, from_spec, to_spec
 from guide3d.learning.model_file import UNFIT, another_architecture, read_model, write_model
 from guide3d.learning.picture_store import Preprocessing
 from guide3d.modeling.shape_network import FGRN, ShapeNetwork
@@ -72,11 +72,11 @@ class _Predictor:
 
 
 class ShapePredictor(_Predictor):
-    """Frames of one camera to the wire in space; `size` is what `build.described` gives."""
+    """Frames of one camera to the wire in space; `size` is what `build.to_spec` gives."""
 
     kind = "shape"
     network: ShapeNetwork
-    build = staticmethod(rebuilt)
+    build = staticmethod(from_spec)
 
     def predict(self, images: Sequence[Images] | Images) -> Array:
         """Predicts the wire at the last of some frames: (n, 3) mm, world, tip first.
@@ -108,7 +108,7 @@ class ShapePredictor(_Predictor):
     @classmethod
     def of(cls, network: ShapeNetwork, size: ShapeSize, preprocessing: Preprocessing) -> ShapePredictor:
         """The predictor of a network of some sizes, without metadata."""
-        return cls(network, described(size, network.form, network.positions), preprocessing, {})
+        return cls(network, to_spec(size, network.form, network.positions), preprocessing, {})
 
 
 class FGRNPredictor(_Predictor):

@@ -242,15 +242,15 @@ def examples_of(
     """
     order = np.argsort(errors["mean_errors_px"])
     numbers = [errors["images"][order[round(share * (len(order) - 1))]] for share in SHOWN if len(order)]
-    chosen = [("none", number, items[number]) for number in numbers or [0]]  # the reader may have found no wire at all
+    examples = [("none", number, items[number]) for number in numbers or [0]]  # the reader may have found no wire
     other = [kind for kind in kinds if kind != "none"]
     if other:
-        chosen.append(("occlusion" if "occlusion" in other else other[-1], 0, disturbed_items[0]))
-    return chosen
+        examples.append(("occlusion" if "occlusion" in other else other[-1], 0, disturbed_items[0]))
+    return examples
 
 
 def example_arrays(
-    chosen: Sequence[tuple[str, int, int]],
+    examples: Sequence[tuple[str, int, int]],
     data: Dataset,
     readers: Mapping[str, Reader],
     predictors: Mapping[str, Predictor],
@@ -262,8 +262,8 @@ def example_arrays(
         "kinds", and of image k: "image<k>" (h, w), "true<k>" (n, 2) px, "points<k>_<reader>" (m, 2) px, "mask<k>"
         (h, w), and of each network "control<k>_<name>" (m, 2) px and "attention<k>_<name>" (h / 4, w / 4) of 0 to 255.
     """
-    arrays: dict[str, Any] = {"kinds": np.array([kind for kind, _, _ in chosen])}
-    for place, (kind, number, item) in enumerate(chosen):
+    arrays: dict[str, Any] = {"kinds": np.array([kind for kind, _, _ in examples])}
+    for place, (kind, number, item) in enumerate(examples):
         frame, camera = frame_of(data, item)
         image = disturbed_image(data, item, kind, number, seed)
         arrays |= {f"image{place}": image, f"true{place}": frame.polyline(camera)}

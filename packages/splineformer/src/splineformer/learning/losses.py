@@ -117,10 +117,10 @@ def attention_loss(logits: Tensor, points: Tensor) -> Tensor:
     low = place.floor().clamp(max=side - 2.0)
     share = place - low
     column, row = low.long().unbind(-1)
-    chosen = torch.stack([row * side + column, row * side + column + 1], -1)
+    corners = torch.stack([row * side + column, row * side + column + 1], -1)
     x, y = share.unbind(-1)
-    upper = logits.gather(2, chosen) * torch.stack([(1 - x) * (1 - y), x * (1 - y)], -1)
-    lower = logits.gather(2, chosen + side) * torch.stack([(1 - x) * y, x * y], -1)
+    upper = logits.gather(2, corners) * torch.stack([(1 - x) * (1 - y), x * (1 - y)], -1)
+    lower = logits.gather(2, corners + side) * torch.stack([(1 - x) * y, x * y], -1)
     return logits.logsumexp(-1) - upper.sum(-1) - lower.sum(-1)
 
 

@@ -68,9 +68,9 @@ def train(
     )
     # the training starts from the mean of the curves that are learnt from
     items = objective.training_items
-    chosen = items[np.linspace(0, len(items) - 1, min(_MANY, len(items))).astype(int)]
+    probe = items[np.linspace(0, len(items) - 1, min(_MANY, len(items))).astype(int)]
     targets = objective.targets
-    targets.start(targets([np.asarray(objective.curves[item]) for item in chosen], None))
+    targets.start(targets([np.asarray(objective.curves[item]) for item in probe], None))
     report = fit(
         network,
         objective,

@@ -58,7 +58,7 @@ class _Stored:
 
 def fine_tune(
     predictor: Predictor,
-    shown: WirePictures,
+    data: WirePictures,
     variant: str,
     epochs: int,
     *,
@@ -71,21 +71,21 @@ def fine_tune(
 
     Args:
         predictor: whose network is trained in place.
-        shown: pictures to train with and to validate with.
+        data: pictures to train with and to validate with.
         variant: whose recipe for a desk is followed.
         folder: for the checkpoint of the fit.
 
     Returns:
         The predictor, and the number of images, the CPU time in minutes, and the errors before and after.
     """
-    count, places = len(shown.curves) // shown.cameras, np.arange(len(shown.curves))
-    stores = [_Stored(shown.pictures[n * count : (n + 1) * count]) for n in range(shown.cameras)]
+    count, places = len(data.curves) // data.cameras, np.arange(len(data.curves))
+    stores = [_Stored(data.pictures[n * count : (n + 1) * count]) for n in range(data.cameras)]
     recipe = recipe_of(variant, "desk")
     objective = SplineObjective(
-        stores, list(shown.curves), places[~shown.held_out], places[shown.held_out], predictor.network,
+        stores, list(data.curves), places[~data.held_out], places[data.held_out], predictor.network,
         augmentation=recipe.augmentation, weights=recipe.weights,
     )  # fmt: skip
-    outcome: dict[str, Any] = {f"{name}_before": value for name, value in errors(predictor, shown).items()}
+    outcome: dict[str, Any] = {f"{name}_before": value for name, value in errors(predictor, data).items()}
     settings = replace(recipe.fit, epochs=epochs, learning_rate=_LEARNING_RATE)
     fitted = fit(
         predictor.network,
@@ -93,23 +93,23 @@ def fine_tune(
         settings,
         folder=folder,
         seed=seed,
-        recipe=(recipe, hashlib.sha256(shown.curves.tobytes()).hexdigest()),
+        recipe=(recipe, hashlib.sha256(data.curves.tobytes()).hexdigest()),
         ranks=Ranks.join(device),
         progress=progress,
     )
     predictor = Predictor(predictor.network, source_px=predictor.source_px, device=device)
-    outcome |= {"images": len(shown.curves), "cpu_min": fitted.cpu_s / 60}
-    return predictor, outcome | {f"{name}_after": value for name, value in errors(predictor, shown).items()}
+    outcome |= {"images": len(data.curves), "cpu_min": fitted.cpu_s / 60}
+    return predictor, outcome | {f"{name}_after": value for name, value in errors(predictor, data).items()}
 
 
-def errors(predictor: Predictor, shown: WirePictures) -> dict[str, float]:
+def errors(predictor: Predictor, data: WirePictures) -> dict[str, float]:
     """Mean and median error of tip and curve of the held-out pictures, in px of an image of 1,024; {} without any."""
-    places: Sequence[int] = np.flatnonzero(shown.held_out).tolist()
+    places: Sequence[int] = np.flatnonzero(data.held_out).tolist()
     if not places:
         return {}
-    readings = PerceptionNetwork(predictor)(list(shown.pictures[places]))
+    readings = PerceptionNetwork(predictor)(list(data.pictures[places]))
     distances = [
-        curve_errors(1024.0 * reading.points.astype(float), 1024.0 * shown.curves[place])
+        curve_errors(1024.0 * reading.points.astype(float), 1024.0 * data.curves[place])
         for place, reading in zip(places, readings, strict=True)
     ]
     values = {name: [one[name] for one in distances] for name in ("tip_px", "mean_px")}

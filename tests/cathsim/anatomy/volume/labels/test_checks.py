@@ -125,7 +125,7 @@ def test_zones_of_an_arch_are_taken_for_aortaseg24s_and_noted(tmp_path: Path, sc
     points = 1e-3 * (places @ affine[:3, :3].T + affine[:3, 3]) * [-1.0, -1.0, 1.0]
     _, arc, _ = nearest_on_branch(phantom.tree.root, points)
     bca, lcca, lsa = (phantom.tree[name].parent_arc for name in ("bca", "lcca", "lsa"))
-    borders = [lsa - 0.02, (lcca + lsa) / 2, (bca + lcca) / 2]  # the course begins at the lower end
+    borders = [lsa - 0.02, (lcca + lsa) / 2, (bca + lcca) / 2]  # the path begins at the lower end
     zones[tuple(places.T)] = np.array([7, 5, 3, 1])[np.searchsorted(borders, arc)]
     volume = read_labels(save_nifti(tmp_path / "scan.nii.gz", zones, affine))
     assert volume.scheme == "AortaSeg24"

@@ -1,11 +1,11 @@
-"""Labels of vessels: gaps, specks, holes, which vessel leaves which, courses, parts that smoothing has parted."""
+"""Labels of vessels: gaps, specks, holes, which vessel leaves which, paths, parts that smoothing has parted."""
 
 import numpy as np
 import pytest
 
 from cathsim.anatomy.volume.labels.family import find_family
 from cathsim.anatomy.volume.labels.parts import clean_parts, led_on
-from cathsim.anatomy.volume.lumen import courses
+from cathsim.anatomy.volume.lumen import paths
 from cathsim.anatomy.volume.lumen.graph import LumenGraph
 from cathsim.anatomy.volume.lumen.smoothing import ways_to_lost
 
@@ -180,9 +180,9 @@ def test_an_aorta_that_a_branch_parts_keeps_both_its_ends() -> None:
     depth[5] = 9e-3
     graph = LumenGraph(points, depth, np.arange(41), pairs, np.full(40, 1e-3), 1e-3)
     mine = np.ones(41, dtype=np.bool_)
-    assert set(courses._far_ends(graph, mine)) == {0, 40}
+    assert set(paths._far_ends(graph, mine)) == {0, 40}
     mine[18:23] = False  # the nodes of a branch as wide as the aorta is there
-    assert set(courses._far_ends(graph, mine)) == {0, 40}
+    assert set(paths._far_ends(graph, mine)) == {0, 40}
 
 
 def two_slabs(apart: int = 0) -> tuple[np.ndarray, np.ndarray]:

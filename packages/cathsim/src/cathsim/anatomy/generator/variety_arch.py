@@ -91,7 +91,7 @@ _OWN_RIGHT_ARM = _start((0.1, 0.1, 2), (0.1, 0.1, 0.3), _ARM, _THIN)
 _RIGHT_CAROTID_END = _carotid_end((0, 0, 230), (2, 2, 0), _UP, (0.1, 0.1, 0), (-1, 0.33))
 
 # by name; of every vessel the waypoints from its start on the parent's centreline to its end
-COURSES: dict[str, tuple[Waypoint, ...]] = {
+PATHS: dict[str, tuple[Waypoint, ...]] = {
     "aorta": _AORTA,
     "trunk": (
         _TRUNK_START,
@@ -128,19 +128,19 @@ COURSES: dict[str, tuple[Waypoint, ...]] = {
 }
 
 
-def draw_course(
+def draw_path(
     name: str, start: Array, rng: np.random.Generator, *, parent: Knot | None = None, calibre: float = 1.0
 ) -> tuple[Knot, ...]:
     """Draws the knots of a vessel's path.
 
     Args:
-        name: a key of COURSES.
+        name: a key of PATHS.
         start: (3,) m, where it begins.
         parent: the last knot of the vessel that it continues.
         calibre: factor on the diameters.
     """
     knots: list[Knot] = []
-    for waypoint in COURSES[name]:
+    for waypoint in PATHS[name]:
         offset = np.array([0.0 if axis in waypoint.fixed else at for axis, at in zip("xyz", start, strict=True)])
         place = offset + MM * rng.normal(waypoint.place_mm, waypoint.place_spread_mm)
         mean = waypoint.heading
@@ -161,7 +161,7 @@ def draw_course(
     return tuple(knots)
 
 
-def course_curve(knots: tuple[Knot, ...]) -> tuple[Array, Array]:
+def path_curve(knots: tuple[Knot, ...]) -> tuple[Array, Array]:
     """The cubic Hermite curve through knots.
 
     Returns:
@@ -184,7 +184,7 @@ class Origin(NamedTuple):
     """A vessel and where it leaves its parent."""
 
     vessel: str
-    course: str  # a key of `COURSES`
+    path: str  # a key of `PATHS`
     # of the aorta: mm along its centreline from the origin before, or from the root; of a trunk: share of its length
     place: Spread
     parent: str = "aorta"
@@ -296,7 +296,7 @@ def build_variety_arch(arch: VarietyArch) -> VesselTree:
 
 def _draw(arch: VarietyArch, rng: np.random.Generator) -> VesselTree | None:
     """One draw; None where the aorta bends too tightly or a vessel does not leave its parent."""
-    aorta = Branch("aorta", *course_curve(draw_course("aorta", np.zeros(3), rng, calibre=arch.calibre)))
+    aorta = Branch("aorta", *path_curve(draw_path("aorta", np.zeros(3), rng, calibre=arch.calibre)))
     if _tightest(aorta) > TIGHTEST:
         return None
     branches, knots = {"aorta": aorta}, dict[str, Knot]()
@@ -324,8 +324,8 @@ def _grow(
     origin: Origin, parent: Branch, arc: float, knots: dict[str, Knot], rng: np.random.Generator, calibre: float
 ) -> tuple[Branch, Knot]:
     """The vessel of an origin at an arc length (m) along its parent, and its last knot."""
-    path_knots = draw_course(origin.course, parent.point_at(arc), rng, parent=knots.get(origin.parent), calibre=calibre)
-    points, radius = course_curve(path_knots)
+    path_knots = draw_path(origin.path, parent.point_at(arc), rng, parent=knots.get(origin.parent), calibre=calibre)
+    points, radius = path_curve(path_knots)
     end = origin.vessel not in TRUNKS
     return Branch(origin.vessel, points, radius, parent.name, arc, open_end=end), path_knots[-1]
 

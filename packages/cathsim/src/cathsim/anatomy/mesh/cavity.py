@@ -116,23 +116,23 @@ def find_cavity(samples: SurfaceSamples, spacing: float, *, rough: bool = False)
     through = [hollow for hollow in tunnels if _is_lumen(hollow, span)]
     # Hollows between vessels pass for narrow tunnels: a lumen is not much narrower than what it lies in.
     if through and (not deep or through[0].radius - _GROWN > _WALL_SHARE * deep[0].radius):
-        kind, chosen, rivals = "tunnel", through[0], [r for r in tunnels if r.radius > 0.4 * through[0].radius]
+        kind, region, rivals = "tunnel", through[0], [r for r in tunnels if r.radius > 0.4 * through[0].radius]
     elif deep:
-        kind, chosen, rivals = "closed lumen", deep[0], enclosed
-        around = [r for r in deep[1:] if _surrounds(r, chosen, wall.shape) or _covers(r, chosen, wall.shape)]
-        within = [hollow for hollow in deep[1:] if _surrounds(chosen, hollow, wall.shape)]
+        kind, region, rivals = "closed lumen", deep[0], enclosed
+        around = [r for r in deep[1:] if _surrounds(r, region, wall.shape) or _covers(r, region, wall.shape)]
+        within = [hollow for hollow in deep[1:] if _surrounds(region, hollow, wall.shape)]
         if around or within:
-            kind, chosen = "lumen in a closed wall", within[0] if within else chosen
+            kind, region = "lumen in a closed wall", within[0] if within else region
         rivals = [hollow for hollow in rivals if hollow not in [*around, *within]]
     else:
         raise MeshRefusedError(_why_none([*enclosed, *tunnels], span, spacing, rough=rough))
-    rivals = [r for r in rivals if r.radius >= _LEAST_RADIUS and r.volume >= _PART_SHARE * chosen.volume]
-    if len(rivals) > 1 and abs(_winding(chosen, samples, origin, spacing)) > _WOUND:
+    rivals = [r for r in rivals if r.radius >= _LEAST_RADIUS and r.volume >= _PART_SHARE * region.volume]
+    if len(rivals) > 1 and abs(_winding(region, samples, origin, spacing)) > _WOUND:
         # a hollow between vessels lies outside of the surface, a part of the lumen that was torn off within it
-        rivals = [r for r in rivals if r is chosen or abs(_winding(r, samples, origin, spacing)) > 1 - _WOUND]
+        rivals = [r for r in rivals if r is region or abs(_winding(r, samples, origin, spacing)) > 1 - _WOUND]
     if len(rivals) > 1 and not rough:
         raise falls_apart([spacing * (np.array([s.stop - s.start for s in hollow.box])) for hollow in rivals])
-    return Cavity(chosen.whole(wall.shape), wall, origin, spacing, kind, chosen.radius * spacing)
+    return Cavity(region.whole(wall.shape), wall, origin, spacing, kind, region.radius * spacing)
 
 
 def falls_apart(sides: Sequence[Array]) -> MeshRefusedError:

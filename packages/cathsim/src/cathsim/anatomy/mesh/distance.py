@@ -96,7 +96,7 @@ def lumen_samples(
     Returns:
         Samples of triangles whose normals point into the lumen.
     """
-    near = samples.chosen(cavity.holds(away <= _FACING, samples.points))
+    near = samples.select(cavity.holds(away <= _FACING, samples.points))
     normals = near.normals[near.face]
     step = 1.2 * cavity.spacing
     ahead, behind = (_look(away, cavity, near.points + s * step * normals) for s in (1, -1))
@@ -120,7 +120,7 @@ def lumen_samples(
     if len(gap_points):
         pieces.append(_patches(gap_points, cavity, away, inside))
     whole = sample_surface(np.concatenate(pieces), 0.7 * cavity.spacing)
-    return whole.chosen(cavity.holds(away <= _FACING + 1, whole.points))
+    return whole.select(cavity.holds(away <= _FACING + 1, whole.points))
 
 
 def voxels_away(inside: Mask) -> NDArray[np.float32]:
@@ -197,8 +197,8 @@ def distance_grid(
     low, high = lumen.min(axis=0) - cavity.spacing, lumen.max(axis=0) + cavity.spacing
     origin = np.floor(low / resolution - PADDING) * resolution
     shape = np.ceil((high - origin) / resolution).astype(int) + PADDING + 1
-    chosen = _near_nodes(lumen, origin, shape, resolution, reach)
-    points = (origin + chosen * resolution - offset) @ rotation
+    indices = _near_nodes(lumen, origin, shape, resolution, reach)
+    points = (origin + indices * resolution - offset) @ rotation
     # A voxel next to the lumen and far from what bounds it belongs to a loose sheet in it, which is no wall.
     sign = np.where(cavity.holds(away <= _LOOSE, points), 1.0, -1.0)
     farthest = max(reach, exact_within + _THIN)
@@ -217,15 +217,17 @@ def distance_grid(
         distance[beside] = np.minimum(distance[beside], -height[beside])
     # Where flat ends meet the wall single points may come out on the wrong side: only what hangs together is lumen.
     positive = np.flatnonzero(distance > 0)
-    loose = positive[~_largest_component(chosen[positive], shape)]
+    loose = positive[~_largest_component(indices[positive], shape)]
     distance[loose] *= -1
     # A cavity beyond a passage that no wire passes is closed to wires as well.
     open_ = np.flatnonzero(distance > WIRE_RADIUS)
-    shut = open_[~_largest_component(chosen[open_], shape)]
+    shut = open_[~_largest_component(indices[open_], shape)]
     distance[shut] = _SHUT * WIRE_RADIUS
     near = distance > -reach
     nx, ny, nz = (int(n) for n in shape)
-    return SignedDistanceGrid.from_nodes(chosen[near], distance[near], (nx, ny, nz), origin, resolution, outside=-reach)
+    return SignedDistanceGrid.from_nodes(
+        indices[near], distance[near], (nx, ny, nz), origin, resolution, outside=-reach
+    )
 
 
 def _far_distance(surface: Array, points: Array, farthest: float, unbounded: Mask) -> Array:
@@ -256,10 +258,10 @@ def _largest_component(nodes: NDArray[np.int64], shape: NDArray[np.int64]) -> Ma
         first.append(pair_starts)
         second.append(place[pair_starts])
     labels = linked_parts(np.concatenate(first), np.concatenate(second), len(keys))
-    chosen = np.zeros(len(nodes), dtype=bool)
+    mask = np.zeros(len(nodes), dtype=bool)
     if len(labels):
-        chosen[order] = labels == np.argmax(np.bincount(labels))
-    return chosen
+        mask[order] = labels == np.argmax(np.bincount(labels))
+    return mask
 
 
 def _near_nodes(

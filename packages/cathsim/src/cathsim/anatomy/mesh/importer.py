@@ -66,10 +66,10 @@ def import_mesh(
     resolution = check_resolution(resolution, "mesh")
     path = Path(path).expanduser()
     directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
-    chosen = hashable_names(names)
+    hashable = hashable_names(names)
     with ONE_AT_A_TIME:
-        digest = mesh_digest(path, unit, chosen, resolution, extend)
-        return _load(path, digest, unit, chosen, resolution, directory, extend)
+        digest = mesh_digest(path, unit, hashable, resolution, extend)
+        return _load(path, digest, unit, hashable, resolution, directory, extend)
 
 
 def mesh_digest(path: Path, unit: str | None, names: tuple | None, resolution: float, extend: bool = True) -> str:
@@ -112,24 +112,24 @@ def _build(
 ) -> Phantom:
     surface = read_parts(path)
     parts, notes = surface.parts, surface.notes
-    chosen, reason = unit, "given"
+    best_unit, reason = unit, "given"
     try:
         size = _measured(parts)
-        if chosen is None:
-            chosen, reason, unsure = detect_unit(size)
+        if best_unit is None:
+            best_unit, reason, unsure = detect_unit(size)
             notes += unsure
-        scale = UNITS[chosen]
+        scale = UNITS[best_unit]
         mesh, label_of = parts[0].mesh.scaled(scale), None
         if len(parts) > 1:
             parts = [Part(part.name, part.mesh.scaled(scale)) for part in parts]
             sides = np.ptp([bound for part in parts for bound in part.mesh.bounds], axis=0)
             budget = Budget()
-            spacing, _ = lattice_spacing(size.width * scale, sides, resolution, budget, chosen)
+            spacing, _ = lattice_spacing(size.width * scale, sides, resolution, budget, best_unit)
             mesh, label_of, united = unite(parts, spacing, budget)
             notes += united
         phantom = phantom_of_surface(
             mesh,
-            SurfaceFacts(path.name, chosen, reason, surface.faces, scale, notes, size.width * scale),
+            SurfaceFacts(path.name, best_unit, reason, surface.faces, scale, notes, size.width * scale),
             name=path.stem,
             digest=digest,
             resolution=resolution,

@@ -75,13 +75,13 @@ def _missing_triangles(mesh: Triangles, border: Indices) -> Indices:
     corners = np.sort(mesh.faces, axis=1)
     known = set(map(tuple, corners[np.isin(corners[:, 0], candidates[:, 0])].tolist()))
     used: set[tuple[int, int]] = set()
-    chosen = []
+    triangles = []
     for a, b, c in candidates.tolist():
         own = {(a, b), (b, c), (a, c)}
         if (a, b, c) not in known and not own & used:
             used |= own
-            chosen.append((a, b, c))
-    return np.array(chosen, np.int64).reshape(-1, 3)
+            triangles.append((a, b, c))
+    return np.array(triangles, np.int64).reshape(-1, 3)
 
 
 def _rings(border: Indices) -> Indices:

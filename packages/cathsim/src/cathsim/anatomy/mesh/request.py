@@ -39,9 +39,9 @@ def hashable_names(names: Names) -> tuple | None:
     return tuple(names.items()) if isinstance(names, Mapping) else tuple(names)
 
 
-def names_of(chosen: tuple | None) -> Names:
+def names_of(names: tuple | None) -> Names:
     """What `hashable_names` was given."""
-    return dict(chosen) if chosen and isinstance(chosen[0], tuple) else chosen
+    return dict(names) if names and isinstance(names[0], tuple) else names
 
 
 def content_digest(settings: Mapping[str, Any], files: Iterable[Path], *, in_folder: bool) -> str:

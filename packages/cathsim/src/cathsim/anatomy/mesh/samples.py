@@ -46,7 +46,7 @@ class SurfaceSamples:
         normal = np.cross(b - a, c - a)
         return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
 
-    def chosen(self, keep: NDArray[np.bool_]) -> SurfaceSamples:
+    def select(self, keep: NDArray[np.bool_]) -> SurfaceSamples:
         """Some of the points, by a mask (n,), of the same triangles."""
         return SurfaceSamples(self.points[keep], self.face[keep], self.corners)
 
@@ -96,11 +96,11 @@ def sample_surface(corners: Array, spacing: float, budget: Budget | None = None)
     parts = ratio.astype(np.int64)
     points, face = [], []
     for count in np.unique(parts):
-        chosen = np.flatnonzero(parts == count)
+        facets = np.flatnonzero(parts == count)
         i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")
         within = i + j <= count
         weights = np.stack([count - i - j, i, j], axis=-1)[within] / count
-        for some in np.array_split(chosen, max(1, len(chosen) * len(weights) // 2_000_000)):
+        for some in np.array_split(facets, max(1, len(facets) * len(weights) // 2_000_000)):
             made = np.empty((len(some), len(weights), 3))
             for axis, (a, b, c) in enumerate(corners[some].T[..., None]):
                 made[..., axis] = a * weights[:, 0] + b * weights[:, 1] + c * weights[:, 2]

@@ -77,11 +77,11 @@ def import_volume(
     resolution = check_resolution(resolution, "volume")
     path = Path(path).expanduser()
     directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
-    chosen = hashable_names(names)
-    chosen_labels = None if not labels else tuple(labels.items())
+    hashable = hashable_names(names)
+    hashable_labels = None if not labels else tuple(labels.items())
     with ONE_AT_A_TIME:
-        digest = volume_digest(path, chosen_labels, chosen, resolution, transform, extend)
-        return _load(path, digest, chosen_labels, chosen, resolution, directory, transform, extend)
+        digest = volume_digest(path, hashable_labels, hashable, resolution, transform, extend)
+        return _load(path, digest, hashable_labels, hashable, resolution, directory, transform, extend)
 
 
 def volume_digest(

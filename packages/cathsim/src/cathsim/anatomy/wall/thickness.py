@@ -116,13 +116,13 @@ def _apart(grid: SignedDistanceGrid, first: Array, second: Array) -> NDArray[np.
     return apart
 
 
-def _with_neighbours(places: Array, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _with_neighbours(places: Array, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Chosen places (n, 3) m, and all that hang together with them by steps of `_LINK`."""
     from scipy.spatial import cKDTree
 
     pairs = cKDTree(places).query_pairs(_LINK, output_type="ndarray")
     parts = linked_parts(pairs[:, 0], pairs[:, 1], len(places))
-    return np.isin(parts, parts[chosen])
+    return np.isin(parts, parts[mask])
 
 
 def _nearest_part(parts: NDArray[np.int32], at: Array, point: Array) -> int:

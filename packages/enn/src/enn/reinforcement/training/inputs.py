@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from enn.policy import Policy
 from enn.reinforcement.evaluation import EvaluationResult
-from enn.reinforcement.reset_bank import CaseResetBank, ResetBank, fill_reset_bank
+from enn.reinforcement.start_state_buffer import CaseStartStateBuffer, StartStateBuffer, fill_start_state_buffer
 from enn.reinforcement.training.settings import SacSettings, TrainingSettings
 from enn.reinforcement.vector_envs import POSSIBLE, SampledEnvs, SubprocessEnvs
 from enn.trajectory import Trajectory
@@ -59,21 +59,23 @@ class TrainingInputs:
     initial_result: EvaluationResult | None = None
     after_evaluation: Callable[[Policy, int], None] | None = None
 
-    def make_reset_bank(self, settings: TrainingSettings) -> ResetBank | None:
+    def make_start_state_buffer(self, settings: TrainingSettings) -> StartStateBuffer | None:
         """A start-state buffer of the demonstrations and starts, or None where no episode is to start from one."""
-        arguments = settings.reset_bank_share, settings.reset_bank_capacity, self.seed
-        if settings.reset_bank_cases:
-            reset_bank: ResetBank = CaseResetBank(settings.reset_bank_cases, *arguments)
-        elif settings.reset_bank_share > 0:
-            reset_bank = ResetBank(*arguments)
+        arguments = settings.start_state_buffer_share, settings.start_state_buffer_capacity, self.seed
+        if settings.start_state_buffer_cases:
+            start_state_buffer: StartStateBuffer = CaseStartStateBuffer(settings.start_state_buffer_cases, *arguments)
+        elif settings.start_state_buffer_share > 0:
+            start_state_buffer = StartStateBuffer(*arguments)
         else:
             return None
-        fill_reset_bank(reset_bank, self.demonstrations)
+        fill_start_state_buffer(start_state_buffer, self.demonstrations)
         for states in self.starts:
-            reset_bank.add_episode(states)
-        return reset_bank
+            start_state_buffer.add_episode(states)
+        return start_state_buffer
 
-    def make_envs(self, settings: TrainingSettings, reset_bank: ResetBank | None) -> SampledEnvs | SubprocessEnvs:
+    def make_envs(
+        self, settings: TrainingSettings, start_state_buffer: StartStateBuffer | None
+    ) -> SampledEnvs | SubprocessEnvs:
         """The environments that are sampled; they observe what the networks read, or all that an encoder may.
 
         Where updates are made meanwhile, by another thread, they get a process of their own, if it is worth its start.
@@ -83,7 +85,7 @@ class TrainingInputs:
             "factories": [self.make_env] * settings.n_envs,
             "seed": self.seed,
             "action_repeat": settings.action_repeat,
-            "reset_bank": reset_bank,
+            "start_state_buffer": start_state_buffer,
             "keys": keys if self.encoder is None else (),
         }
         threads = min(settings.threads, settings.n_envs)

@@ -40,11 +40,11 @@ class TrainingSettings(NetworkSettings):
     # of the squared distance to the demonstrations' actions: before PPO's first roll-out, and after each update; in the
     # loss of SAC's actor where its critics prefer those actions, as a share of their values' magnitude
     cloning_weight: Weight = 0.0
-    reset_bank_share: Share = 0.75  # share of the resets from the start-state buffer; 0: there is none
-    reset_bank_capacity: Count = 4096  # states in the start-state buffer; with cases, of each of them
+    start_state_buffer_share: Share = 0.75  # share of the resets from the start-state buffer; 0: there is none
+    start_state_buffer_capacity: Count = 4096  # states in the start-state buffer; with cases, of each of them
     # how many cases (an anatomy and a target each, say) the environment chooses from; each then has its own buffer,
     # and episodes take place more often where they fail. 0: the environment has no cases.
-    reset_bank_cases: CountOrNone = 0
+    start_state_buffer_cases: CountOrNone = 0
     evaluate_every: CountOrNone = 1000  # decisions between evaluations; 0: none, the last policy is kept
     # deterministic episodes, and as many stochastic ones where those were no worse than the best so far; when the
     # first three fail, the rest are not played
@@ -199,7 +199,7 @@ THESIS_SAC = SacSettings(
     learning_starts=100,
     ent_coef="auto_1.0",
     buffer_size=1_000_000,
-    reset_bank_share=0.0,
+    start_state_buffer_share=0.0,
     evaluate_every=10_000,
     curve_every=1000,
 )
@@ -217,7 +217,7 @@ THESIS_PPO = PpoSettings(
     batch_size=64,
     learning_starts=0,
     n_steps=2048,
-    reset_bank_share=0.0,
+    start_state_buffer_share=0.0,
     evaluate_every=10_000,
     curve_every=2048,
 )
@@ -243,7 +243,7 @@ DESK_PPO = PpoSettings(
     log_std_final=-2.5,
     reward_scale=0.1,
     cloning_weight=1.0,
-    reset_bank_share=0.5,
+    start_state_buffer_share=0.5,
     evaluate_every=2500,
     stop_after=1,
     curve_every=1024,

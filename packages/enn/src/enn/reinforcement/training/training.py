@@ -64,7 +64,7 @@ class TrainingRun:
         self.inputs, self.settings, self.progress = inputs, settings, progress
         self.folder = None if inputs.folder is None else Path(inputs.folder)
         torch.set_num_threads(1)
-        self.sampled = inputs.make_envs(settings, inputs.make_reset_bank(settings))
+        self.sampled = inputs.make_envs(settings, inputs.make_start_state_buffer(settings))
         self.envs: Any = self.sampled
         if inputs.encoder is not None:
             from enn.reinforcement.encoded import EncodedEnvs

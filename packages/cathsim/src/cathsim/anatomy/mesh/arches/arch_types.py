@@ -93,12 +93,12 @@ def read_arch(parts: Sequence[Subtree], *, sides_known: bool) -> list[Reading]:
     return sorted(readings, key=lambda reading: -reading.score)
 
 
-def _orders(chosen: Sequence[Subtree]) -> Iterator[tuple[Subtree, ...]]:
+def _orders(subtrees: Sequence[Subtree]) -> Iterator[tuple[Subtree, ...]]:
     """Orders along the aorta; vessels that leave it at about one place may come in either."""
-    yield tuple(chosen)
-    for k in range(len(chosen) - 1):
-        if abs(chosen[k].vessel.start - chosen[k + 1].vessel.start) < _NEARLY:
-            yield (*chosen[:k], chosen[k + 1], chosen[k], *chosen[k + 2 :])
+    yield tuple(subtrees)
+    for k in range(len(subtrees) - 1):
+        if abs(subtrees[k].vessel.start - subtrees[k + 1].vessel.start) < _NEARLY:
+            yield (*subtrees[:k], subtrees[k + 1], subtrees[k], *subtrees[k + 2 :])
 
 
 def _assignments(
@@ -182,9 +182,9 @@ def _left_over(order: Sequence[Subtree], names: Sequence[tuple[Subtree, str]]) -
     return sum(_weight(leaf, [part.main_leaf for part in named]) for leaf in left)
 
 
-def _weight(part: Subtree, chosen: Sequence[Subtree]) -> float:
+def _weight(part: Subtree, subtrees: Sequence[Subtree]) -> float:
     """What speaks against leaving a vessel out: little for a thin or a short one."""
-    ratio = part.radius / float(np.median([other.radius for other in chosen]))
+    ratio = part.radius / float(np.median([other.radius for other in subtrees]))
     return 0.2 + 1.3 * float(np.clip((ratio - 0.4) / 0.4, 0.0, 1.0)) * min(_length(part) / 25e-3, 1.0)
 
 

@@ -173,9 +173,9 @@ def _fill(box: Box, holes: NDArray[np.int64], share: float) -> int:
     np.add.at(around, (which[outer[0]], outer[1]), 1)
     best = np.argmax(around[:, 1:], axis=1) + 1
     within = around[:, 1:].sum(axis=1) >= share * np.maximum(around.sum(axis=1), 1)
-    chosen = within[which]
-    flat[holes[chosen]] = best[which[chosen]]
-    return int(np.count_nonzero(chosen))
+    mask = within[which]
+    flat[holes[mask]] = best[which[mask]]
+    return int(np.count_nonzero(mask))
 
 
 def _share(part: float, whole: float) -> str:
@@ -245,9 +245,9 @@ def led_on(
         return None
     whole = begins[int(np.argmax(counts >= _WHOLE * counts.max()))]
     slabs = [(away >= begin) & (away < begin + slab) for begin in (whole, whole + 2 * slab)]
-    if min(np.count_nonzero(chosen) for chosen in slabs) < _LEAST_SLAB:
+    if min(np.count_nonzero(mask) for mask in slabs) < _LEAST_SLAB:
         return None
-    end, before = (ours[chosen].mean(axis=0) for chosen in slabs)
+    end, before = (ours[mask].mean(axis=0) for mask in slabs)
     length = float(np.linalg.norm(end - before))
     if not 1.6 * slab <= length <= 2 * slab / _LEAST_COSINE:
         return None  # not one vessel that leads away from the other

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.cross_section import plane_coordinates
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.volume.lumen.courses import Courses
+from cathsim.anatomy.volume.lumen.paths import VesselPaths
 from cathsim.anatomy.volume.lumen.union import FlatEnd
 from cathsim.lattice.linked_parts import linked_parts
 
@@ -34,15 +34,15 @@ class Tip:
     flat: bool = False  # whether that edge is its end as it is
 
 
-def flat_end(courses: Courses, number: int, tip: int, begin: int, faces: list[tuple[Array, Array, float]]) -> Tip:
+def flat_end(paths: VesselPaths, number: int, tip: int, begin: int, faces: list[tuple[Array, Array, float]]) -> Tip:
     """The flat end of a vessel at its tip.
 
     Args:
         begin: node from which the vessel is followed.
         faces: points and outward normals of the volume's faces, and how near (m) a tip lies to one that cuts it.
     """
-    graph = courses.graph
-    mine = courses.nodes_of(*courses.main) if number in courses.main else courses.nodes_of(number)
+    graph = paths.graph
+    mine = paths.nodes_of(*paths.main) if number in paths.main else paths.nodes_of(number)
     way = graph.way(begin, tip, mine)
     face = next(((at, n) for at, n, reach in faces if (at - graph.points[tip]) @ n < reach), None)
     if face is not None:

@@ -60,9 +60,9 @@ class LumenGraph:
         dear = (self.spacing / np.maximum(self.depth, 0.5 * self.spacing)) ** 2
         return self.lengths * 0.5 * (dear[self.pairs[:, 0]] + dear[self.pairs[:, 1]])
 
-    def away(self, start: int, chosen: NDArray[np.bool_] | None = None) -> Array:
+    def away(self, start: int, mask: NDArray[np.bool_] | None = None) -> Array:
         """Distance (n,) m within the lumen, or within some of its nodes; infinite where there is no way."""
-        return self._search(start, self.lengths, chosen)[0]
+        return self._search(start, self.lengths, mask)[0]
 
     def ways(self, start: int, ends: list[int]) -> list[Nodes]:
         """Ways (k,) of nodes along the middle from a start to ends, shared until they part."""
@@ -77,13 +77,13 @@ class LumenGraph:
             ways.append(np.array(way[::-1]))
         return ways
 
-    def way(self, start: int, end: int, chosen: NDArray[np.bool_]) -> Nodes:
+    def way(self, start: int, end: int, mask: NDArray[np.bool_]) -> Nodes:
         """The way (k,) of nodes along the middle between two, within some nodes where there is one.
 
         Raises:
             MeshRefusedError: no way leads there.
         """
-        for allowed in (chosen, None):
+        for allowed in (mask, None):
             _, before = self._search(start, self._middle_cost, allowed)
             way = [end]
             while way[-1] != start and before[way[-1]] >= 0:
@@ -92,19 +92,19 @@ class LumenGraph:
                 return np.array(way[::-1])
         raise MeshRefusedError("the lumen falls apart between two places of one vessel; take a finer resolution.")
 
-    def _search(self, start: int, cost: Array, chosen: NDArray[np.bool_] | None) -> tuple[Array, Nodes]:
+    def _search(self, start: int, cost: Array, mask: NDArray[np.bool_] | None) -> tuple[Array, Nodes]:
         from scipy.sparse import csr_matrix
         from scipy.sparse.csgraph import dijkstra
 
         first, second = self.pairs.T
-        if chosen is not None:
-            inside = chosen[first] & chosen[second]
+        if mask is not None:
+            inside = mask[first] & mask[second]
             first, second, cost = first[inside], second[inside], cost[inside]
         graph = csr_matrix((cost, (first, second)), shape=(len(self.points),) * 2)
         away, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
         return away, before.astype(np.int64)
 
-    def nearest(self, place: Array, chosen: NDArray[np.bool_] | None = None) -> int:
+    def nearest(self, place: Array, mask: NDArray[np.bool_] | None = None) -> int:
         """The node nearest to a place (3,) m, among some."""
-        numbers = np.arange(len(self.points)) if chosen is None else np.flatnonzero(chosen)
+        numbers = np.arange(len(self.points)) if mask is None else np.flatnonzero(mask)
         return int(numbers[np.argmin(((self.points[numbers] - place) ** 2).sum(axis=1))])

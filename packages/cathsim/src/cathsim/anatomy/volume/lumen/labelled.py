@@ -10,10 +10,10 @@ from cathsim.anatomy.lumen import OUTSIDE, PADDING
 from cathsim.anatomy.mesh.branches import RoughVessel
 from cathsim.anatomy.volume.files.reading import LabelVolume
 from cathsim.anatomy.volume.labels.family import find_family
-from cathsim.anatomy.volume.lumen.courses import Courses, find_courses, narrow_places, rough_vessels
 from cathsim.anatomy.volume.lumen.ends import Tip, flat_end
 from cathsim.anatomy.volume.lumen.graph import LumenGraph
 from cathsim.anatomy.volume.lumen.lattice import BlockLattice
+from cathsim.anatomy.volume.lumen.paths import VesselPaths, find_paths, narrow_places, rough_vessels
 from cathsim.anatomy.volume.lumen.smoothing import VesselField, ways_to_lost
 from cathsim.anatomy.volume.lumen.union import FlatEnd, Union, unite
 from cathsim.anatomy.volume.lumen.wall import connected, signed_distance
@@ -67,8 +67,8 @@ class LabelledLumen:
         rows = np.flatnonzero(inside)
         depth = np.zeros_like(level)
         depth[rows] = signed_distance(self.lattice, level, rows)
-        courses = self.courses(depth, which, inside)
-        if courses.against_axes:
+        paths = self.paths(depth, which, inside)
+        if paths.against_axes:
             self.notes.append(
                 "the branches' order puts the heart at the other end of the aorta than the file's axes of the patient: "
                 "the order counts; check the axes"
@@ -76,15 +76,15 @@ class LabelledLumen:
         self.notes += [
             f"{self.family.names[number]} ends where {1e3 * length:.0f} mm of it begin that are thin as a bridge to "
             "another vessel is"
-            for number, length in courses.thin.items()
+            for number, length in paths.thin.items()
         ]
-        self.open_narrow(courses)
-        first, ends, cut = self.flatten(courses)
+        self.open_narrow(paths)
+        first, ends, cut = self.flatten(paths)
         self.notes += [f"{name} is cut off by the volume's edge" for name in cut]
         level, which, inside = self.level()
         distance = signed_distance(self.lattice, level)
-        aorta, names = rough_vessels(self.courses(distance, which, inside), ends, first, self.ostia())
-        main = [self.family.names[number] for number in courses.main]
+        aorta, names = rough_vessels(self.paths(distance, which, inside), ends, first, self.ostia())
+        main = [self.family.names[number] for number in paths.main]
         if len(main) > 1:
             self.notes.append(f"the aorta's course begins in {main[0]}, by which a wire comes in")
         lost = [name for name in self.family.names.values() if name not in names.values() and name not in main]
@@ -139,10 +139,10 @@ class LabelledLumen:
         """(3,) m, the middle of every vessel's take-off."""
         return {number: self.to_patient(link.ostium.mean(axis=0)) for number, link in self.family.links.items()}
 
-    def courses(self, depth: Field, which: NDArray[np.uint8], inside: NDArray[np.bool_]) -> Courses:
+    def paths(self, depth: Field, which: NDArray[np.uint8], inside: NDArray[np.bool_]) -> VesselPaths:
         """Where the vessels run and end."""
         graph = LumenGraph.of(self.lattice, depth, inside)
-        return find_courses(graph, which[graph.rows], self.family, self.ostia())
+        return find_paths(graph, which[graph.rows], self.family, self.ostia())
 
     @property
     def least(self) -> float:
@@ -192,13 +192,13 @@ class LabelledLumen:
         before = self.union.channels.get(number, np.empty((0, 3)))
         self.union.channels[number] = np.concatenate([before, places])
 
-    def open_narrow(self, courses: Courses) -> None:
+    def open_narrow(self, paths: VesselPaths) -> None:
         """Keeps vessels open where coarse voxels or closed gaps leave them narrower than a wire needs."""
         least = self.least
         ostia = self.ostia()
-        for number, tip in {**courses.tips, **courses.forks}.items():
-            begin = courses.graph.nearest(ostia[number], courses.which == number)
-            places, depth = narrow_places(courses, number, begin, tip, least)
+        for number, tip in {**paths.tips, **paths.forks}.items():
+            begin = paths.graph.nearest(ostia[number], paths.which == number)
+            places, depth = narrow_places(paths, number, begin, tip, least)
             if len(places):
                 self._open(number, self.to_box(places))
                 self.notes.append(
@@ -206,7 +206,7 @@ class LabelledLumen:
                     f"leave {1e3 * depth:.1f}"
                 )
 
-    def flatten(self, courses: Courses) -> tuple[FlatEnd, dict[int, FlatEnd], list[str]]:
+    def flatten(self, paths: VesselPaths) -> tuple[FlatEnd, dict[int, FlatEnd], list[str]]:
         """Cuts all ends flat: the main path's first, the others by vessel, and which the volume's edge cuts."""
         root = self.family.order[0]
         faces = []
@@ -216,13 +216,13 @@ class LabelledLumen:
             near = float(self.volume.spacing[axis]) + _AT_FACE * self.lattice.spacing
             faces.append((self.to_patient(point), self.turn[:, axis] * sign, near))
         ostia = self.ostia()
-        below = courses.main[0]
-        tips = {below if below != root else -1: flat_end(courses, root, courses.start, courses.last, faces)}
-        tips[root] = flat_end(courses, root, courses.last, courses.start, faces)
-        for number, node in courses.tips.items():
-            begin = courses.graph.nearest(ostia[number], courses.which == number)
+        below = paths.main[0]
+        tips = {below if below != root else -1: flat_end(paths, root, paths.start, paths.last, faces)}
+        tips[root] = flat_end(paths, root, paths.last, paths.start, faces)
+        for number, node in paths.tips.items():
+            begin = paths.graph.nearest(ostia[number], paths.which == number)
             if begin != node:
-                tips[number] = flat_end(courses, number, node, begin, faces)
+                tips[number] = flat_end(paths, number, node, begin, faces)
         for number, tip in tips.items():
             if not tip.flat:
                 self.union.ends.setdefault(root if number == -1 else number, []).append(self._in_box(tip))

@@ -31,9 +31,9 @@ def connected(lattice: BlockLattice, level: Field, start: int) -> NDArray[np.boo
         first.append(np.flatnonzero(linked))
         second.append(other[linked])
     parts = linked_parts(np.concatenate(first), np.concatenate(second), len(rows))
-    chosen = np.zeros(len(level), dtype=bool)
-    chosen[rows[parts == parts[place[start]]]] = True
-    return chosen
+    mask = np.zeros(len(level), dtype=bool)
+    mask[rows[parts == parts[place[start]]]] = True
+    return mask
 
 
 def signed_distance(lattice: BlockLattice, level: Field, rows: Nodes | None = None) -> Field:

@@ -15,7 +15,7 @@ LEAST_WEIGHT = 0.15  # of a case that is always solved; one that never is has 1 
 EARLIER_WEIGHT = 0.5  # of a case's earlier episodes beside its latest
 
 
-class ResetBank:
+class StartStateBuffer:
     """Keeps states along demonstrations and own successes; a share of the resets starts from one of them.
 
     A start half-way to the target shows the goal's reward long before the policy finds it from the sheath. New states
@@ -30,9 +30,9 @@ class ResetBank:
 
     def __init__(self, share: float = 0.5, capacity: int = 4096, seed: int = 0) -> None:
         if not 0.0 <= share <= 1.0:
-            raise ValueError(f"a reset bank's share must lie between 0 and 1, got {share}")
+            raise ValueError(f"a start-state buffer's share must lie between 0 and 1, got {share}")
         if capacity < 1:
-            raise ValueError(f"a reset bank's capacity must be at least 1, got {capacity}")
+            raise ValueError(f"a start-state buffer's capacity must be at least 1, got {capacity}")
         self.share, self.capacity = share, capacity
         self._generator = np.random.default_rng(seed)
         self._states: NDArray[np.float64] | None = None
@@ -55,12 +55,14 @@ class ResetBank:
         if states.ndim != 2:
             raise ValueError(f"expected states of shape (T, n), got {states.shape}")
         if not np.isfinite(states).all():
-            raise ValueError("the states of an episode must be finite: leave this episode out of the reset bank")
+            raise ValueError(
+                "the states of an episode must be finite: leave this episode out of the start-state buffer"
+            )
         if self._states is None:
             self._states = np.zeros((self.capacity, states.shape[1]))
         if states.shape[1] != self._states.shape[1]:
             raise ValueError(
-                f"the reset bank keeps states of {self._states.shape[1]} values, got {states.shape[1]}: these "
+                f"the start-state buffer keeps states of {self._states.shape[1]} values, got {states.shape[1]}: these "
                 "episodes are of another wire or environment"
             )
         states = states[-self.capacity :]
@@ -103,14 +105,14 @@ class ResetBank:
             return
         if len(states) > self.capacity:
             raise ValueError(
-                f"the saved reset bank holds {len(states)} states, more than the capacity of {self.capacity}"
+                f"the saved start-state buffer holds {len(states)} states, more than the capacity of {self.capacity}"
             )
         self._states = np.zeros((self.capacity, states.shape[1]))
         self._states[: len(states)] = states
         self._count = len(states)
 
 
-class CaseResetBank(ResetBank):
+class CaseStartStateBuffer(StartStateBuffer):
     """A start-state buffer whose states end with the number of their case (an anatomy and a target, say).
 
     In one buffer for all, the cases that are solved every time crowd out those that are solved now and then: here
@@ -128,10 +130,10 @@ class CaseResetBank(ResetBank):
     def __init__(self, cases: int, share: float = 0.5, capacity: int = 64, seed: int = 0) -> None:
         super().__init__(share, capacity, seed)
         self._failing = np.ones(cases)
-        self._cases: dict[int, ResetBank] = {}
+        self._cases: dict[int, StartStateBuffer] = {}
 
     def __len__(self) -> int:
-        return sum(len(bank) for bank in self._cases.values())
+        return sum(len(buffer) for buffer in self._cases.values())
 
     def add_episode(self, states: NDArray[Any]) -> None:
         """Adds the states of an episode that reached the target.
@@ -140,16 +142,16 @@ class CaseResetBank(ResetBank):
             states: shape (T, n); every row one that `env.reset(options={"start": row})` takes, its case last.
 
         Raises:
-            ValueError: states of several cases, or as of `ResetBank.add_episode`.
+            ValueError: states of several cases, or as of `StartStateBuffer.add_episode`.
         """
         states = np.asarray(states, np.float64)
         cases = np.unique(states[:, -1]) if states.ndim == 2 else np.zeros(1)
         if len(cases) != 1:
             raise ValueError(f"an episode stays in one case, got states of {len(cases)}")
         case = int(cases[0])
-        bank = self._cases.get(case) or ResetBank(1.0, self.capacity, int(self._generator.integers(1 << 31)))
-        bank.add_episode(states)
-        self._cases[case] = bank
+        buffer = self._cases.get(case) or StartStateBuffer(1.0, self.capacity, int(self._generator.integers(1 << 31)))
+        buffer.add_episode(states)
+        self._cases[case] = buffer
 
     def draw(self) -> NDArray[np.float64] | None:
         """A state of a case drawn evenly, or None: start as the task says. Shape (n,)."""
@@ -170,7 +172,7 @@ class CaseResetBank(ResetBank):
     def state(self) -> dict[str, Any]:
         """Contents and random state, as plain data; for `restore`."""
         return {
-            "cases": {case: bank.state() for case, bank in self._cases.items()},
+            "cases": {case: buffer.state() for case, buffer in self._cases.items()},
             "failing": self._failing.copy(),
             "generator": self._generator.bit_generator.state,
         }
@@ -182,17 +184,17 @@ class CaseResetBank(ResetBank):
             ValueError: the state holds more of a case than fits.
         """
         self._cases, self._failing = {}, state["failing"].copy()
-        for case, bank in state["cases"].items():
-            self._cases[case] = ResetBank(1.0, self.capacity)
-            self._cases[case].restore(bank)
+        for case, buffer in state["cases"].items():
+            self._cases[case] = StartStateBuffer(1.0, self.capacity)
+            self._cases[case].restore(buffer)
         self._generator.bit_generator.state = state["generator"]
 
 
-def fill_reset_bank(reset_bank: ResetBank, trajectories: Sequence[Trajectory]) -> int:
+def fill_start_state_buffer(start_state_buffer: StartStateBuffer, trajectories: Sequence[Trajectory]) -> int:
     """Adds the states of demonstrations that reached the target; returns how many episodes had them."""
     used = 0
     for trajectory in trajectories:
         if trajectory.terminated and trajectory.simulation_states is not None:
-            reset_bank.add_episode(trajectory.simulation_states[:-1:RECORD_EVERY])
+            start_state_buffer.add_episode(trajectory.simulation_states[:-1:RECORD_EVERY])
             used += 1
     return used

@@ -39,21 +39,24 @@ class DisplayWindow:
         return np.clip((image - low) * (_LIGHTEST / width), 0, 255).astype(np.uint8)
 
 
-class RoomFluoroscope:
+class DisplayFluoroscope:
     """Noisy X-ray images of a simulation, of each view, beside each other.
 
     The devices, whose shadows are faint in a patient, are drawn: the catheter as a broad line, the wire over it.
 
     Args:
         size: side of a view's image, px.
-        room: X-ray background of the vessels, such as of `cathsim.fluoroscopy.ct_scene`.
+        background: X-ray background of the vessels, such as of `cathsim.fluoroscopy.ct_scene`.
     """
 
-    def __init__(self, simulation: Simulation, size: int, room: XRayScene) -> None:
+    def __init__(self, simulation: Simulation, size: int, background: XRayScene) -> None:
         self._simulation, self._generator, self._window = simulation, np.random.default_rng(0), DisplayWindow()
         phantom, radius, self._catheter = simulation.phantom, wire_radius_of(simulation), catheter_in(simulation)
         self._seen = {
-            view: (fluoroscope_of(phantom, size, radius, self._catheter, view, room=room), framed(phantom, view, size))
+            view: (
+                fluoroscope_of(phantom, size, radius, self._catheter, view, background=background),
+                framed(phantom, view, size),
+            )
             for view in VIEWS
         }
 
@@ -74,13 +77,15 @@ class RoomFluoroscope:
         return panel
 
 
-def contrast_picture(phantom: Phantom, size: int, room: XRayScene, views: Sequence[str] = VIEWS) -> NDArray[np.uint8]:
+def contrast_picture(
+    phantom: Phantom, size: int, background: XRayScene, views: Sequence[str] = VIEWS
+) -> NDArray[np.uint8]:
     """The vessels full of contrast medium over an X-ray background, no device in them. Shape (size, views * size).
 
     Args:
         size: side of a view's image, px.
     """
     window = DisplayWindow()
-    runs = [contrast_run(phantom, size, WIRE_RADIUS, view=view, room=room) for view in views]
+    runs = [contrast_run(phantom, size, WIRE_RADIUS, view=view, background=background) for view in views]
     images = [window.shown(run.contrast[0], view) for run, view in zip(runs, views, strict=True)]
     return np.concatenate(images, axis=1)

@@ -32,7 +32,7 @@ _AWAY = (1.2, 6e-3)  # radii of the parent and m from its path: a take-off furth
 
 
 @dataclass(eq=False)
-class Courses:
+class VesselPaths:
     """Where labelled vessels run, in the graph of their lumen."""
 
     graph: LumenGraph
@@ -55,7 +55,7 @@ class Courses:
         return [n for n, link in self.family.links.items() if link.parent == number]
 
 
-def find_courses(graph: LumenGraph, which: NDArray[np.uint8], family: Family, ostia: dict[int, Array]) -> Courses:
+def find_paths(graph: LumenGraph, which: NDArray[np.uint8], family: Family, ostia: dict[int, Array]) -> VesselPaths:
     """Finds the ends of all vessels.
 
     Args:
@@ -83,7 +83,7 @@ def find_courses(graph: LumenGraph, which: NDArray[np.uint8], family: Family, os
         against_axes = _late_before_early(graph, mine, upper, family, ostia)
         if against_axes:
             lower, upper = upper, lower
-    courses = Courses(graph, which, family, main, lower, upper, against_axes=against_axes)
+    paths = VesselPaths(graph, which, family, main, lower, upper, against_axes=against_axes)
     away = graph.away(lower)
     for number in family.order:
         own = np.flatnonzero((which == number) & np.isfinite(away))
@@ -93,18 +93,18 @@ def find_courses(graph: LumenGraph, which: NDArray[np.uint8], family: Family, os
         reach = AT_TIP[0] * radius + AT_TIP[1]
         tip, thin = _tip(graph, own, away, radius, reach)
         if thin > 0:
-            courses.thin[number] = thin
+            paths.thin[number] = thin
         at_tip = [
             n
-            for n in courses.children(number)
+            for n in paths.children(number)
             if away[tip] - away[graph.nearest(ostia[n], which == number)] < reach + family.links[n].radius
         ]
         if at_tip:
             middle = np.mean([ostia[n] for n in at_tip], axis=0)
-            courses.forks[number] = graph.nearest(middle)
+            paths.forks[number] = graph.nearest(middle)
         else:
-            courses.tips[number] = tip
-    return courses
+            paths.tips[number] = tip
+    return paths
 
 
 def _late_before_early(
@@ -165,7 +165,7 @@ def _farthest(away: Array) -> int:
 
 
 def rough_vessels(
-    courses: Courses, ends: dict[int, FlatEnd], first: FlatEnd, ostia: dict[int, Array]
+    paths: VesselPaths, ends: dict[int, FlatEnd], first: FlatEnd, ostia: dict[int, Array]
 ) -> tuple[RoughVessel, dict[int, str]]:
     """The vessels' paths as a tree of rough vessels, and their names by `id()`.
 
@@ -173,12 +173,12 @@ def rough_vessels(
         ends: flat ends of vessels; that of the main path's upper end under the aorta's number.
         first: flat end where the main path begins.
     """
-    graph, family = courses.graph, courses.family
+    graph, family = paths.graph, paths.family
     root = family.order[0]
     names: dict[int, str] = {}
 
     def followed(number: int, start: int, end: int, *, head: Array, tail: Array | None) -> tuple[Array, Array]:
-        mine = courses.nodes_of(*courses.main) if number == root else courses.nodes_of(number)
+        mine = paths.nodes_of(*paths.main) if number == root else paths.nodes_of(number)
         way = graph.way(start, end, mine)
         points, depth = graph.points[way], graph.depth[way]
         if tail is not None:
@@ -187,28 +187,28 @@ def rough_vessels(
         points = np.concatenate([head + lead[:, None] * (points[0] - head), points])
         return points, np.concatenate([np.full(len(lead), depth[0]), depth])
 
-    mine = courses.nodes_of(*courses.main)
+    mine = paths.nodes_of(*paths.main)
     lower, upper = (graph.nearest(_before(end), mine) for end in (first, ends[root]))
     points, depth = followed(root, lower, upper, head=first.centre, tail=ends[root].centre)
     aorta = RoughVessel(points, depth, root)
     names[id(aorta)] = AORTA
     # a path from the groin on is the aorta's as a whole
-    made = dict.fromkeys(courses.main, aorta)
+    made = dict.fromkeys(paths.main, aorta)
     for number in family.order:
-        if number in courses.main or family.links[number].parent not in made:
+        if number in paths.main or family.links[number].parent not in made:
             continue
         link = family.links[number]
         parent = made[link.parent]
-        mine = courses.which == number
+        mine = paths.which == number
         if not mine.any():
             continue
         begin = graph.nearest(ostia[number], mine)
-        end = courses.forks.get(number, courses.tips.get(number, begin))
+        end = paths.forks.get(number, paths.tips.get(number, begin))
         # the first way led to the vessel's rounded tip; it now ends in its flat end
         flat = ends.get(number)
         if flat is not None:
             end = graph.nearest(_before(flat), mine)
-        at_fork = courses.forks.get(link.parent) is not None and _leaves_end(courses, number, ostia)
+        at_fork = paths.forks.get(link.parent) is not None and _leaves_end(paths, number, ostia)
         foot = (
             len(parent.points) - 1 if at_fork else int(np.argmin(np.linalg.norm(parent.points - ostia[number], axis=1)))
         )
@@ -218,12 +218,12 @@ def rough_vessels(
         gap = float(np.linalg.norm(parent.points[foot] - graph.points[begin]))
         if not at_fork and gap > _AWAY[0] * parent.depth[foot] + _AWAY[1]:
             # its parent's label holds its first stretch: no straight line leads back
-            both = courses.nodes_of(number, *(courses.main if link.parent in courses.main else (link.parent,)))
+            both = paths.nodes_of(number, *(paths.main if link.parent in paths.main else (link.parent,)))
             back = graph.way(graph.nearest(parent.points[foot], both), begin, both)
             own = int(np.argmin(np.linalg.norm(points - graph.points[begin], axis=1)))
             points = np.concatenate([graph.points[back], points[own + 1 :]])
             depth = np.concatenate([graph.depth[back], depth[own + 1 :]])
-        vessel = RoughVessel(points, depth, None if number in courses.forks else number, from_fork=at_fork)
+        vessel = RoughVessel(points, depth, None if number in paths.forks else number, from_fork=at_fork)
         vessel.start = float(arc_length(parent.points)[foot])
         parent.children.append(vessel)
         names[id(vessel)] = family.names[number]
@@ -238,28 +238,28 @@ def _before(end: FlatEnd) -> Array:
     return end.centre - min(0.5 * end.radius, 3e-3) * end.normal
 
 
-def _leaves_end(courses: Courses, number: int, ostia: dict[int, Array]) -> bool:
+def _leaves_end(paths: VesselPaths, number: int, ostia: dict[int, Array]) -> bool:
     """Whether a vessel goes on from its parent's end, rather than leaves it at its side."""
-    parent = courses.family.links[number].parent
-    fork = courses.graph.points[courses.forks[parent]]
-    own = courses.which == parent
-    radius = float(np.quantile(courses.graph.depth[own], 0.95))
-    return float(np.linalg.norm(ostia[number] - fork)) < 2 * radius + courses.family.links[number].radius + AT_TIP[1]
+    parent = paths.family.links[number].parent
+    fork = paths.graph.points[paths.forks[parent]]
+    own = paths.which == parent
+    radius = float(np.quantile(paths.graph.depth[own], 0.95))
+    return float(np.linalg.norm(ostia[number] - fork)) < 2 * radius + paths.family.links[number].radius + AT_TIP[1]
 
 
-def narrow_places(courses: Courses, number: int, begin: int, end: int, least: float) -> tuple[Array, float]:
+def narrow_places(paths: VesselPaths, number: int, begin: int, end: int, least: float) -> tuple[Array, float]:
     """Places (n, 3) m along a vessel's path where it is narrower than a radius (m), and the least depth there, m."""
     from scipy.ndimage import binary_dilation
     from scipy.spatial import cKDTree
 
-    way = courses.graph.way(begin, end, courses.nodes_of(number))
+    way = paths.graph.way(begin, end, paths.nodes_of(number))
     if len(way) < 2:  # a stub that ends where it begins
-        return courses.graph.points[:0], least
-    points = smoothed(resampled(courses.graph.points[way], 0.5 * _STEP), 2 * _STEP)
+        return paths.graph.points[:0], least
+    points = smoothed(resampled(paths.graph.points[way], 0.5 * _STEP), 2 * _STEP)
     if len(points) < 4:
         return points[:0], least
-    _, nearest = cKDTree(courses.graph.points[way]).query(points)
-    depth = courses.graph.depth[way][nearest]
+    _, nearest = cKDTree(paths.graph.points[way]).query(points)
+    depth = paths.graph.depth[way][nearest]
     from_end = arc_length(points[::-1])[::-1]
     narrow = (depth < least) & (from_end > 2 * least)
     reach = round(2 * least / (0.5 * _STEP))
