@@ -12,6 +12,7 @@ from typing import Any
 from pipeline.protocol.claims import Rehearsal
 from pipeline.seeds import protocol_arches
 from pipeline.store.atomic_files import read_json
+from pipeline.store.manifest import read_manifest
 
 
 def cases(claim: Rehearsal, seed: int) -> Iterator[dict[str, Any]]:
@@ -50,7 +51,7 @@ def play(claim: Rehearsal, case: dict[str, Any], *overrides: str, budget: str = 
         result_files = list(Path(folder).glob("run/rehearsal*/results.json"))
         if not result_files:
             raise ValueError((messages.strip().splitlines() or ["the stage left no results"])[-1])
-        tables = read_json(result_files[0])
+        tables, manifest = read_json(result_files[0]), read_manifest(result_files[0].parent)
     rows, cost = tables["rehearsal"], tables["rehearsal_cost"][case["anatomy"]]
     after = rows[f"{case['anatomy']}/after copies"]
     return {
@@ -60,4 +61,5 @@ def play(claim: Rehearsal, case: dict[str, Any], *overrides: str, budget: str = 
         "force_p95_n": round(after["force_p95_n"], 3),
         "force_max_n": round(after["force_max_n"], 3),
         **{key: cost[key] for key in ("cpu_s", "decisions", "wire", "catheter")},
+        "played_cpu_s": round(sum(job["cpu_s"] for job in manifest.jobs.values()), 1) if manifest else 0.0,
     }

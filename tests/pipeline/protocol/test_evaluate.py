@@ -254,6 +254,7 @@ def test_a_rehearsal_is_read_from_the_stages_tables(monkeypatch: pytest.MonkeyPa
     outcome = rehearsal.play(claim, case, *words, budget="smoke")
     assert outcome["success"] == (outcome["after_pct"] >= 90)
     assert outcome["decisions"] > 0
+    assert outcome["played_cpu_s"] > outcome["cpu_s"] > 0  # tests, too, each in a process of its own
 
 
 @pytest.mark.slow
