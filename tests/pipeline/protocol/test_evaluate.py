@@ -150,7 +150,10 @@ def test_ctrl_c_ends_it_at_once_and_other_libraries_begin_anew(protocol: Path, m
     journal = protocol.parent / "results" / "wires.jsonl"
     words = ["--protocol", str(protocol), "--to", str(journal.parent), "--workers", "1"]
     command = [sys.executable, "-c", f"from pipeline.protocol.command import main; main({words!r})"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # background jobs ignore it
+    ) as process:  # fmt: skip
         deadline = time.monotonic() + 120
         while not journal.is_file() or len(journal.read_text().splitlines()) < 3:
             assert time.monotonic() < deadline
