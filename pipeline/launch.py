@@ -11,10 +11,8 @@ import logging
 import os
 import re
 import shutil
-import signal
 import sys
 from pathlib import Path
-from types import FrameType
 
 from hydra import compose, initialize_config_dir
 from hydra import main as hydra_main
@@ -34,7 +32,13 @@ from pipeline.settings.kinds import sentence
 from pipeline.settings.quoting import advice, with_quoted_paths
 from pipeline.stages import available_stages
 from pipeline.store.errors import PipelineError, system_error, system_sentence
-from pipeline.store.interruption import EXIT_INTERRUPTED, INTERRUPTED, interrupted, let_ctrl_c_interrupt
+from pipeline.store.interruption import (
+    EXIT_INTERRUPTED,
+    INTERRUPTED,
+    interrupted,
+    let_ctrl_c_interrupt,
+    let_sigterm_exit,
+)
 from pipeline.store.run_folder import LOCK
 from pipeline.store.variants import variant_of
 from pipeline.task import PARTS, TASK
@@ -110,7 +114,6 @@ def _first_line(text: str) -> str:
 
 EXIT_FAILED = 1
 EXIT_USAGE = 2
-EXIT_TERMINATED = 143
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -183,7 +186,7 @@ def main(arguments: list[str]) -> int:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra then raises, and the sentence below is the only one
     logging.raiseExceptions = False  # a full disk must not add the log file's traceback to the one sentence
-    signal.signal(signal.SIGTERM, _terminate)
+    let_sigterm_exit()
     arguments = with_quoted_paths(arguments)
     sys.argv = [sys.argv[0], *arguments]
     if "-m" in arguments or "--multirun" in arguments:
@@ -245,8 +248,3 @@ def _summary(stage: str) -> str:
 def _say(sentence: str, code: int) -> int:
     say(sentence, error=True)
     return code
-
-
-def _terminate(signum: int, frame: FrameType | None) -> None:
-    # SystemExit unwinds the stack, so that temporary files go; the kernel frees the lock.
-    raise SystemExit(EXIT_TERMINATED)

@@ -81,7 +81,8 @@ def process_kept() -> Iterator[None]:
     Handlers made before are kept from Hydra, which closes all that logging knows: absl's would close pytest's capture.
     """
     logging._handlerList.clear()
-    stops = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    stops = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)}
+    unraisable = sys.unraisablehook
     root, manager = logging.getLogger(), logging.root.manager
     level, handlers, threshold = root.level, root.handlers[:], manager.disable
     known = {
@@ -92,6 +93,7 @@ def process_kept() -> Iterator[None]:
     yield
     for number, handler in stops.items():
         signal.signal(number, handler)
+    sys.unraisablehook = unraisable
     root.level, root.handlers[:], manager.disable = level, handlers, threshold
     for name, logger in manager.loggerDict.items():
         if isinstance(logger, logging.Logger):

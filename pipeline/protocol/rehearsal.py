@@ -48,10 +48,12 @@ def play(claim: Rehearsal, case: dict[str, Any], *overrides: str, budget: str = 
             except BaseException:
                 stage.terminate()
                 raise
-        result_files = list(Path(folder).glob("run/rehearsal*/results.json"))
-        if not result_files:
+        finished = [(path, read_manifest(path)) for path in Path(folder).glob("run/rehearsal*")]
+        stages = [(path, manifest) for path, manifest in finished if manifest is not None]
+        if not stages:
             raise ValueError((messages.strip().splitlines() or ["the stage left no results"])[-1])
-        tables, manifest = read_json(result_files[0]), read_manifest(result_files[0].parent)
+        (path, manifest), *_ = stages
+        tables = read_json(path / "results.json")
     rows, cost = tables["rehearsal"], tables["rehearsal_cost"][case["anatomy"]]
     after = rows[f"{case['anatomy']}/after copies"]
     return {
@@ -61,5 +63,5 @@ def play(claim: Rehearsal, case: dict[str, Any], *overrides: str, budget: str = 
         "force_p95_n": round(after["force_p95_n"], 3),
         "force_max_n": round(after["force_max_n"], 3),
         **{key: cost[key] for key in ("cpu_s", "decisions", "wire", "catheter")},
-        "played_cpu_s": round(sum(job["cpu_s"] for job in manifest.jobs.values()), 1) if manifest else 0.0,
+        "played_cpu_s": round(sum(job["cpu_s"] for job in manifest.jobs.values()), 1),
     }

@@ -19,8 +19,7 @@ _MADE = ("runs_dir",)  # paths that a run makes
 
 
 def with_quoted_paths(words: Sequence[str]) -> list[str]:
-    """A command line whose paths Hydra reads as they stand: those of files that exist, of the home
-    folder (~/…), and of folders to be made."""
+    """A command line whose paths Hydra reads as they stand: of files that exist, of ~/…, of folders to be made."""
     return [_with_quoted_path(word) for word in words]
 
 

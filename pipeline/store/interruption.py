@@ -1,8 +1,8 @@
-"""Interruption: Ctrl-C stops the work at once, and at the next item when a library swallowed it.
+"""Interruption: Ctrl-C and SIGTERM stop the work at once, Ctrl-C at the next item when a library swallowed it.
 
-While a package is being imported, a ``KeyboardInterrupt`` may land in a library's ``except`` clause and vanish, or
-leave the package half imported; in a finaliser Python prints it and goes on. So it is raised once the import or the
-finaliser is over, the signal is remembered, and work made of items looks between them.
+While a package is being imported, what a signal raises may land in a library's ``except`` clause and vanish, or leave
+the package half imported; in a finaliser Python prints it and goes on. So it is raised once the import or the finaliser
+is over. Ctrl-C is remembered, and work made of items looks between them.
 """
 
 from __future__ import annotations
@@ -18,14 +18,25 @@ from types import FrameType
 _AGAIN_S = 0.02
 _SECONDS_TO_END = 10.0  # that what a process runs has after the process that started it has ended
 _interrupted = threading.Event()
+_held_back = [signal.SIGINT]  # the signal that is sent again when an import or a finaliser is over
+EXIT_TERMINATED = 128 + signal.SIGTERM
 
 
 def let_ctrl_c_interrupt() -> None:
     """From here on Ctrl-C unwinds the stack, so that temporary files go and the lock is freed."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as nohup and background jobs ask for
-        signal.signal(signal.SIGINT, _interrupt)
-        signal.signal(signal.SIGALRM, _send_again)
-        sys.unraisablehook = _unraisable
+        _unwind_at(signal.SIGINT)
+
+
+def let_sigterm_exit() -> None:
+    """From here on SIGTERM unwinds the stack, too, and the process ends with 143."""
+    _unwind_at(signal.SIGTERM)
+
+
+def _unwind_at(number: signal.Signals) -> None:
+    signal.signal(number, _interrupt)
+    signal.signal(signal.SIGALRM, _send_again)
+    sys.unraisablehook = _unraisable
 
 
 def interrupted() -> bool:
@@ -40,11 +51,18 @@ def stop_if_interrupted() -> None:
 
 
 def _interrupt(signum: int, frame: FrameType | None) -> None:
-    _interrupted.set()
-    wait_s = _AGAIN_S if _importing(frame) else 0.0
-    signal.setitimer(signal.ITIMER_REAL, wait_s)  # no thread: its locks may be held where the signal came
-    if not wait_s:
-        raise KeyboardInterrupt
+    if signum == signal.SIGINT:
+        _interrupted.set()
+    if _importing(frame):
+        _hold_back(signal.Signals(signum))
+        return
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+    raise KeyboardInterrupt if signum == signal.SIGINT else SystemExit(EXIT_TERMINATED)
+
+
+def _hold_back(number: signal.Signals) -> None:
+    _held_back[0] = number
+    signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)  # no thread: its locks may be held where the signal came
 
 
 def _importing(frame: FrameType | None) -> bool:
@@ -56,12 +74,14 @@ def _importing(frame: FrameType | None) -> bool:
 
 
 def _send_again(signum: int, frame: FrameType | None) -> None:
-    os.kill(os.getpid(), signal.SIGINT)  # not raised here, so that it can be held back as the first one can
+    os.kill(os.getpid(), _held_back[0])  # not raised here, so that it can be held back as the first one can
 
 
 def _unraisable(error: sys.UnraisableHookArgs) -> None:
     if error.exc_type is KeyboardInterrupt:
-        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+        _hold_back(signal.SIGINT)
+    elif isinstance(error.exc_value, SystemExit) and error.exc_value.code == EXIT_TERMINATED:
+        _hold_back(signal.SIGTERM)
     else:
         sys.__unraisablehook__(error)
 

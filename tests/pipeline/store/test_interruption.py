@@ -131,7 +131,7 @@ with folder.locked():
 _LIBRARY = """
 import os, signal, time
 try:
-    os.kill(os.getpid(), signal.SIGINT)
+    os.kill(os.getpid(), signal.{signal})
     time.sleep(0.1)
 except BaseException:
     print("swallowed")
@@ -140,12 +140,13 @@ print("imported")
 _INTERRUPTED_IN = """
 import os, signal, sys, time
 sys.path.insert(0, {folder!r})
-from pipeline.store.interruption import let_ctrl_c_interrupt
+from pipeline.store.interruption import let_ctrl_c_interrupt, let_sigterm_exit
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job comes without it
 let_ctrl_c_interrupt()
+let_sigterm_exit()
 class Finalised:
     def __del__(self):
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.{signal})
         time.sleep(0.01)
 try:
     {statement}
@@ -156,16 +157,25 @@ except KeyboardInterrupt:
 """
 
 
-def test_a_ctrl_c_within_an_import_comes_after_it(tmp_path: Path, run_python) -> None:
-    (tmp_path / "some_library.py").write_text(_LIBRARY)
-    said = run_python(_INTERRUPTED_IN.format(folder=str(tmp_path), statement="import some_library"))
-    assert said.split() == ["imported", "interrupted"]
+_ENDS = pytest.mark.parametrize(("number", "words", "code"), [("SIGINT", ["interrupted"], 0), ("SIGTERM", [], 143)])
 
 
-def test_a_ctrl_c_within_a_finaliser_comes_after_it(tmp_path: Path) -> None:
-    code = _INTERRUPTED_IN.format(folder=str(tmp_path), statement="Finalised()")
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
-    assert (ran.stdout, ran.stderr) == ("interrupted\n", "")
+def _interrupted_in(statement: str, number: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    (folder / "some_library.py").write_text(_LIBRARY.format(signal=number))
+    code = _INTERRUPTED_IN.format(folder=str(folder), statement=statement, signal=number)
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+
+
+@_ENDS
+def test_a_signal_within_an_import_comes_after_it(tmp_path: Path, number: str, words: list[str], code: int) -> None:
+    ran = _interrupted_in("import some_library", number, tmp_path)
+    assert (ran.stdout.split(), ran.stderr, ran.returncode) == (["imported", *words], "", code)
+
+
+@_ENDS
+def test_a_signal_within_a_finaliser_comes_after_it(tmp_path: Path, number: str, words: list[str], code: int) -> None:
+    ran = _interrupted_in("Finalised()", number, tmp_path)
+    assert (ran.stdout.split(), ran.stderr, ran.returncode) == (words, "", code)
 
 
 _POOL = """

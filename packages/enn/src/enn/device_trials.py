@@ -162,10 +162,10 @@ def gentlest(statistics: Sequence[TrialStatistics], limit: float = math.inf) -> 
     """
     numbers, most = range(len(statistics)), max(one.share for one in statistics)
     often = [number for number in numbers if statistics[number].reached and statistics[number].share >= most - CHANCE]
-    soft = [number for number in numbers if statistics[number].force_p95 <= limit]
     half = [number for number in numbers if statistics[number].share >= HALF]
     if not half:
-        among: Sequence[int] = [number for number in often if number in soft] or numbers
+        gentle = [number for number in often if statistics[number].force_p95 <= limit]
+        among: Sequence[int] = gentle or numbers
         return among[soonest([statistics[number] for number in among])]
 
     def rank(number: int) -> tuple[float, float, float]:
@@ -173,5 +173,8 @@ def gentlest(statistics: Sequence[TrialStatistics], limit: float = math.inf) -> 
         return max(force, GENTLE), -statistics[number].share, force
 
     among = [number for number in often if number in half]
-    soft = [number for number in among if number in soft] or [number for number in half if number in soft]
-    return min(soft or among, key=rank)
+    for group in (among, half):
+        gentle = [number for number in group if statistics[number].force_p95 <= limit]
+        if gentle:
+            return min(gentle, key=rank)
+    return min(among, key=rank)

@@ -112,24 +112,24 @@ def _build(
 ) -> Phantom:
     surface = read_parts(path)
     parts, notes = surface.parts, surface.notes
-    best_unit, reason = unit, "given"
+    unit_name, reason = unit, "given"
     try:
         size = _measured(parts)
-        if best_unit is None:
-            best_unit, reason, unsure = detect_unit(size)
+        if unit_name is None:
+            unit_name, reason, unsure = detect_unit(size)
             notes += unsure
-        scale = UNITS[best_unit]
+        scale = UNITS[unit_name]
         mesh, label_of = parts[0].mesh.scaled(scale), None
         if len(parts) > 1:
             parts = [Part(part.name, part.mesh.scaled(scale)) for part in parts]
             sides = np.ptp([bound for part in parts for bound in part.mesh.bounds], axis=0)
             budget = Budget()
-            spacing, _ = lattice_spacing(size.width * scale, sides, resolution, budget, best_unit)
+            spacing, _ = lattice_spacing(size.width * scale, sides, resolution, budget, unit_name)
             mesh, label_of, united = unite(parts, spacing, budget)
             notes += united
         phantom = phantom_of_surface(
             mesh,
-            SurfaceFacts(path.name, best_unit, reason, surface.faces, scale, notes, size.width * scale),
+            SurfaceFacts(path.name, unit_name, reason, surface.faces, scale, notes, size.width * scale),
             name=path.stem,
             digest=digest,
             resolution=resolution,
