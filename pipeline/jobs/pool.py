@@ -22,10 +22,9 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.jobs.display import JobDisplay, JobState
-from pipeline.jobs.engines.cluster import JOBS, ClusterEngine
 from pipeline.jobs.engines.local import LocalEngine, available_workers
 from pipeline.jobs.engines.settings import EngineSettings, RaySettings, SlurmSettings
 from pipeline.jobs.machine import CPU, Machine
@@ -34,6 +33,9 @@ from pipeline.store.costs import keep_cost
 from pipeline.store.errors import StageError
 from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.run_folder import RunFolder
+
+if TYPE_CHECKING:
+    from pipeline.jobs.engines.cluster import ClusterEngine
 
 Available = Callable[[], int]
 _CHOSEN: ContextVar[tuple[EngineSettings | None, Available]] = ContextVar("engine", default=(None, lambda: sys.maxsize))
@@ -57,6 +59,8 @@ def make_engine(
     if not isinstance(settings, RaySettings | SlurmSettings):
         workers = workers or available_workers()
         return LocalEngine(folder, Machine.here(workers, available, device), workers, preload)
+    from pipeline.jobs.engines.cluster import JOBS, ClusterEngine
+
     place = folder.path.absolute() / JOBS
     place.mkdir(parents=True, exist_ok=True)
     if isinstance(settings, SlurmSettings):

@@ -69,6 +69,12 @@ def test_a_finished_training_is_read_and_not_run_again(point_env: Any, tmp_path:
     for other, seed, told in others:
         with pytest.raises(CheckpointError, match=rf"holds a finished training of another kind \(.*{told}"):
             Training(other, must_not_run, tmp_path, seed=seed).run()
+    record = json.loads((tmp_path / "training.json").read_text())
+    del record["settings"]["tau"]  # as of before there was such a setting: it was as the default is
+    (tmp_path / "training.json").write_text(json.dumps(record))
+    assert Training(settings, must_not_run, tmp_path, seed=1).run().timings == first.timings
+    with pytest.raises(CheckpointError, match=r"another kind \(tau 0.005, not 0.01\)"):
+        Training(dataclasses.replace(settings, tau=0.01), must_not_run, tmp_path, seed=1).run()
     for name, text in (("training.csv", "decisions\nmany\n"), ("training.json", "[1]"), ("training.json", "{")):
         whole = (tmp_path / name).read_bytes()
         (tmp_path / name).write_text(text)

@@ -30,7 +30,7 @@ from enn.reinforcement.sampling import without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training.inputs import TrainingInputs, start_from
 from enn.reinforcement.training.result import Progress, TrainingLog, TrainingResult, read_curve
-from enn.reinforcement.training.settings import PpoSettings, SacSettings
+from enn.reinforcement.training.settings import PpoSettings, SacSettings, TrainingSettings
 
 logger = logging.getLogger(__name__)
 
@@ -352,16 +352,23 @@ class Training(TrainingInputs):
             record = json.loads((folder / "training.json").read_text(encoding="utf-8"))
             curve = read_curve(folder / "training.csv")
             result = TrainingResult(policy, curve, dict(record["timings"]), record["evaluation"])
-            before = {**record["settings"], "seed": record["metadata"]["seed"]}
+            # what was not a setting yet was as its default is
+            before = {**_as_stored(type(self.settings)()), **record["settings"], "seed": record["metadata"]["seed"]}
         except (KeyError, OSError, RecursionError, TypeError, ValueError) as error:
             raise CheckpointError(
                 f"the training in {folder} is finished, but its training.json or training.csv is damaged: remove "
                 "both to train again"
             ) from error
         settings = self.settings if self.encoder is None else replace(self.settings, normalise=False)
-        fields = {**asdict(settings), "seed": (self.metadata or {}).get("seed", self.seed)}
-        mine = json.loads(json.dumps({name: fields[name] for name in fields if name not in CHANGEABLE - {"decisions"}}))
-        if other := [name for name in mine if name in before and before[name] != mine[name]]:
+        mine = {**_as_stored(settings), "seed": (self.metadata or {}).get("seed", self.seed)}
+        changeable = CHANGEABLE - {"decisions"}
+        if other := [name for name in mine if name not in changeable and before[name] != mine[name]]:
             values = ", ".join(f"{name} {before[name]}, not {mine[name]}" for name in other[:4])
             raise CheckpointError(f"{folder} holds a finished training of another kind ({values}): take another folder")
         return result
+
+
+def _as_stored(settings: TrainingSettings) -> dict[str, Any]:
+    """Settings as a training's record gives them back: lists instead of tuples."""
+    fields: dict[str, Any] = json.loads(json.dumps(asdict(settings)))
+    return fields
