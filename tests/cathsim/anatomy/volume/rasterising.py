@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.vessel_names import TOTALSEGMENTATOR
 from cathsim.anatomy.vessel_tree import nearest_on_branch
+from cathsim.anatomy.volume.files.reading import LabelVolume
 
 IDS = {name: number for number, name in TOTALSEGMENTATOR.items()}
 THICK = (0.7e-3, 0.7e-3, 2.5e-3)  # m
@@ -30,6 +31,14 @@ def tubes() -> NDArray[np.uint8]:
     labels = np.zeros((40, 36, 30), dtype=np.uint8)
     labels[10:20, 10:20] = 52
     labels[20:30, 13:17, 14:18] = 58
+    return labels
+
+
+def whole_lattice(volume: LabelVolume) -> NDArray[np.uint8]:
+    """Numbers (nx, ny, nz) of the vessels on the whole lattice of a volume, which keeps a window of it."""
+    labels = np.zeros(volume.shape, dtype=np.uint8)
+    window = tuple(slice(a, a + n) for a, n in zip(volume.first, volume.vessels.shape, strict=True))
+    labels[window] = volume.vessels
     return labels
 
 

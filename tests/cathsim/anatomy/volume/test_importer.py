@@ -9,10 +9,12 @@ import pytest
 
 from cathsim.anatomy import Phantom, import_anatomy, load_phantom
 from cathsim.anatomy.library import phantom_from_spec, phantom_to_spec
+from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.surface import open_ends
 from cathsim.anatomy.vessel_tree import nearest_on_branch
 from cathsim.anatomy.volume.importer import _load, _volume_notes
+from tests.cathsim.anatomy.generator.drawn_arch import arch_tree
 from tests.cathsim.anatomy.lumen_report import check_lumen
 from tests.cathsim.anatomy.volume.rasterising import IDS, oblique, rasterise, save_nifti, save_slicer
 
@@ -20,14 +22,10 @@ nibabel = pytest.importorskip("nibabel", reason="label volumes need nibabel")
 pytest.importorskip("nrrd", reason="label volumes need pynrrd")
 
 COARSE = 1.5e-3  # m: fast, and as fine as the walls of these arches need
+UPSIDE_DOWN = np.array([1.0, -1.0, -1.0])
 LONG_NAMES = {
-    52: "aorta",
-    54: "brachiocephalic_trunk",
-    55: "subclavian_artery_right",
-    56: "subclavian_artery_left",
-    57: "common_carotid_artery_right",
-    58: "common_carotid_artery_left",
-}
+    52: "aorta", 54: "brachiocephalic_trunk", 56: "subclavian_artery_left", 58: "common_carotid_artery_left",
+}  # fmt: skip
 REAL = Path(__file__).parents[5] / "shared" / "real" / "aortas"
 
 
@@ -64,6 +62,20 @@ def compare(phantom: Phantom, truth: Phantom, *, centreline: float = 1e-3, volum
     assert phantom.lumen_mesh.volume == pytest.approx(truth.lumen_mesh.volume, rel=volume)
 
 
+def finer_upside_down(labels: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The labels by voxels of half the width, after half a turn about the axis from right to left."""
+    halves = affine @ np.diag([0.5, 0.5, 1.0, 1.0])
+    halves[:, 3] = affine @ [-0.25, -0.25, 0.0, 1.0]
+    return labels.repeat(2, 0).repeat(2, 1), np.diag([*UPSIDE_DOWN, 1.0]) @ halves
+
+
+@pytest.fixture(scope="module")
+def drawn() -> Phantom:
+    """A small arch with three branches."""
+    tree = arch_tree(0.045)
+    return Phantom("drawn", "0" * 32, None, tree, build_lumen(tree, resolution=1e-3, fillet_radius=2e-3), {}, {})
+
+
 @pytest.fixture(scope="module")
 def thick(tmp_path_factory: pytest.TempPathFactory, phantom: Phantom) -> Path:
     labels, affine = rasterise(phantom)
@@ -85,7 +97,7 @@ def test_thick_slices_become_the_arch_they_were_made_of(imported: Phantom, phant
     assert np.median(angle) < 3
     assert np.percentile(angle, 95) < 12  # a staircase of voxels has 45 to 90
     report = imported.imported
-    assert not any("repeat" in note or "heart" in note for note in report.notes)
+    assert not any("repeat" in note or "heart" in note or "by the file's axes" in note for note in report.notes)
     assert report.rotation == ((-1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
     voxels, lumen = (sum(pair[n] for pair in report.volumes_ml.values()) for n in (0, 1))
     assert lumen == pytest.approx(voxels, rel=0.03)
@@ -93,32 +105,8 @@ def test_thick_slices_become_the_arch_they_were_made_of(imported: Phantom, phant
     assert check_lumen(imported, required_radius=1e-3) == []
 
 
-def test_finer_voxels_upside_down_give_the_same_vessels(
-    tmp_path: Path, thick: Path, imported: Phantom, cache: Path
-) -> None:
-    fine, image = tmp_path / thick.name, nibabel.load(thick)
-    halves = image.affine @ np.diag([0.5, 0.5, 1.0, 1.0])
-    halves[:, 3] = image.affine @ [-0.25, -0.25, 0.0, 1.0]
-    turned = np.diag([1.0, -1.0, -1.0, 1.0]) @ halves  # half a turn about the axis from right to left
-    twice = np.asarray(image.dataobj).repeat(2, 0).repeat(2, 1)
-    nibabel.save(nibabel.Nifti1Image(twice, turned, image.header), fine)
-    found = import_anatomy(fine, resolution=COARSE, cache_dir=cache)
-    notes = "; ".join(found.imported.notes)
-    assert "voxels repeat each other" in notes
-    assert "the heart at the other end of the aorta" in notes
-    assert "by the file's axes its arch points to the feet" in notes
-    assert not any("by the file's axes" in note for note in imported.imported.notes)
-    assert list(found.tree.names) == list(imported.tree.names)
-    for name, target in imported.targets.items():
-        for other in imported.targets.values():
-            apart = np.linalg.norm(found.targets[name].position - found.targets[other.name].position)
-            assert apart == pytest.approx(np.linalg.norm(target.position - other.position), abs=2e-3)
-    ways = {name: found.way_length(name) for name in ("bca", "lsa")}
-    assert ways == pytest.approx({name: imported.way_length(name) for name in ways}, abs=3e-3)
-
-
-def test_a_folder_with_bridges_and_gaps(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
-    labels, affine = rasterise(phantom, spacing=(1e-3, 1e-3, 2e-3), cut=0.02)
+def test_a_folder_with_bridges_and_gaps(tmp_path: Path, drawn: Phantom, cache: Path) -> None:
+    labels, affine = rasterise(drawn, spacing=(1e-3, 1e-3, 2e-3), cut=0.02)
     lcca, lsa = labels == IDS["lcca"], labels == IDS["lsa"]
     # a bridge of one voxel's width between two vessels, and a gap of one slice in one
     k = int(np.flatnonzero(lcca.any(axis=(0, 1)) & lsa.any(axis=(0, 1)))[-3])
@@ -127,18 +115,18 @@ def test_a_folder_with_bridges_and_gaps(tmp_path: Path, phantom: Phantom, cache:
         i, j = np.rint(a + share * (b - a)).astype(int)
         if not labels[i, j, k]:
             labels[i, j, k] = IDS["lcca"] if share < 0.5 else IDS["lsa"]
-    gap = int(np.quantile(np.flatnonzero((labels == IDS["rcca"]).any(axis=(0, 1))), 0.6))
-    labels[:, :, gap][labels[:, :, gap] == IDS["rcca"]] = 0
+    gap = int(np.quantile(np.flatnonzero((labels == IDS["bca"]).any(axis=(0, 1))), 0.6))
+    labels[:, :, gap][labels[:, :, gap] == IDS["bca"]] = 0
     folder = tmp_path / "patient"
     folder.mkdir()
     for value, name in LONG_NAMES.items():
         save_nifti(folder / f"{name}.nii.gz", (labels == value).astype(np.uint8), affine)
     save_nifti(folder / "liver.nii.gz", np.zeros_like(labels), affine)
     found = import_anatomy(folder, names={"lcca": "left"}, resolution=COARSE, cache_dir=cache)
-    assert set(found.tree.names) == {*phantom.tree.names, "left"} - {"lcca"}
+    assert set(found.tree.names) == {"aorta", "bca", "left", "lsa"}
     assert "left" in found.targets
     notes = " ".join(found.imported.notes)
-    assert "in rcca is closed" in notes
+    assert "in bca is closed" in notes
     assert "aorta's lower end is cut off by the volume's edge" in notes
     # the way from one to the other is that through the arch, not over the bridge
     way = found.geodesic_distance(found.targets["lsa"].position, "left")
@@ -146,61 +134,65 @@ def test_a_folder_with_bridges_and_gaps(tmp_path: Path, phantom: Phantom, cache:
     assert check_lumen(found, required_radius=1e-3) == []
 
 
-def test_a_carotid_of_a_trunk_and_a_trunks_fork(tmp_path: Path, cache: Path) -> None:
+def test_a_carotid_of_a_trunk_and_a_trunks_fork_by_finer_voxels_upside_down(tmp_path: Path, cache: Path) -> None:
     """The carotid's label touches the aorta, too, along its side."""
     truth = load_phantom("random_scan", seed=2150, resolution=COARSE)
-    file = save_nifti(tmp_path / "trunk.nii.gz", *rasterise(truth))
+    file = save_nifti(tmp_path / "trunk.nii.gz", *finer_upside_down(*rasterise(truth)))
     found = import_anatomy(file, resolution=COARSE, cache_dir=cache)
+    notes = "; ".join(found.imported.notes)
+    assert "voxels repeat each other" in notes
+    assert "the heart at the other end of the aorta" in notes
+    assert "by the file's axes its arch points to the feet" in notes
     assert {branch.name: branch.parent for branch in found.tree} == {
         branch.name: branch.parent for branch in truth.tree
     }
     for name in ("rsa", "rcca", "lcca"):
-        take_off = in_patient(found, found.tree[name].points[:1])[0]
+        take_off = UPSIDE_DOWN * in_patient(found, found.tree[name].points[:1])[0]
         assert np.linalg.norm(take_off - truth.tree[name].points[0]) < 5e-3, name
     # there is a wall between the carotid and the aorta beside it
     carotid = truth.tree["lcca"].points[5:60]
     aorta = nearest_on_branch(truth.tree["aorta"], carotid)[0]
     way = np.concatenate([carotid + share * (aorta - carotid) for share in np.linspace(0, 1, 61)])
     before, after = (
-        grid.sample(way + at).reshape(61, -1).min(axis=0)
-        for grid, at in ((truth.grid, 0.0), (found.grid, np.array(found.imported.offset)))
+        grid.sample(places).reshape(61, -1).min(axis=0)
+        for grid, places in ((truth.grid, way), (found.grid, UPSIDE_DOWN * way + found.imported.offset))
     )
     assert (before < -5e-4).sum() > 20
     assert (after[before < -5e-4] < 0).all()
 
 
 @pytest.mark.slow
-def test_first_stretches_of_vessels_in_the_aortas_label(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
+def test_first_stretches_of_vessels_in_the_aortas_label(tmp_path: Path, drawn: Phantom, cache: Path) -> None:
     """In an oblique volume of 3D Slicer."""
-    labels, affine = rasterise(phantom, turn=oblique())
+    labels, affine = rasterise(drawn, spacing=(0.7e-3, 0.7e-3, 1.5e-3), turn=oblique())
     index = np.stack(np.meshgrid(*[np.arange(n) for n in labels.shape], indexing="ij"), axis=-1).reshape(-1, 3)
     points = 1e-3 * (index @ affine[:3, :3].T + affine[:3, 3]) * [-1.0, -1.0, 1.0]
     for name in ("bca", "lcca", "lsa"):
         mine = np.flatnonzero(labels.reshape(-1) == IDS[name])
-        _, arc, _ = nearest_on_branch(phantom.tree[name], points[mine])
+        _, arc, _ = nearest_on_branch(drawn.tree[name], points[mine])
         labels.reshape(-1)[mine[arc < np.quantile(arc, 0.4)]] = IDS["aorta"]
     path = save_slicer(tmp_path / "Segmentation.seg.nrrd", labels, affine, LONG_NAMES)
     found = import_anatomy(path, resolution=COARSE, cache_dir=cache)
-    compare(found, phantom, centreline=1.5e-3)
+    compare(found, drawn, centreline=1.5e-3)
     assert check_lumen(found, required_radius=1e-3) == []
 
 
-def test_one_label_for_all_is_named_by_its_shape(tmp_path: Path, phantom: Phantom, cache: Path) -> None:
-    labels, affine = rasterise(phantom, spacing=(1.5e-3,) * 3)
+def test_one_label_for_all_is_named_by_its_shape(tmp_path: Path, drawn: Phantom, cache: Path) -> None:
+    labels, affine = rasterise(drawn, spacing=(1.5e-3,) * 3)
     path = save_nifti(tmp_path / "mask.nii.gz", (labels > 0).astype(np.uint8), affine)
     found = import_anatomy(path, resolution=COARSE, cache_dir=cache)
     assert {"aorta", "bca", "lcca", "lsa"} <= set(found.tree.names)
     for name in ("bca", "lcca", "lsa"):
         place = in_patient(found, found.targets[name].position[None])
-        assert nearest_on_branch(phantom.tree[name], place)[2][0] < 2e-3
+        assert nearest_on_branch(drawn.tree[name], place)[2][0] < 2e-3
 
 
 def test_one_label_with_many_wide_ends_is_no_aorta_unless_it_is_said(tmp_path: Path, cache: Path) -> None:
     # five limbs on a bar, as wide as it, by voxels of 2 mm
-    x, y, z = np.mgrid[:50, :16, :32]
+    x, y, z = np.mgrid[:50, :16, :24]
     bone = ((y - 8) ** 2 + (z - 6) ** 2 <= 9) & (x >= 4) & (x < 46)
     for place in (7, 16, 25, 34, 43):
-        bone |= ((x - place) ** 2 + (y - 8) ** 2 <= 9) & (z >= 6) & (z < 27)
+        bone |= ((x - place) ** 2 + (y - 8) ** 2 <= 9) & (z >= 6) & (z < 20)
     path = save_nifti(tmp_path / "mask.nii.gz", bone.astype(np.uint8), np.diag([-2.0, -2.0, 2.0, 1.0]))
     with pytest.raises(MeshRefusedError, match="no aorta: 3 vessels beside"):
         import_anatomy(path, resolution=2e-3, cache_dir=cache)

@@ -20,7 +20,7 @@ from tests.cathsim.anatomy.volume.dicom.ct_series import (
     write_segmentation,
     write_series,
 )
-from tests.cathsim.anatomy.volume.rasterising import oblique
+from tests.cathsim.anatomy.volume.rasterising import oblique, whole_lattice
 
 pydicom = pytest.importorskip("pydicom", reason="DICOM files need pydicom")
 
@@ -34,13 +34,7 @@ def hounsfield() -> np.ndarray:
 def whole(path: Path, **arguments: Any) -> tuple[dict[str, np.ndarray], Any]:
     """Voxels of every vessel on the volume's own lattice."""
     volume = read_labels(path, **arguments)
-    found = {}
-    for number, name in enumerate(volume.names, 1):
-        mask = np.zeros(volume.shape, dtype=bool)
-        window = tuple(slice(a, a + n) for a, n in zip(volume.first, volume.vessels.shape, strict=True))
-        mask[window] = volume.vessels == number
-        found[name] = mask
-    return found, volume
+    return {name: whole_lattice(volume) == number for number, name in enumerate(volume.names, 1)}, volume
 
 
 def refused(path: Path, match: str, *, image: bool = True) -> None:

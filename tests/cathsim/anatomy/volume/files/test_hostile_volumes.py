@@ -17,6 +17,7 @@ from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.files import reading
 from cathsim.anatomy.volume.files.reading import read_labels
 from cathsim.guarded_reading import UnreadableFileError
+from tests.cathsim.anatomy.volume.rasterising import whole_lattice
 
 nibabel = pytest.importorskip("nibabel", reason="label volumes need nibabel")
 nrrd = pytest.importorskip("nrrd", reason="label volumes need pynrrd")
@@ -73,11 +74,7 @@ def written(path: Path, content: bytes | str) -> Path:
 def read(path: Path) -> np.ndarray:
     if path.name.endswith((".mha", ".mhd")):
         pytest.importorskip("SimpleITK", reason="MetaImage files need SimpleITK")
-    volume = read_labels(path, OWN)
-    whole = np.zeros(volume.shape, dtype=np.uint8)
-    window = tuple(slice(a, a + n) for a, n in zip(volume.first, volume.vessels.shape, strict=True))
-    whole[window] = volume.vessels
-    return whole
+    return whole_lattice(read_labels(path, OWN))
 
 
 def refused(path: Path, match: str | None = None) -> None:
@@ -123,8 +120,8 @@ def test_a_flipped_bit_changes_no_label(tmp_path: Path, name: str, monkeypatch: 
 @pytest.mark.parametrize("name", WRITERS)
 def test_what_is_cut_or_followed_by_something_is_refused(tmp_path: Path, name: str) -> None:
     sound = WRITERS[name]()
-    for cut in (1, 5, 9):
-        refused(written(tmp_path / name, sound[:-cut]))
+    for cut in (1, 5, 9, 200):
+        refused(written(tmp_path / name, sound[:-cut]), "damaged")
     refused(written(tmp_path / name, sound + b"something else"))
 
 
