@@ -33,22 +33,19 @@ def test_entries_lie_inside_the_ends_and_point_in(phantom):
 
 
 def test_wrong_names_list_the_valid_ones(phantom, cache):
-    with pytest.raises(ValueError, match=r"unknown phantom 'type_9'; choose from type_1, .*bovine, random"):
-        load_phantom("type_9", cache_dir=cache)
     with pytest.raises(ValueError, match="unknown target 'brain' in phantom 'type_1'; choose from bca, lcca, lsa"):
         phantom.geodesic_distance(np.zeros(3), "brain")
-    with pytest.raises(ValueError, match=r"unknown entry 'radial'.*choose from descending, ascending"):
-        phantom.entry("radial")
-    with pytest.raises(ValueError, match="'random' needs a seed"):
-        load_phantom("random", cache_dir=cache)
-    with pytest.raises(ValueError, match="'type_1' takes no seed, got 3"):
-        load_phantom("type_1", seed=3, cache_dir=cache)
-    with pytest.raises(ValueError, match="'type_1' takes no unit, names; only a phantom from a file does"):
-        load_phantom("type_1", unit="mm", names=["bca"], cache_dir=cache)
-    with pytest.raises(ValueError, match="name of your own"):
-        load_phantom("type_1", parameters=ArchParameters(), cache_dir=cache)
-    with pytest.raises(ValueError, match="resolution must be a finite length"):
-        load_phantom("type_1", resolution=float("inf"), cache_dir=cache)
+    for name, arguments, message in (
+        ("type_9", {}, r"unknown phantom 'type_9'; choose from type_1, .*bovine, random"),
+        ("random", {}, "'random' needs a seed"),
+        ("random_x", {}, "unknown phantom 'random_x'"),
+        ("type_1", {"seed": 3}, "'type_1' takes no seed, got 3"),
+        ("type_1", {"unit": "mm", "names": ["bca"]}, "'type_1' takes no unit, names; only a phantom from a file does"),
+        ("type_1", {"parameters": ArchParameters()}, "name of your own"),
+        ("type_1", {"resolution": float("inf")}, "resolution must be a finite length"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            load_phantom(name, cache_dir=cache, **arguments)
 
 
 def test_own_parameters_and_seeds_make_own_phantoms(tmp_path):
@@ -57,11 +54,6 @@ def test_own_parameters_and_seeds_make_own_phantoms(tmp_path):
     other = load_phantom("random", seed=5, resolution=COARSE, cache_dir=tmp_path)
     assert (own.name, first.name) == ("mine", "random_4")
     assert len({own.hash, first.hash, other.hash}) == 3
-    _forget()
-    again = load_phantom("random", seed=4, resolution=COARSE, cache_dir=tmp_path)
-    assert again is not first
-    assert again.hash == first.hash
-    assert np.array_equal(again.grid.values, first.grid.values)
 
 
 def test_one_object_for_many_environments(cache):
@@ -185,8 +177,6 @@ def test_the_name_of_a_random_arch_holds_its_seed(cache):
     arch = load_phantom("random_wide_7", resolution=2.5e-3, cache_dir=cache)
     assert arch is load_phantom("random_wide", seed=7, resolution=2.5e-3, cache_dir=cache)
     assert arch.name == "random_wide_7"
-    with pytest.raises(ValueError, match="unknown phantom 'random_x'"):
-        load_phantom("random_x", cache_dir=cache)
 
 
 @pytest.mark.parametrize("name", NAMED)

@@ -62,19 +62,17 @@ def test_trilinear_interpolation_reproduces_a_linear_field(linear):
 
 
 def test_bad_input_is_refused(linear):
-    with pytest.raises(ValueError, match=r"points must have shape \(..., 3\), got \(2,\)"):
-        linear.sample([0.0, 1.0])
-    with pytest.raises(ValueError, match="at least 2 x 2 x 2"):
-        SignedDistanceGrid(np.zeros((1, 4, 4), np.float32), np.zeros(3), 1e-3)
-    with pytest.raises(ValueError, match="spacing must be positive"):
-        SignedDistanceGrid(np.zeros((4, 4, 4), np.float32), np.zeros(3), 0.0)
-    with pytest.raises(ValueError, match="read-only"):
-        linear.values[0, 0, 0] = 1.0
     nodes = {"shape": (4, 4, 4), "origin": np.zeros(3), "spacing": 1e-3}
-    with pytest.raises(ValueError, match=r"below that outside, -0\.01 m"):
-        SignedDistanceGrid.from_nodes([[1, 1, 1]], [-0.02], **nodes)
-    with pytest.raises(ValueError, match="must be negative"):
-        SignedDistanceGrid.from_nodes([[1, 1, 1]], [0.02], **nodes, outside=0.0)
+    for call, message in (
+        (lambda: linear.sample([0.0, 1.0]), r"points must have shape \(..., 3\), got \(2,\)"),
+        (lambda: SignedDistanceGrid(np.zeros((1, 4, 4), np.float32), np.zeros(3), 1e-3), "at least 2 x 2 x 2"),
+        (lambda: SignedDistanceGrid(np.zeros((4, 4, 4), np.float32), np.zeros(3), 0.0), "spacing must be positive"),
+        (lambda: linear.values.fill(1.0), "read-only"),
+        (lambda: SignedDistanceGrid.from_nodes([[1, 1, 1]], [-0.02], **nodes), r"below that outside, -0\.01 m"),
+        (lambda: SignedDistanceGrid.from_nodes([[1, 1, 1]], [0.02], **nodes, outside=0.0), "must be negative"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
 
 
 def test_a_grid_of_the_nodes_near_a_lumen_is_that_of_the_dense_array():

@@ -141,20 +141,19 @@ def test_text_of_a_point_gives_it_back_exactly() -> None:
 
 
 def test_impossible_entries_are_refused(phantom: Phantom) -> None:
-    with pytest.raises(ValueError, match=r"unknown entry 'bca_end'.*choose from descending, ascending, "):
-        phantom.entry("bca_end")
-    with pytest.raises(ValueError, match=r"the entry \(0.5, 0, 0\) m lies outside the lumen .*nearest place inside"):
-        phantom.entry((0.5, 0.0, 0.0))
-    with pytest.raises(ValueError, match="an entry is a name, or a point of three coordinates in m"):
-        phantom.entry((0.1, 0.2))
-    with pytest.raises(ValueError, match="an entry's coordinates are in metres"):
-        phantom.entry((12.0, 40.0, 90.0))
-    with pytest.raises(ValueError, match="unknown target 'brain'"):
-        phantom.entry(entry_name(phantom.entry().position, "brain"))
     aorta = phantom.tree.root
-    with pytest.raises(ValueError, match="would point at the wall of aorta within 5 mm: move the entry"):
-        phantom.entry(aorta.point_at(aorta.length - 2e-3))
-    phantom.entry(entry_name(aorta.point_at(aorta.length - 2e-3), "lcca"))
+    near_the_end = aorta.point_at(aorta.length - 2e-3)
+    for entry, message in (
+        ("bca_end", r"unknown entry 'bca_end'.*choose from descending, ascending, "),
+        ((0.5, 0.0, 0.0), r"the entry \(0.5, 0, 0\) m lies outside the lumen .*nearest place inside"),
+        ((0.1, 0.2), "an entry is a name, or a point of three coordinates in m"),
+        ((12.0, 40.0, 90.0), "an entry's coordinates are in metres"),
+        (entry_name(phantom.entry().position, "brain"), "unknown target 'brain'"),
+        (near_the_end, "would point at the wall of aorta within 5 mm: move the entry"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            phantom.entry(entry)
+    phantom.entry(entry_name(near_the_end, "lcca"))
 
 
 def test_in_a_straight_tube_it_is_the_straight_distance(tube):

@@ -42,17 +42,15 @@ def test_a_branch_refuses_what_is_no_vessel(points, radius, message):
 
 def test_a_tree_refuses_broken_joints():
     root = Branch("aorta", LINE, np.full(5, 0.01))
-    aside = Branch("bca", LINE + np.array([0.005, 0, 0]), np.full(5, 0.004), "aorta", 0.0)
-    with pytest.raises(ValueError, match=r"begins 5\.00 mm away"):
-        VesselTree((root, aside))
-    with pytest.raises(ValueError, match="appears twice"):
-        VesselTree((root, Branch("aorta", LINE, root.radius, "aorta", 0.0)))
-    with pytest.raises(ValueError, match="parent 'trunk' must come before"):
-        VesselTree((root, Branch("bca", LINE, root.radius, "trunk", 0.0)))
-    with pytest.raises(ValueError, match="parent_arc must lie in"):
-        VesselTree((root, Branch("bca", LINE, root.radius, "aorta", 0.9)))
-    with pytest.raises(ValueError, match="the first branch alone has no parent"):
-        VesselTree((root, Branch("bca", LINE, root.radius)))
+    for branch, message in (
+        (Branch("bca", np.add(LINE, [0.005, 0, 0]), root.radius, "aorta", 0.0), r"begins 5\.00 mm away"),
+        (Branch("aorta", LINE, root.radius, "aorta", 0.0), "appears twice"),
+        (Branch("bca", LINE, root.radius, "trunk", 0.0), "parent 'trunk' must come before"),
+        (Branch("bca", LINE, root.radius, "aorta", 0.9), "parent_arc must lie in"),
+        (Branch("bca", LINE, root.radius), "the first branch alone has no parent"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            VesselTree((root, branch))
     with pytest.raises(KeyError, match="no branch 'lsa'; this tree has aorta"):
         VesselTree((root,))["lsa"]
 
