@@ -9,18 +9,8 @@ import pytest
 from scipy import ndimage
 
 from cathsim.fluoroscopy import BiplaneFluoroscope, Radiograph, catheter_material, guide3d_pair, radiograph, scene
-from cathsim.lattice.node_blocks import NodeBlocks
-
-RADIUS, BALL = 0.012, np.array([0.004, -0.003, 0.002])
-
-
-def ball_grid():
-    """Distance grid of a ball, clamped far outside as those of phantoms are."""
-    axis = np.arange(-0.03, 0.0305, 1e-3)
-    points = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
-    values = np.maximum(RADIUS - np.linalg.norm(points - BALL, axis=-1), -0.01).astype(np.float32)
-    return SimpleNamespace(blocks=NodeBlocks.from_dense(values), origin=np.full(3, -0.03), spacing=1e-3)
-
+from tests.cathsim.fluoroscopy.ball import CENTRE as BALL
+from tests.cathsim.fluoroscopy.ball import RADIUS, ball_grid
 
 PHANTOM = SimpleNamespace(grid=ball_grid(), bounds=np.array([[-0.03] * 3, [0.03] * 3]), hash="a ball for the tests")
 NOTHING = np.zeros((0, 3))
@@ -112,23 +102,18 @@ def test_contrast_darkens_and_air_brightens_the_lumen():
 
 
 def test_bad_input_is_refused(small):
-    with pytest.raises(ValueError, match="unknown geometry"):
-        BiplaneFluoroscope.of(PHANTOM, "sideways")
-    with pytest.raises(ValueError, match="16 to 4096 px"):
-        BiplaneFluoroscope.of(PHANTOM, size=8)
-    with pytest.raises(ValueError, match="unknown scene"):
-        BiplaneFluoroscope.of(PHANTOM, size=32, surroundings="moon")
-    with pytest.raises(ValueError, match="unknown camera 'c'"):
-        small.render(arc_wire(), only=["c"])
-    with pytest.raises(ValueError, match="not finite"):
-        small.render([[np.nan, 0, 0], [0, 0, 0]])
-    with pytest.raises(ValueError, match="in front of the X-ray source"):
-        small.render([[0, 0, 0], [0, 0, 5.0], [0, -5.0, 5.0]])
     camera = guide3d_pair(np.zeros(3), 64)[0]
-    with pytest.raises(ValueError, match="names of their own"):
-        BiplaneFluoroscope([camera, camera], [])
-    with pytest.raises(ValueError, match="a radiograph a camera"):
-        BiplaneFluoroscope([camera], [])
+    for call, message in (
+        (lambda: BiplaneFluoroscope.of(PHANTOM, size=8), "16 to 4096 px"),
+        (lambda: BiplaneFluoroscope.of(PHANTOM, size=32, surroundings="moon"), "unknown scene"),
+        (lambda: small.render(arc_wire(), only=["c"]), "unknown camera 'c'"),
+        (lambda: small.render([[np.nan, 0, 0], [0, 0, 0]]), "not finite"),
+        (lambda: small.render([[0, 0, 0], [0, 0, 5.0], [0, -5.0, 5.0]]), "in front of the X-ray source"),
+        (lambda: BiplaneFluoroscope([camera, camera], []), "names of their own"),
+        (lambda: BiplaneFluoroscope([camera], []), "a radiograph a camera"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
 
 
 SIZE = 512

@@ -48,22 +48,18 @@ def test_long_links_are_drawn_as_a_smooth_curve(links):
 
 def test_bad_input_is_refused():
     renderer = make(80)
-    with pytest.raises(ValueError, match="not finite"):
-        renderer.render(np.vstack([WIRE, [[np.nan, 0, 0]]]))
-    with pytest.raises(ValueError, match="behind the X-ray source"):
-        renderer.mask(np.vstack([WIRE, [[0, -2.0, 0]]]))
-    with pytest.raises(ValueError, match=r"shape \(n, 3\)"):
-        renderer.render(np.zeros((4, 2)))
-    with pytest.raises(ValueError, match=r"uint8 array of shape \(80, 80\)"):
-        renderer.render_into(WIRE, np.zeros((80, 80)), None)
-    with pytest.raises(ValueError, match="C-ordered"):
-        renderer.render_into(WIRE, None, np.zeros((80, 80), np.uint8).T[::2])
-    with pytest.raises(ValueError, match="camera's shape"):
-        FluoroscopyRenderer(renderer.projector, np.zeros((80, 81)))
-    with pytest.raises(ValueError, match="between 0 and 255"):
-        FluoroscopyRenderer(renderer.projector, np.full((80, 80), 300.0))
-    with pytest.raises(ValueError, match="must be positive"):
-        make(80, wire_radius=0.0)
+    for call, message in (
+        (lambda: renderer.render(np.vstack([WIRE, [[np.nan, 0, 0]]])), "not finite"),
+        (lambda: renderer.mask(np.vstack([WIRE, [[0, -2.0, 0]]])), "behind the X-ray source"),
+        (lambda: renderer.render(np.zeros((4, 2))), r"shape \(n, 3\)"),
+        (lambda: renderer.render_into(WIRE, np.zeros((80, 80)), None), r"uint8 array of shape \(80, 80\)"),
+        (lambda: renderer.render_into(WIRE, None, np.zeros((80, 80), np.uint8).T[::2]), "C-ordered"),
+        (lambda: FluoroscopyRenderer(renderer.projector, np.zeros((80, 81))), "camera's shape"),
+        (lambda: FluoroscopyRenderer(renderer.projector, np.full((80, 80), 300.0)), "between 0 and 255"),
+        (lambda: make(80, wire_radius=0.0), "must be positive"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
 
 
 RADIUS, INNER = 0.835e-3, 0.6e-3

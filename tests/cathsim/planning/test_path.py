@@ -102,14 +102,14 @@ def test_smoothing_rounds_corners_inside_the_lumen():
 
 def test_bad_ends_and_blocked_ways_are_refused():
     grid = bent_tube()
-    with pytest.raises(ValueError, match=r"start \(0.0, 0.0, 0.0\) mm lies outside the lumen"):
-        plan_path(grid, [0, 0, 0], [0.03, 0, 0])
-    with pytest.raises(ValueError, match=r"target .* lies outside the lumen"):
-        plan_path(grid, [-0.03, 0, 0], [0.5, 0, 0])
-    with pytest.raises(ValueError, match="three finite coordinates"):
-        plan_path(grid, [np.nan, 0, 0], [0.03, 0, 0])
-    with pytest.raises(ValueError, match=r"aversion must lie in 0 to 1e\+06, got -1"):
-        plan_path(grid, [-0.03, 0, 0], [0.03, 0, 0], aversion=-1)
+    for start, target, aversion, message in (
+        ([0, 0, 0], [0.03, 0, 0], 1, r"start \(0.0, 0.0, 0.0\) mm lies outside the lumen"),
+        ([-0.03, 0, 0], [0.5, 0, 0], 1, r"target .* lies outside the lumen"),
+        ([np.nan, 0, 0], [0.03, 0, 0], 1, "three finite coordinates"),
+        ([-0.03, 0, 0], [0.03, 0, 0], -1, r"aversion must lie in 0 to 1e\+06, got -1"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            plan_path(grid, start, target, aversion=aversion)
     blocked = np.array(grid.values)
     blocked[blocked.shape[0] // 2 - 1 : blocked.shape[0] // 2 + 2] = -0.001
     wall = SignedDistanceGrid(blocked, grid.origin, SPACING)
