@@ -18,7 +18,7 @@ from cathsim.devices.pair import DevicePair
 from cathsim.devices.rod import CATHETER, DEVICES, Rod, device_tables
 from cathsim.guidewire import load_guidewire
 from cathsim.physics_checks import AIM_PCT
-from cathsim.physics_checks.rig import TheoryCheck, dead_load, new_spec, settle, uniform_wire
+from cathsim.physics_checks.rig import dead_load, new_spec, settle, uniform_wire
 from cathsim.physics_checks.statics import (
     EI,
     STIFFNESS_NMM2,
@@ -33,11 +33,11 @@ from cathsim.presets import ACCURACY, Accuracy
 Array = NDArray[np.float64]
 
 # leads of wire before catheter, m: the last one leaves the wire's end out of the catheter
-COVERAGES = (0.0, 0.005, 0.013, 0.027, 0.05, 0.085, 0.13, 0.2, -0.031, -0.11)
+COVERAGES = (0.0, 0.013, 0.05, 0.13, -0.031)
 CLAMPED = 0.25  # length of the clamped chain, m
 LOAD = 0.01  # dead load of the cantilevers, N
 COAXIAL_STEP = 0.5e-3  # of two coaxial rods' common centreline, m
-COAXIAL_LEADS = (0.0, 0.005, 0.013, 0.017, 0.027, 0.040, 0.060, 0.085)  # m
+COAXIAL_LEADS = (0.0, 0.005, 0.013, 0.027, 0.060)  # m
 SHEATH_BEND, SHEATH_ARC = 40.0, 0.060  # curvature of a bent sheath, 1/m, and length of the bend, m
 
 
@@ -81,27 +81,6 @@ class ClampedPair:
             settle(self.model, self.data, speed=1e-5)
             if np.abs(self.data.qpos - before).max() < 1e-6:
                 break
-
-
-def cantilever_cases() -> list[TheoryCheck]:
-    """Deflection over length at every coverage, of the pair's own tapers, without the unloaded shapes."""
-    wire = dataclasses.replace(PAIR.wire, tip_angle=0.0, tip_length=0.0)
-    catheter = dataclasses.replace(PAIR.catheter, shape=())
-    clamped = ClampedPair(dataclasses.replace(PAIR, wire=wire, catheter=catheter), ACCURACY["reference"])
-    length = float(clamped.lengths.sum())
-    cases = []
-    for lead in COVERAGES:
-
-        def stiffness(from_clamp: float, lead: float = lead) -> float:
-            along_wire = length - from_clamp + min(lead, 0.0)
-            along_catheter = length - from_clamp - max(lead, 0.0)
-            both = wire.stiffness(along_wire) if along_wire >= 0 else 0.0
-            return both + (catheter.stiffness(along_catheter) if along_catheter >= 0 else 0.0)
-
-        clamped.rest(lead, LOAD)
-        found, exact = float(clamped.data.actuator_length[0]), rod_deflection(LOAD, length, stiffness)
-        cases.append(TheoryCheck("cantilever", f"lead {1e3 * lead:.0f} mm", found / length, exact / length))
-    return cases
 
 
 def coaxial_angles(lead: float) -> tuple[float, float]:
@@ -192,9 +171,23 @@ BENT = Catheter(
 
 
 def test_a_cantilever_bends_as_both_stiffnesses_together() -> None:
-    cantilevers = cantilever_cases()
-    assert len({round(case.theory, 4) for case in cantilevers}) >= 8
-    assert max(abs(case.error_pct) for case in cantilevers) < 0.5
+    """At every coverage, by the pair's own tapers, without the unloaded shapes."""
+    wire = dataclasses.replace(PAIR.wire, tip_angle=0.0, tip_length=0.0)
+    catheter = dataclasses.replace(PAIR.catheter, shape=())
+    clamped = ClampedPair(dataclasses.replace(PAIR, wire=wire, catheter=catheter), ACCURACY["reference"])
+    length, deflections = float(clamped.lengths.sum()), []
+    for lead in COVERAGES:
+
+        def stiffness(from_clamp: float, lead: float = lead) -> float:
+            along_wire = length - from_clamp + min(lead, 0.0)
+            along_catheter = length - from_clamp - max(lead, 0.0)
+            both = wire.stiffness(along_wire) if along_wire >= 0 else 0.0
+            return both + (catheter.stiffness(along_catheter) if along_catheter >= 0 else 0.0)
+
+        clamped.rest(lead, LOAD)
+        deflections.append(rod_deflection(LOAD, length, stiffness))
+        assert float(clamped.data.actuator_length[0]) == pytest.approx(deflections[-1], rel=0.005), lead
+    assert len({round(deflection / length, 4) for deflection in deflections}) == len(COVERAGES)
 
 
 def test_the_end_points_as_that_of_two_coaxial_rods() -> None:
@@ -203,7 +196,7 @@ def test_the_end_points_as_that_of_two_coaxial_rods() -> None:
 
 
 def test_the_tip_lags_behind_the_hub_as_in_theory() -> None:
-    hubs = np.linspace(0.0, np.radians(310.0), 40)
+    hubs = np.linspace(0.0, np.radians(310.0), 20)
     tips = tips_in_bent_sheath(BENT, hubs)
     theory = [theoretical_hub_angle(BENT, tip) for tip in tips]
     assert np.degrees(hubs[-1] - tips[-1]) > 200
@@ -211,7 +204,7 @@ def test_the_tip_lags_behind_the_hub_as_in_theory() -> None:
 
 
 def test_the_tip_whips_at_the_hub_angle_of_theory() -> None:
-    critical = max(theoretical_hub_angle(BENT, tip) for tip in np.linspace(0.5, 2.5, 41))
+    critical = max(theoretical_hub_angle(BENT, tip) for tip in np.linspace(0.5, 2.5, 21))
     hubs = np.radians(np.arange(300.0, 340.0, 1.0))
     tips = tips_in_bent_sheath(BENT, hubs)
     whip = int(np.argmax(np.diff(tips)))

@@ -109,18 +109,13 @@ def test_measures_that_do_not_join_are_refused_with_advice():
         ({"root_diameter": 31.8}, r"root_diameter must lie in \[0.024, 0.042\] \(m or rad\), got 31.8"),
         ({"trunk_length": "long"}, "trunk_length must be a number, got 'long'"),
         ({"root_diameter": 0.025, "descending_diameter": 0.030}, "must not exceed root_diameter"),
+        ({"kind": "round"}, "kind must be one of fusiform, saccular, got 'round'"),
+        ({"length": 0.03, "bulge": 0.012}, "too steep"),
     ],
 )
 def test_impossible_measures_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
-        ArchParameters(**arguments)
-
-
-def test_impossible_aneurysms_are_refused():
-    with pytest.raises(ValueError, match="kind must be one of fusiform, saccular, got 'round'"):
-        Aneurysm("round")
-    with pytest.raises(ValueError, match="too steep"):
-        Aneurysm(length=0.03, bulge=0.012)
+        (Aneurysm if arguments.keys() & {"kind", "bulge"} else ArchParameters)(**arguments)
 
 
 def test_draws_follow_the_published_spread():
@@ -245,7 +240,7 @@ def test_means_of_many_draws_are_those_of_the_waypoints(name):
     assert ends.std(axis=0) == pytest.approx(spread, rel=0.2, abs=1e-9)
 
 
-RANDOM_SEEDS = range(24)
+RANDOM_SEEDS = range(14)
 NECK = [
     f"{name}_{side}" for name in ("internal_carotid", "external_carotid", "vertebral") for side in ("left", "right")
 ]

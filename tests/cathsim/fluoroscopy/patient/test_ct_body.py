@@ -170,9 +170,8 @@ def test_what_is_no_ct(tmp_path: Path, patient: Any, phantom: Phantom) -> None:
 @pytest.mark.parametrize(
     ("shift", "where"),
     [
-        ((-0.012, 0, 0), "1[123] mm right of where"),
         ((0, -0.01, 0), "(9|10|11) mm in front of where"),
-        ((0, 0.01, 0), "(9|10|11) mm behind where"),
+        ((-0.018, 0.01, 0), "1[789] mm right of and (9|10|11) mm behind where"),
         ((0, 0, 0.02), "(19|20|21) mm above where"),
         ((0.01, 0, -0.02), "(19|20|21) mm below and (9|10|11) mm left of where"),
     ],
