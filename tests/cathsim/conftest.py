@@ -1,7 +1,7 @@
 """Fixtures of the simulator's tests: phantoms built once into a cache of the test run, and environments on them."""
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,11 +14,9 @@ from cathsim.anatomy.vessel_tree import Branch, VesselTree
 from cathsim.contact import hulls as hulls_module
 from cathsim.contact.hull_vessel import hull_vessel
 from cathsim.contact.hulls import Hull
+from tests.cathsim.makers import MakeEnv, MakeSimulation
 
 BEND_RADIUS = 0.007  # m
-
-MakeEnv = Callable[..., NavigateEnv]
-MakeSimulation = Callable[..., Simulation]
 
 
 @pytest.fixture

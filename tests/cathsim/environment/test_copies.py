@@ -10,15 +10,15 @@ import gymnasium
 import numpy as np
 import pytest
 
-from cathsim import ENVIRONMENT, NavigateEnv, NavigationTask, Phantom, load_guidewire
+from cathsim import ENVIRONMENT, NavigationTask, Phantom, load_guidewire
 from cathsim.blood.flow import BloodFlow
 from cathsim.contact.breathing import Breathing
 from cathsim.fluoroscopy import BiplaneFluoroscope
-from cathsim.observations.observables import OBSERVABLES
+from cathsim.observations.observables import DEVICES, OBSERVABLES
 from cathsim.vector import ThreadedVectorEnv
 from tests.cathsim.equal_observations import same
-
-MakeEnv = Callable[..., NavigateEnv]
+from tests.cathsim.forward_actions import forward_actions
+from tests.cathsim.makers import MakeEnv
 
 SMALL: dict[str, Any] = {"image_size": 32, "accuracy": "fast"}
 VARIANTS: dict[str, dict[str, Any]] = {
@@ -33,6 +33,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
         "task": NavigationTask(target="lcca", max_steps=60),
         "contact_info": True,
     },
+    "two devices": {"catheter": "simmons2", "observation": (*OBSERVABLES, DEVICES)},
+    "two robots": {"catheter": "simmons2", "drive": "robot"},
 }
 WAYS: dict[str, Callable[[Any], Any]] = {
     "pickle": lambda env: pickle.loads(pickle.dumps(env)),
@@ -40,19 +42,11 @@ WAYS: dict[str, Callable[[Any], Any]] = {
 }
 
 
-def actions(env: gymnasium.Env[Any, Any], count: int, seed: int = 0) -> np.ndarray:
-    """Mostly forwards. Shape (count, actions)."""
-    drawn = np.random.default_rng(seed).uniform(-1, 1, (count, *env.action_space.shape))
-    index = -1 if env.action_space.shape[0] > 2 else 0
-    drawn[:, index] = 0.4 + 0.6 * np.abs(drawn[:, index])
-    return drawn.astype(np.float32)
-
-
 def go_on_alike(original: Any, twin: Any, steps: int = 12) -> None:
     """Both give the same: now, for some steps, and in the next episode."""
     assert same(original.observe(), twin.observe())
     assert same(original.render(), twin.render())
-    for action in actions(original, steps, seed=1):
+    for action in forward_actions(steps, *original.action_space.shape, seed=1):
         one, other = original.step(action), twin.step(action)
         assert same(one, other)
         if one[2] or one[3]:
@@ -62,14 +56,20 @@ def go_on_alike(original: Any, twin: Any, steps: int = 12) -> None:
 
 
 @pytest.mark.parametrize(
-    ("variant", "way"), [*((variant, "pickle") for variant in VARIANTS), ("everything seen", "deepcopy")]
+    ("variant", "way"),
+    [
+        *((variant, "pickle") for variant in VARIANTS if variant != "two robots"),
+        ("everything seen", "deepcopy"),
+        ("two robots", "deepcopy"),
+    ],
 )
 def test_copies_in_the_middle_of_an_episode_go_on_alike(make_env: MakeEnv, variant: str, way: str) -> None:
     env = make_env(**{**SMALL, **VARIANTS[variant]})
     env.reset(seed=3)
-    for action in actions(env, 45):
+    for action in forward_actions(45, *env.action_space.shape):
         env.step(action)
     twin = WAYS[way](env)
+    assert way == "pickle" or twin.phantom is env.phantom
     assert same(twin.simulation.blood_forces(), env.simulation.blood_forces())
     go_on_alike(env, twin)
 
@@ -119,7 +119,7 @@ def test_the_robot_is_saved_in_every_phase_of_its_cycle(make_env: MakeEnv) -> No
 def test_a_pickle_opens_in_another_process(make_env: MakeEnv, tmp_path: Any, run_python: Callable[[str], str]) -> None:
     env = make_env(observation=("internal", "image"), image_size=32)
     env.reset(seed=1)
-    for action in actions(env, 30):
+    for action in forward_actions(30, *env.action_space.shape):
         env.step(action)
     file = tmp_path / "environment"
     file.write_bytes(pickle.dumps(env))

@@ -1,8 +1,6 @@
 """The environment keeps Gymnasium's contract; entries, starts, messages."""
 
 import hashlib
-import warnings
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -15,22 +13,12 @@ from cathsim.anatomy.entry import AHEAD
 from cathsim.observations.fluoroscopes import SHOWN_SHEATH, shown_points
 from cathsim.observations.observables import OBSERVABLES
 from tests.cathsim.equal_observations import same
-
-MakeEnv = Callable[..., NavigateEnv]
+from tests.cathsim.forward_actions import forward_actions
+from tests.cathsim.makers import MakeEnv
 
 SINGLE = ("distance", "branch", "depth", "insertion", "rotation", "force", "success", "success_lumen", "invalid")
 INFO = {"tip": (3,), "force_vector": (3,), **dict.fromkeys(SINGLE, ())}
 ACTION_SIZE = {"feeder": 2, "tip_motors": 21}
-# warnings of the checkers that say nothing about the environment: joint angles and speeds have no natural bounds
-HARMLESS = ("minimum value is -infinity", "maximum value is infinity", "not within the expected range")
-
-
-def actions(env: NavigateEnv, count: int, seed: int = 0) -> np.ndarray:
-    """Mostly forwards: shape (count, actions)."""
-    drawn = np.random.default_rng(seed).uniform(-1, 1, (count, *env.action_space.shape))
-    index = -1 if env.action_space.shape[0] > 2 else 0
-    drawn[:, index] = 0.3 + 0.7 * drawn[:, index]
-    return drawn.astype(np.float32)
 
 
 def digest(env: NavigateEnv, steps: int, seed: int) -> str:
@@ -43,7 +31,7 @@ def digest(env: NavigateEnv, steps: int, seed: int) -> str:
                 hasher.update(np.asarray(part).tobytes())
 
     take(*env.reset(seed=seed))
-    for action in actions(env, steps, seed):
+    for action in forward_actions(steps, *env.action_space.shape, seed=seed):
         take(*env.step(action))
     return hasher.hexdigest()
 
@@ -72,7 +60,7 @@ def test_every_configuration_keeps_the_contract(make_env: MakeEnv, phantom: str,
 
     observation, info = env.reset(seed=1)
     steps = [(observation, None, info)]
-    for action in actions(env, 12):
+    for action in forward_actions(12, ACTION_SIZE[kind]):
         observation, reward, terminated, truncated, info = env.step(action)
         assert type(reward) is float
         assert np.isfinite(reward)
@@ -93,15 +81,6 @@ def test_every_configuration_keeps_the_contract(make_env: MakeEnv, phantom: str,
             assert name == "branch" or np.isfinite(info[name]).all(), name
         assert not info["invalid"]
     assert info["insertion"] > steps[0][2]["insertion"]
-
-
-def test_the_checker_of_stable_baselines3_finds_nothing() -> None:
-    checker = pytest.importorskip("stable_baselines3.common.env_checker")
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        checker.check_env(NavigateEnv(observation=("joints", "image", "mask"), actions="tip_motors", accuracy="fast"))
-    found = [str(warning.message) for warning in caught]
-    assert not [text for text in found if not any(harmless in text for harmless in HARMLESS)]
 
 
 def test_same_seed_gives_the_same_bits(make_env: MakeEnv) -> None:
@@ -195,7 +174,7 @@ def test_wire_begins_at_its_entry_and_goes_in(type_1: Phantom, named: bool) -> N
 def test_episode_starts_where_a_wire_was_left(make_env: MakeEnv) -> None:
     environment = make_env(observation=("joints", "sequential", "force"), reward="geodesic", start_rotation=np.pi)
     environment.reset(seed=3)
-    for action in actions(environment, 30):
+    for action in forward_actions(30, 2):
         environment.step(action)
     tip, start = environment.simulation.tip, environment.simulation.state()
     environment.reset(seed=4)

@@ -2,18 +2,16 @@
 
 import dataclasses
 import pickle
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from cathsim import NavigateEnv, NavigationTask, Phantom, load_guidewire
+from cathsim import NavigationTask, Phantom, load_guidewire
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.planning.plan_trials import ExpertSettings
 from cathsim.planning.sampling import SamplingExpert
 from cathsim.vector import ThreadedVectorEnv
-
-MakeEnv = Callable[..., NavigateEnv]
+from tests.cathsim.makers import MakeEnv
 
 FORWARD = np.array([1.0, 0.2], np.float32)
 GUIDED = ("roadmap", "history", "goal", "goal_image", "tip")

@@ -1,31 +1,19 @@
 """The environment of a wire in a catheter: actions, observations, info, copies, robots, and bad input."""
 
-import copy
-import pickle
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 
-from cathsim import NavigateEnv
 from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation
 from cathsim.observations.observables import DEVICES, OBSERVABLES
 from cathsim.registration import DUAL
-from tests.cathsim.equal_observations import same
-
-MakeEnv = Callable[..., NavigateEnv]
+from tests.cathsim.forward_actions import forward_actions
+from tests.cathsim.makers import MakeEnv
 
 EVERYTHING = (*OBSERVABLES, DEVICES)
-
-
-def drawn(count: int, seed: int = 0) -> np.ndarray:
-    """Both devices mostly forwards. Shape (count, 4)."""
-    actions = np.random.default_rng(seed).uniform(-1, 1, (count, 4))
-    actions[:, (0, 2)] = 0.3 + 0.7 * actions[:, (0, 2)]
-    return actions.astype(np.float32)
 
 
 def test_a_wire_in_a_catheter_keeps_the_contract(make_env: MakeEnv) -> None:
@@ -38,7 +26,7 @@ def test_a_wire_in_a_catheter_keeps_the_contract(make_env: MakeEnv) -> None:
     assert space["shape"].shape == (links + 1, 3)
     assert space["devices"].shape == (2, 5)
     observation, info = env.reset(seed=1)
-    for action in drawn(20):
+    for action in forward_actions(20, 4):
         assert space.contains(observation)
         assert all(np.isfinite(value).all() for value in observation.values())
         assert info["feeder_forces"].shape == (2,)
@@ -93,34 +81,19 @@ def test_a_catheter_alone_has_two_actions(make_env: MakeEnv) -> None:
     assert info["lead"] == 0.0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "deep"), [({"observation": EVERYTHING, "image_size": 32}, False), ({"drive": "robot"}, True)]
-)
-def test_copies_go_on_alike(make_env: MakeEnv, arguments: dict[str, Any], deep: bool) -> None:
-    env = make_env(catheter="simmons2", **arguments)
-    env.reset(seed=3)
-    for action in drawn(25):
-        env.step(action)
-    twin = copy.deepcopy(env) if deep else pickle.loads(pickle.dumps(env))
-    assert not deep or twin.phantom is env.phantom
-    for action in drawn(8, seed=1):
-        assert same(env.step(action), twin.step(action))
-    assert same(env.reset(), twin.reset())
-    assert same(env.step(np.ones(4)), twin.step(np.ones(4)))
-
-
 def test_a_start_with_both_devices_is_an_option_of_reset(make_env: MakeEnv) -> None:
     env = make_env(catheter="vertebral", observation="devices")
     env.reset(seed=0)
-    for action in drawn(20):
+    for action in forward_actions(20, 4):
         env.step(action)
     start, lead = env.start_state(), env.reset(seed=1)[1]["lead"]
     _, info = env.reset(seed=1, options={"start": start, "target": "lcca"})
     assert info["lead"] != lead
     assert np.array_equal(env.start_state(), start)
-    first = [env.step(action) for action in drawn(5)]
+    actions = forward_actions(5, 4)
+    first = [env.step(action)[0] for action in actions]
     env.reset(seed=2, options={"start": start})
-    assert np.array_equal([env.step(action)[0] for action in drawn(5)], [step[0] for step in first])
+    assert np.array_equal([env.step(action)[0] for action in actions], first)
 
 
 def test_two_robots_feed_by_strokes(make_env: MakeEnv) -> None:
