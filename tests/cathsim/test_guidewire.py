@@ -1,7 +1,6 @@
 """Guidewires: presets, profiles, theory; the part of the wire that is simulated."""
 
 import dataclasses
-import itertools
 
 import mujoco
 import numpy as np
@@ -66,18 +65,6 @@ def test_preset_is_a_wire_that_compiles(name: str, space: Vessel) -> None:
     # total mass, the hemispherical ends of the capsules included
     volume = np.pi * wire.radius**2 * wire.length + len(wire.links) * 4 / 3 * np.pi * wire.radius**3
     assert model.body_mass.sum() == pytest.approx(10 * wire.density * volume, rel=1e-9)
-
-
-def test_stiffness_profile() -> None:
-    wire = Guidewire()
-    near, far = wire.taper
-    assert wire.stiffness(0.0) == wire.stiffness(near) == pytest.approx(wire.tip_stiffness_nmm2 * 1e-6)
-    assert wire.stiffness(far) == wire.stiffness(1.0) == pytest.approx(wire.shaft_stiffness_nmm2 * 1e-6)
-    # its logarithm is linear between: the geometric mean halfway
-    mean = np.sqrt(wire.tip_stiffness_nmm2 * wire.shaft_stiffness_nmm2) * 1e-6
-    assert wire.stiffness((near + far) / 2) == pytest.approx(mean)
-    profile = [wire.stiffness(s) for s in np.linspace(0, 0.1, 50)]
-    assert all(a <= b for a, b in itertools.pairwise(profile))
 
 
 @pytest.mark.parametrize("name", ["default", "radifocus_angled_025"])

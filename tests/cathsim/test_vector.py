@@ -3,13 +3,12 @@
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
-from cathsim import ENVIRONMENT, NavigateEnv, ThreadedVectorEnv
+from cathsim import ThreadedVectorEnv
+from tests.cathsim.makers import MakeEnv
 
-MakeEnv = Callable[..., NavigateEnv]
 MakeVector = Callable[..., ThreadedVectorEnv]
 
 
@@ -59,22 +58,6 @@ def test_environments_step_together_as_they_do_alone(
             assert rewards[index] == reward
             assert [terminated[index], truncated[index]] == endings
             assert all(np.array_equal(infos[key][index], info[key]) for key in keys)
-
-
-def test_make_vec_gives_the_threaded_environment() -> None:
-    vector = gymnasium.make_vec(ENVIRONMENT, num_envs=2, accuracy="fast", observation=("joints", "image"))
-    assert isinstance(vector.unwrapped, ThreadedVectorEnv)
-    observations, infos = vector.reset(seed=0)
-    assert vector.observation_space.contains(observations)
-    assert observations["image"].shape == (2, 1, 80, 80)
-    assert infos["tip"].shape == infos["force_vector"].shape == (2, 3)
-    assert infos["_tip"].tolist() == [True, True]
-    observations, rewards, terminated, truncated, infos = vector.step(vector.action_space.sample())
-    assert vector.observation_space.contains(observations)
-    assert (rewards.dtype, terminated.dtype, truncated.dtype) == (np.float64, bool, bool)
-    assert infos["force"].shape == (2,)
-    assert "contact_points" not in infos
-    vector.close()
 
 
 def test_a_mask_resets_only_some(make_vector: MakeVector) -> None:

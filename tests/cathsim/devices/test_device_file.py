@@ -115,31 +115,20 @@ def test_what_no_device_has_is_refused_in_the_units_of_the_file(text: str, messa
         ("kind: catheter\nfriction: 0.1\nfriction: 0.2\n", "the key 'friction' is there twice"),
         ("kind: catheter\nshape: [{from_mm: 0, to_mm: 9, to_mm: 10, angle_deg: 9}]\n", "'to_mm' is there twice"),
         ("kind: catheter\nsource: &a {shape: *a}\n", "the source of shape must be a text"),
-    ],
-)
-def test_what_is_no_catheter_is_refused_in_one_sentence(text: str, message: str, tmp_path: Path) -> None:
-    path = written(tmp_path, text)
-    with pytest.raises(ValueError, match=message) as caught:
-        load_catheter(path)
-    sentence = str(caught.value)
-    assert "\n" not in sentence
-    assert len(sentence) < 800
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
         ("kind: guidewire\nsizes_french: {5: {friction: 0.1}}\n", "a guidewire has no 'sizes_french'"),
         ("kind: guidewire\nlinks: [16, 16]\n", "links are given as {count: 10, length_mm: 16}"),
         ("kind: guidewire\nlinks: [{count: 1.5, length_mm: 16}]\n", "count of links must be a whole number"),
         ("kind: guidewire\nlinks: [{count: 1500, length_mm: 1}, {count: 1500, length_mm: 1}]\n", "2000 links, got"),
     ],
 )
-def test_what_is_no_guidewire_is_refused_in_one_sentence(text: str, message: str, tmp_path: Path) -> None:
+def test_what_is_no_device_is_refused_in_one_sentence(text: str, message: str, tmp_path: Path) -> None:
     path = written(tmp_path, text)
+    load = load_guidewire if "guidewire has" in message or "links" in message else load_catheter
     with pytest.raises(ValueError, match=message) as caught:
-        load_guidewire(path)
-    assert "\n" not in str(caught.value)
+        load(path)
+    sentence = str(caught.value)
+    assert "\n" not in sentence
+    assert len(sentence) < 800
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
@@ -291,15 +280,14 @@ def test_the_command_refuses_in_one_sentence(tmp_path: Path, capsys: pytest.Capt
         assert said.count("\n") == 1
 
 
-def test_stiffness_is_that_of_tip_and_shaft_and_geometric_between() -> None:
-    catheter = Catheter(shaft_stiffness_nmm2=300.0, tip_stiffness_nmm2=75.0, taper=(0.01, 0.04))
-    np.testing.assert_allclose(
-        catheter.stiffness(np.array([0.0, 0.01, 0.025, 0.04, 0.9])) * 1e6, [75, 75, 150, 300, 300]
-    )
-    assert type(catheter.stiffness(0.025)) is float
-    assert catheter.torsional_stiffness(0.5) == pytest.approx(catheter.torsional_stiffness_nmm2 * 1e-6)
-    ratio = catheter.torsional_stiffness(np.array([0.0, 0.5])) / catheter.stiffness(np.array([0.0, 0.5]))
-    assert ratio[0] == pytest.approx(ratio[1])
+@pytest.mark.parametrize("kind", [Catheter, Guidewire])
+def test_stiffness_is_that_of_tip_and_shaft_and_geometric_between(kind: type[Catheter] | type[Guidewire]) -> None:
+    tapered = {"shaft_stiffness_nmm2": 300.0, "tip_stiffness_nmm2": 75.0, "taper": (0.01, 0.04)}
+    device = kind(**tapered, torsional_stiffness_nmm2=90.0)
+    places = np.array([0.0, 0.01, 0.025, 0.04, 0.9])
+    np.testing.assert_allclose(device.stiffness(places) * 1e6, [75, 75, 150, 300, 300])
+    assert type(device.stiffness(0.025)) is float
+    np.testing.assert_allclose(device.torsional_stiffness(places), 0.3 * device.stiffness(places))
 
 
 def test_centreline_of_a_bend_agrees_with_the_guidewires_hinges() -> None:

@@ -48,34 +48,6 @@ def test_stays_valid_and_out_of_the_wall() -> None:
     assert max(depths) < 1e-3
 
 
-def test_a_state_goes_on_bit_for_bit() -> None:
-    simulation = made("simmons1")
-    steered(simulation, 60)
-    state = simulation.state()
-    first = steered(simulation, 10, seed=1)
-    simulation.restore(state)
-    assert np.array_equal(steered(simulation, 10, seed=1), first)
-    other = made("simmons1")
-    other.restore(state)
-    assert np.array_equal(steered(other, 10, seed=1), first)
-
-
-def test_each_device_moves_alone() -> None:
-    simulation = made()
-    simulation.reset(0.05, catheter=(0.05, 0.0))
-    for _ in range(10):
-        simulation.advance(0.002, 0.0)
-    wire, catheter = simulation.device_insertions()
-    assert simulation.device_lead == pytest.approx(0.020)
-    assert wire == pytest.approx(0.070, abs=1e-3)
-    assert catheter == pytest.approx(0.050, abs=1e-3)
-    for _ in range(15):
-        simulation.advance(0.0, 0.0, catheter=(0.002, 0.1))
-    assert simulation.device_lead == pytest.approx(-0.010)
-    assert simulation.device_insertions()[0] == pytest.approx(0.070, abs=1e-3)
-    assert simulation.device_rotations() == pytest.approx((0.0, 1.5))
-
-
 @pytest.mark.parametrize(("catheter", "out"), [("simmons1", 0.02), ("pigtail", 0.05)])
 def test_a_bent_catheter_stays_where_it_is_and_comes_back_into_the_sheath(catheter: str, out: float) -> None:
     simulation = made(catheter)
@@ -138,16 +110,6 @@ def test_the_wire_alone_as_a_pair_bends_as_the_bare_wire() -> None:
         for _ in range(60):
             simulation.advance(0.002, 0.0)
     assert np.linalg.norm(pair.tip - bare.tip) < 5e-3
-
-
-def test_the_catheter_alone() -> None:
-    simulation = made("vertebral", wire=None)
-    for _ in range(40):
-        simulation.advance(0.002, 0.1)
-    assert simulation.valid
-    assert simulation.insertion == pytest.approx(0.08, abs=1e-3)
-    assert len(simulation.device_points("wire")) == 0
-    assert simulation.feeder_forces()[0] == 0.0
 
 
 def test_refuses_a_start_that_cannot_be() -> None:

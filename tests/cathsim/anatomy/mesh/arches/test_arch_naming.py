@@ -256,18 +256,6 @@ def _vessel(start: list[float], end: list[float], radius: float, number: int | N
     return RoughVessel(points, np.full(40, radius), number)
 
 
-def _arch() -> RoughVessel:
-    angle = np.linspace(0, np.pi, 60)
-    bow = np.stack([0.035 * np.cos(angle), 0 * angle, 0.035 * np.sin(angle)], axis=1)
-    down = np.linspace([0.035, 0, -0.1], [0.035, 0, 0], 60)
-    aorta = RoughVessel(np.concatenate([down, bow]), np.full(120, 0.012), 0)
-    for x, radius, number in ((0.02, 0.004, 1), (0.0, 0.0035, 2), (-0.02, 0.006, 3)):
-        child = _vessel([x, 0, 0.03], [1.5 * x, 0, 0.09], radius, number)
-        child.start = 0.1 + 0.035 * (np.arccos(x / 0.035))
-        aorta.children.append(child)
-    return aorta
-
-
 def test_an_abdominal_aorta_stands_upright():
     """It begins in an iliac artery, which runs aslant, and its branches leave it to the front."""
     iliac = np.linspace([0.06, 0.0, -0.07], [0.0, 0.0, 0.0], 40, endpoint=False)
@@ -285,7 +273,7 @@ def test_an_abdominal_aorta_stands_upright():
 
 
 def test_names_follow_the_arch_and_the_users():
-    aorta = _arch()
+    aorta = rough_vessels(sampled_arch(0), np.eye(3))["aorta"]
     rotation, kept = world_rotation(aorta)
     assert kept is False or np.allclose(np.abs(rotation).max(axis=1), 1)
     assert rotation[2] @ [0, 0, 1] > 0.95
