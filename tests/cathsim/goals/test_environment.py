@@ -9,14 +9,9 @@ from cathsim.goals.environment import NavigateGoalEnv
 from cathsim.goals.task import GoalTask
 
 
-@pytest.fixture(scope="module")
-def environment() -> NavigateGoalEnv:
-    return NavigateGoalEnv("type_1", accuracy="fast")
-
-
-def test_the_reward_of_a_step_is_that_of_its_goals(environment: NavigateGoalEnv) -> None:
+def test_the_reward_of_a_step_is_that_of_its_goals() -> None:
     for breathing in (None, Breathing(0.005)):
-        env = environment if breathing is None else NavigateGoalEnv("type_1", accuracy="fast", breathing=breathing)
+        env = NavigateGoalEnv("type_1", ("bca",), accuracy="fast", breathing=breathing)
         env.reset(seed=1)
         seen, infos, rewards = [], [], []
         for _ in range(6):
@@ -36,7 +31,8 @@ def test_the_reward_of_a_step_is_that_of_its_goals(environment: NavigateGoalEnv)
         assert (alone, type(alone)) == (0.0, float)
 
 
-def test_every_reset_draws_a_goal_within_reach(environment: NavigateGoalEnv) -> None:
+def test_every_reset_draws_a_goal_within_reach() -> None:
+    environment = NavigateGoalEnv("type_1", accuracy="fast")
     drawn = {tuple(environment.reset(seed=seed)[0]["desired_goal"]) for seed in range(8)}
     drawn |= {tuple(environment.reset()[0]["desired_goal"]) for _ in range(8)}
     assert len(drawn) > 10
@@ -80,7 +76,7 @@ def test_a_goal_may_be_given_and_reaching_it_ends_the_episode() -> None:
 )
 def test_wrong_arguments_are_refused(arguments: dict[str, object], message: str) -> None:
     with pytest.raises((ValueError, KeyError), match=message) as caught:
-        NavigateGoalEnv("type_1", **{"accuracy": "fast", **arguments})  # type: ignore[arg-type]
+        NavigateGoalEnv("type_1", **{"goals": ("bca",), "accuracy": "fast", **arguments})  # type: ignore[arg-type]
     assert "\n" not in str(caught.value)
 
 

@@ -1,7 +1,7 @@
 """Plans: manoeuvres, trials of them, scripts, the expert that chooses them, its demonstrations."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -16,8 +16,8 @@ from cathsim.planning.scripted_motions import MOTIONS, ROOT, Script, ScriptedOpe
 from cathsim.presets import ACCURACY
 from cathsim.robot.pace import PACES
 from cathsim.simulation import Simulation
+from tests.cathsim.makers import MakeEnv
 
-MakeEnv = Callable[..., NavigateEnv]
 SMALL = ExpertSettings(horizon=6, execute=3, samples=8, elites=3, rounds=2)
 
 
@@ -228,11 +228,12 @@ def test_a_retreat_is_drawn_again_until_one_is_gentle(make_env: MakeEnv, monkeyp
 KEYS = ("roadmap", "history")
 
 
-@pytest.mark.parametrize(("catheter", "groups"), [(None, 20), ("vertebral", 2)])
+@pytest.mark.parametrize(("catheter", "groups"), [(None, 4), ("vertebral", 2)])
 def test_a_demonstration_is_a_trajectory_of_held_actions_in_its_case(catheter: str | None, groups: int) -> None:
-    environment = NavigateManyEnv(
-        ("type_1",), ("bca", "lcca"), catheter=catheter, observation=KEYS, accuracy="fast", max_steps=4 * groups
-    )
+    aorta = load_phantom("type_1").tree.root
+    entry = tuple(aorta.point_at(0.5 * aorta.length).tolist())  # shortly before the branches: steered at once
+    settings = {"catheter": catheter, "entry": entry, "observation": KEYS, "accuracy": "fast"}
+    environment = NavigateManyEnv(("type_1",), ("bca", "lcca"), max_steps=4 * groups, **settings)
     made = demonstrate(environment, 1, KEYS, hold=4, seed=3)
     assert {*KEYS, "tips", "states", "actions", "rewards", "forces", "terminated"} == set(made)
     assert [len(made[name]) for name in (*KEYS, "tips", "states")] == [4 * groups + 1] * 4

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import FrameStackObservation, RecordEpisodeStatistics, ResizeObservation
 
 from cathsim import NavigateEnv, ThreadedVectorEnv
@@ -24,7 +24,7 @@ SMALL: dict[str, dict[str, Any]] = {
     ENVIRONMENT: {},
     DUAL: {},
     MANY: {"phantoms": (0,)},
-    GOAL: {},
+    GOAL: {"goals": ("bca", "lcca")},
     COPIES: {"copies": (0,), "perturbation": Perturbation(walls=5e-4)},
     ARCH_VARIETY: {"arch_types": ("VI",), "seeds": (1,), "resolution": 2e-3},
     RANDOM_TREES: {"seeds": (4,)},
@@ -109,18 +109,6 @@ def test_autoreset_modes_are_those_of_gymnasium(mode: AutoresetMode) -> None:
 def test_what_threads_do_not_take_names_the_vector_that_does(ident: str, given: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="vectorization_mode='sync' or 'async'"):
         gymnasium.make_vec(ident, 2, **given, **arguments(ident))
-
-
-def test_the_named_vector_takes_it() -> None:
-    vector = gymnasium.make_vec(
-        ENVIRONMENT, 2, vectorization_mode="sync", wrappers=[RecordEpisodeStatistics],
-        vector_kwargs={"autoreset_mode": "SameStep"}, **arguments(ENVIRONMENT, max_steps=2),
-    )  # fmt: skip
-    assert isinstance(vector, SyncVectorEnv)
-    vector.reset(seed=0)
-    vector.step(vector.action_space.sample())
-    assert "final_info" in vector.step(vector.action_space.sample())[4]
-    vector.close()
 
 
 def test_six_threads_in_one_environment_are_refused() -> None:
