@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from cathsim import Phantom, Simulation, export, load_catheter, load_guidewire
+from cathsim import Phantom, export, load_catheter, load_guidewire
 from cathsim.contact.hulls import Hull
 from cathsim.devices.pair import DevicePair
 from cathsim.export import EXPORT_NUMERICS, export_mjcf
+from tests.cathsim.makers import MakeSimulation
 
-MakeSimulation = Callable[..., Simulation]
 STEPS = 24  # control steps, insertion of 2 mm each
 
 ALONE = """
@@ -78,10 +78,17 @@ def test_files_hold_the_hulls_where_they_were(exported: Path, prisms: list[Hull]
 
 def test_export_refuses(bend: Phantom, prisms: list[Hull], tmp_path: Path) -> None:
     wire = load_guidewire("default")
-    with pytest.raises(ValueError, match="contact='sdf' is native code"):
-        export_mjcf(tmp_path / "new", bend, wire, "sdf")
-    with pytest.raises(ValueError, match="unknown contact 'flex'"):
-        export_mjcf(tmp_path / "new", bend, wire, "flex")
+    vertebral = load_catheter("vertebral")
+    for device, more, message in (
+        (wire, {"contact": "sdf"}, "contact='sdf' is native code"),
+        (wire, {"contact": "flex"}, "unknown contact 'flex'"),
+        (wire, {"entry": "radial"}, "unknown entry 'radial'"),
+        (vertebral, {}, "does not travel in an MJCF file"),
+        (DevicePair(None, vertebral), {}, "does not travel in an MJCF file"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            export_mjcf(tmp_path / "new", bend, device, **more)
+    assert not (tmp_path / "new").exists()
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(ValueError, match="is there and is no earlier export"):
         export_mjcf(tmp_path, bend, wire)
@@ -93,12 +100,6 @@ def test_export_refuses(bend: Phantom, prisms: list[Hull], tmp_path: Path) -> No
     with pytest.raises(ValueError, match="is there and is no earlier export"):
         export_mjcf(project, bend, wire)
     assert (project / "model.xml").read_text() == "mine"
-    with pytest.raises(ValueError, match="unknown entry 'radial'"):
-        export_mjcf(tmp_path / "new", bend, wire, entry="radial")
-    for catheter in (load_catheter("vertebral"), DevicePair(None, load_catheter("vertebral"))):
-        with pytest.raises(ValueError, match="does not travel in an MJCF file"):
-            export_mjcf(tmp_path / "new", bend, catheter)
-    assert not (tmp_path / "new").exists()
 
 
 def test_command_line(

@@ -1,7 +1,6 @@
 """A wire in a vessel: state and restore, the active chain against the whole wire, refinement, forces, feeding."""
 
 import dataclasses
-from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -10,8 +9,8 @@ import pytest
 from cathsim import ACCURACY, Guidewire, Phantom, Simulation, load_guidewire, load_phantom
 from cathsim.devices.active_chain import ActiveChains
 from cathsim.devices.arena import max_insertion
+from tests.cathsim.makers import MakeSimulation
 
-MakeSimulation = Callable[..., Simulation]
 STEP = 0.002  # m
 LEAVING = 5  # steps until the tip is free of the sheath
 

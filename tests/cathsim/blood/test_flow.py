@@ -2,14 +2,13 @@
 
 import ctypes
 import math
-from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from cathsim import NavigateEnv, Phantom, Simulation, load_guidewire
+from cathsim import Phantom, Simulation, load_guidewire
 from cathsim.blood.drag import Drag
 from cathsim.blood.field import BloodField, blood_field
 from cathsim.blood.flow import FLOWS, BloodFlow, outlet_shares
@@ -18,9 +17,8 @@ from cathsim.blood.womersley import velocity_profile, womersley_number
 from cathsim.contact.native import address, library
 from cathsim.guidewire import LINK_NAME
 from cathsim.planning.sampling import SamplingExpert
+from tests.cathsim.makers import MakeEnv, MakeSimulation
 
-MakeEnv = Callable[..., NavigateEnv]
-MakeSimulation = Callable[..., Simulation]
 SYSTOLE = 0.12  # s
 PULSATILE, STEADY = FLOWS["pulsatile"], FLOWS["steady"]
 REST = BloodFlow(peak_velocity=0.0)

@@ -9,6 +9,7 @@ import pytest
 
 from cathsim import Accuracy, NavigateEnv, load_guidewire
 from cathsim.simulation import LEAD_ADVANCE
+from tests.cathsim.makers import MakeEnv
 
 pytest.importorskip("dm_control")
 
@@ -16,7 +17,6 @@ from dm_control import composer as dm_composer
 
 from cathsim import composer
 
-MakeEnv = Callable[..., NavigateEnv]
 MakeComposer = Callable[..., dm_composer.Environment]
 TIP = "feeder/guidewire/tip"
 FORWARD = np.array([1.0, 0.0])

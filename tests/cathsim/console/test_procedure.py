@@ -1,22 +1,20 @@
 """A procedure: what a human does is the environment's episode, recorded step by step."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cathsim import NavigateEnv
 from cathsim.console import CRITERIA, NpzRecorder
 from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, devices_between
 from cathsim.console.recorder import episode_path
 from cathsim.console.setup.operator_setup import ForceLimit
 from cathsim.console.xray.room import XRayStep
 from cathsim.devices.pair import wire_and_catheter
+from tests.cathsim.makers import MakeEnv
 
-MakeEnv = Callable[..., NavigateEnv]
 ANSWERS = {**{criterion.key: 4 for criterion in CRITERIA}, "participant": "P7"}
 
 

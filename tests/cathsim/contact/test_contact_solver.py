@@ -3,7 +3,6 @@
 import copy
 import dataclasses
 import pickle
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -20,6 +19,7 @@ from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire
 from tests.cathsim.drawn_vessels import UP, sphere, tube
+from tests.cathsim.makers import MakeSimulation
 
 TIGHT = 1e-16  # of MuJoCo's solver, whose usual tolerance here is 1e-6
 STEPS = 110
@@ -190,7 +190,6 @@ def test_a_catheter_over_the_wire_meets_the_same_wall(phantom: Phantom) -> None:
     assert np.median(measured) == pytest.approx(0.2, rel=0.01)
 
 
-MakeSimulation = Callable[..., Simulation]
 STEP = 0.002  # m
 INHALED = np.array([0.003, 0.0, -0.004])  # m
 FRICTIONLESS = dataclasses.replace(load_guidewire("default"), friction=0.0)

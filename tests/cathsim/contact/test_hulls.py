@@ -2,7 +2,6 @@
 
 import logging
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +12,8 @@ from cathsim.anatomy.surface import open_ends
 from cathsim.contact import hulls as hulls_module
 from cathsim.contact.hull_vessel import hull_vessel
 from cathsim.contact.hulls import Decomposition, Hull, wall_hulls
+from tests.cathsim.makers import MakeSimulation
 
-MakeSimulation = Callable[..., Simulation]
 QUICK = Decomposition(threshold=0.12, lattice=3e-3, search=15)
 STEP = 0.002  # m
 

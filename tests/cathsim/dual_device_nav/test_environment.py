@@ -75,13 +75,12 @@ def test_devices_are_the_published_ones() -> None:
 @needs_files
 def test_a_seed_draws_the_published_target(environment: DualDeviceNavEnv) -> None:
     drawn = {}
-    for seed in (1, 2, 3, 175):
+    for seed in (1, 2, 175):
         _, info = environment.reset(seed=seed)
         drawn[seed] = 1e3 * environment.goal
         assert info["distance"] == pytest.approx(np.linalg.norm(info["tip"] - environment.goal))
     assert drawn[1] == pytest.approx([41.895, 19.634, 537.705], abs=2e-3)  # by the published procedure and files
     assert drawn[2] == pytest.approx([-2.628, 29.421, 413.567], abs=2e-3)
-    assert drawn[3] == pytest.approx([-10.687, 27.186, 469.808], abs=2e-3)
     assert drawn[175] == pytest.approx([20.183, -14.417, 592.789], abs=2e-3)
     environment.reset(seed=1)
     assert 1e3 * environment.goal == pytest.approx(drawn[1])

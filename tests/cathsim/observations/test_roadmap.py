@@ -1,7 +1,5 @@
 """Observations beside images: roadmap, history of the progress, tracking, vectors of the simulation."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -9,6 +7,7 @@ from cathsim.environment import NavigateEnv
 from cathsim.observations.roadmap import PATH_ARCS, RAYS, WIRE_ARCS
 from cathsim.observations.tracking import POINTS, SPACING, in_view, viewed_range
 from cathsim.random_trees import RandomTreesEnv
+from tests.cathsim.makers import MakeEnv
 
 FORWARD = np.array([1.0, 0.2])
 
@@ -108,9 +107,6 @@ def test_points_lie_on_the_wire_two_millimetres_apart(type_1) -> None:
     assert seen[6] == pytest.approx(in_view(env.goal), abs=1e-6)
     assert observation[14:] == pytest.approx([1.0, 0.3])
     assert np.abs(observation).max() <= 1
-
-
-MakeEnv = Callable[..., NavigateEnv]
 
 
 def test_vectors_are_those_of_the_simulation_and_internal_holds_what_the_thesis_lists(make_env: MakeEnv) -> None:

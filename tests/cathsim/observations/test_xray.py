@@ -1,7 +1,6 @@
 """X-ray observations: images, clutter, views, masks of each device, the frame of the arch."""
 
 import pickle
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +24,7 @@ from cathsim.observations.c_arm_view import (
 from cathsim.observations.fluoroscopes import points_to_border, shown_points
 from cathsim.observations.framing import arch_centre, field_projections, framed
 from cathsim.observations.xray import XrayEnvironment, contrast_run
+from tests.cathsim.makers import MakeEnv
 
 FORWARD = np.array([1.0, 0.2], np.float32)
 
@@ -238,7 +238,6 @@ def test_subtracted_images_show_the_wire_and_no_clutter() -> None:
     assert shown[lit & ~wire].mean() - shown[lit & wire].mean() > 8
 
 
-MakeEnv = Callable[..., NavigateEnv]
 MASKS = ("mask", "mask_wire", "mask_catheter")
 
 

@@ -1,7 +1,5 @@
 """The robot that feeds: strokes, clamps, limits, pace."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -10,8 +8,8 @@ from cathsim.robot.follower import CLOSED, FollowerRobot, Leader, Phase
 from cathsim.robot.model import CLAMPS, DRIVING_CLAMP, HOLDING_CLAMP, JAWS, ROTARIES, WHEEL, RobotSettings
 from cathsim.robot.pace import PACES, Pace
 from cathsim.viewing.camera_view import RenderingUnavailableError, View
+from tests.cathsim.makers import MakeEnv
 
-MakeEnv = Callable[..., NavigateEnv]
 SHORT = RobotSettings(stroke=0.010, backlog=1.0, rotation_backlog=100.0)
 
 

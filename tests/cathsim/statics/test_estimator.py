@@ -175,17 +175,16 @@ def test_a_wire_in_a_catheter_is_laid_too(pair) -> None:
 
 
 def test_other_arguments_that_cannot_be_are_refused(resting) -> None:
-    with pytest.raises(ValueError, match="unknown entry 'femoral'"):
-        contact_forces(resting.curve, resting.phantom, resting.wire, entry="femoral")
-    with pytest.raises(ValueError, match="device must be"):
-        contact_forces(resting.curve, resting.phantom, "default")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="unknown accuracy"):
-        contact_forces(resting.curve, resting.phantom, Guidewire(), accuracy="exact")
-    with pytest.raises(ValueError, match="phantom must be"):
-        contact_forces(resting.curve, "type_1", resting.wire)  # type: ignore[arg-type]
-    for members, said in ((2.5, "members must be a whole number, got 2.5"), (0, "must be 1 at least")):
+    for wrong, said in (
+        ({"entry": "femoral"}, "unknown entry 'femoral'"),
+        ({"device": "default"}, "device must be"),
+        ({"accuracy": "exact"}, "unknown accuracy"),
+        ({"phantom": "type_1"}, "phantom must be"),
+        ({"members": 2.5}, "members must be a whole number, got 2.5"),
+        ({"members": 0}, "must be 1 at least"),
+    ):
         with pytest.raises(ValueError, match=said):
-            contact_forces(resting.curve, resting.phantom, resting.wire, members=members)  # type: ignore[arg-type]
+            contact_forces(resting.curve, **{"phantom": resting.phantom, "device": resting.wire, **wrong})
 
 
 def member(*contacts: tuple[float, float, float]) -> RestingContacts:

@@ -5,10 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from cathsim import NavigateEnv
 from cathsim.viewing.camera_view import RenderingUnavailableError, View, open_context
-
-MakeEnv = Callable[..., NavigateEnv]
+from tests.cathsim.makers import MakeEnv
 
 
 @pytest.fixture

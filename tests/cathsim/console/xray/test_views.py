@@ -6,14 +6,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from cathsim import NavigateEnv
 from cathsim.console.procedure import Procedure, devices_between
 from cathsim.console.xray.monitor import IMAGE_SIZE, CArm, FluoroscopyMonitor
 from cathsim.console.xray.room import FILLING, WASHOUT, XRayRoom, concentration
 from cathsim.console.xray.views import Views
 from cathsim.viewing.opencv import cv2
-
-MakeEnv = Callable[..., NavigateEnv]
+from tests.cathsim.makers import MakeEnv
 
 
 def test_a_turned_view_is_shown_when_it_is_built(make_env: MakeEnv) -> None:
