@@ -87,16 +87,12 @@ def test_a_catheter_comes_along_to_every_anatomy() -> None:
         ["type_1", "type_2"], ["bca"], catheter="vertebral", observation="devices", accuracy="fast"
     )
     assert environment.action_space.shape == (4,)
-    starts = []
     for case in range(2):
         environment.reset(seed=case, options={"case": case})
         for _ in range(5):
             observation, *_, info = environment.step(np.array([1.0, 0.1, 0.5, -0.2]))
         assert observation.shape == (2, 5)
         assert info["lead"] > 0.003
-        starts.append(environment.start_state())
-    assert environment.reset(options={"start": starts[0]})[1]["case"] == 0
-    assert np.array_equal(environment.start_state(), starts[0])
     with pytest.raises(ValueError, match="neither a wire nor a catheter is there"):
         NavigateManyEnv(["type_1"], ["bca"], wires=[None])
     environment.close()

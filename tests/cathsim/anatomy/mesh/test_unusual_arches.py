@@ -95,11 +95,11 @@ def test_a_vessel_that_is_nearly_as_large_as_the_aorta_beyond_a_fork_is_told() -
 
 
 def test_an_aorta_without_an_arch_has_no_branches_to_head_and_arms_and_does_not_confirm_a_unit(tmp_path: Path) -> None:
-    points = np.array([0.0, 0.0, 1e-3]) * np.arange(150)[:, None]
-    root = Branch("aorta", points, np.full(150, 0.010))
+    points = np.array([0.0, 0.0, 1e-3]) * np.arange(120)[:, None]
+    root = Branch("aorta", points, np.full(120, 0.010))
     sides = [
-        Branch(name, points[at] + np.outer(np.arange(50) * 1e-3, way), np.full(50, 0.003), "aorta", at * 1e-3)
-        for name, at, way in (("left", 60, (0.9, 0, 0.43)), ("right", 80, (-0.9, 0, 0.43)))
+        Branch(name, points[at] + np.outer(np.arange(45) * 1e-3, way), np.full(45, 0.003), "aorta", at * 1e-3)
+        for name, at, way in (("left", 45, (0.9, 0, 0.43)), ("right", 60, (-0.9, 0, 0.43)))
     ]
     mesh = lumen_surface(build_lumen(VesselTree((root, *sides)), resolution=1e-3, fillet_radius=3e-3))
     mesh.apply_scale(100).export(tmp_path / "straight.stl")
