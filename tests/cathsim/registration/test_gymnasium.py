@@ -12,7 +12,7 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
-from gymnasium.wrappers import FrameStackObservation, RecordEpisodeStatistics, ResizeObservation
+from gymnasium.wrappers import FrameStackObservation, OrderEnforcing, RecordEpisodeStatistics, ResizeObservation
 
 from cathsim import NavigateEnv, ThreadedVectorEnv
 from cathsim.registration import ARCH_VARIETY, COPIES, DUAL, DUAL_DEVICE_NAV, ENVIRONMENT, GOAL, MANY, RANDOM_TREES
@@ -74,9 +74,8 @@ def test_a_most_number_of_steps_truncates_as_with_any_environment(ident: str) ->
 def test_autoreset_modes_are_those_of_gymnasium(mode: AutoresetMode) -> None:
     chosen = arguments(ENVIRONMENT, max_steps=2)
     ours = gymnasium.make_vec(ENVIRONMENT, 2, autoreset_mode=mode, **chosen)
-    theirs = gymnasium.make_vec(
-        ENVIRONMENT, 2, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **chosen
-    )
+    named = {"vectorization_mode": "sync", "vector_kwargs": {"autoreset_mode": mode}, "wrappers": [OrderEnforcing]}
+    theirs = gymnasium.make_vec(ENVIRONMENT, 2, **named, **chosen)
     assert ours.metadata["autoreset_mode"] is theirs.metadata["autoreset_mode"] is mode
     forward, mask = np.tile(np.float32([1, 0]), (2, 1)), {"reset_mask": np.array([True, True])}
     seen, expected = ours.reset(seed=1)[0], theirs.reset(seed=1)[0]
