@@ -161,7 +161,9 @@ def test_vessels_that_touch_without_overlapping_are_united_and_a_vein_beside_the
     vein = trimesh.creation.capsule(90.0, 5.0).apply_translation([0.0, 30.0, -40.0])
     trimesh.util.concatenate([*made, vein]).export(tmp_path / "labels.stl")
     found = import_mesh(tmp_path / "labels.stl", resolution=COARSE, cache_dir=tmp_path / "cache")
-    assert set(found.tree.names) == {"aorta", "bca", "lcca", "lsa", "iliac_left"}
+    # the aorta goes on into one of the two, which are alike
+    assert set(found.tree.names) - {"iliac_left", "iliac_right"} == {"aorta", "bca", "lcca", "lsa"}
+    assert len(found.tree.names) == 5
     report = found.imported
     assert "united from 7 parts" in report.notes
     assert "1 parts left out, which touch no other: unnamed" in report.notes
