@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from guide3d.learning.model_file import read_content
-from guide3d.learning.training import BEST, LAST, FitProgress, NetworkFitSettings, TrainingError, finished, fit
+from guide3d.learning.training import BEST, LAST, NetworkFitSettings, TrainingError, finished, fit
 
 SETTINGS = NetworkFitSettings(epochs=6, batch_size=8, learning_rate=0.05, schedule="constant", patience=0)
 
@@ -67,25 +67,7 @@ def test_the_best_epoch_is_kept_and_patience_ends_it(tmp_path: Path) -> None:
     assert all(torch.equal(value, best[name]) for name, value in module.state_dict().items())
 
 
-def test_an_interrupted_training_ends_where_the_whole_one_does(tmp_path: Path) -> None:
-    whole, parts = network(), network()
-    expected = fit(whole, Line(), SETTINGS, folder=tmp_path / "whole", seed=3)
-
-    def stop(now: FitProgress) -> None:
-        if now.epoch == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fit(parts, Line(), SETTINGS, folder=tmp_path / "parts", seed=3, progress=stop)
-    again = network()
-    report = fit(again, Line(), SETTINGS, folder=tmp_path / "parts", seed=3)
-    assert [row["loss"] for row in report.rows] == [row["loss"] for row in expected.rows]
-    assert all(torch.equal(a, b) for a, b in zip(whole.parameters(), again.parameters(), strict=True))
-    finished(tmp_path / "parts")
-    assert not (tmp_path / "parts").exists()
-
-
-def test_a_killed_training_loses_an_epoch_at_most(tmp_path: Path) -> None:
+def test_a_killed_training_loses_an_epoch_at_most_and_ends_where_a_whole_one_does(tmp_path: Path) -> None:
     script = (
         "import time, torch\nfrom pathlib import Path\nfrom tests.guide3d.learning.test_training import *\n"
         "from guide3d.learning import training\n"
@@ -105,9 +87,13 @@ def test_a_killed_training_loses_an_epoch_at_most(tmp_path: Path) -> None:
     reached = int(told.read_text())
     kept = read_content(tmp_path / "fit" / LAST)["report"]["rows"]
     assert len(kept) >= reached
-    expected = fit(network(), Line(), SETTINGS, folder=tmp_path / "whole", seed=3)
-    report = fit(network(), Line(), SETTINGS, folder=tmp_path / "fit", seed=3)
+    whole, again = network(), network()
+    expected = fit(whole, Line(), SETTINGS, folder=tmp_path / "whole", seed=3)
+    report = fit(again, Line(), SETTINGS, folder=tmp_path / "fit", seed=3)
     assert [row["loss"] for row in report.rows] == [row["loss"] for row in expected.rows]
+    assert all(torch.equal(a, b) for a, b in zip(whole.parameters(), again.parameters(), strict=True))
+    finished(tmp_path / "fit")
+    assert not (tmp_path / "fit").exists()
 
 
 def test_checkpoints_of_something_else_are_refused(tmp_path: Path) -> None:
