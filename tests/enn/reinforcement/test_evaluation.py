@@ -49,12 +49,12 @@ def test_the_best_policy_is_kept_not_the_last(point_env: Any, monkeypatch: pytes
         )
 
     monkeypatch.setattr("enn.reinforcement.evaluation.run_episodes", played)
-    settings = dataclasses.replace(SMALL, decisions=800, evaluate_every=200, evaluation_episodes=3)
+    settings = dataclasses.replace(SMALL, decisions=240, learning_starts=40, evaluate_every=60, evaluation_episodes=3)
     result = Training(settings, point_env, None, seed=1).run()
     kept = torch.cat([value.flatten() for value in result.policy.module.actor.parameters()])
     # as successful as the second, but shorter
     assert [torch.equal(kept, one) for one in weights] == [False, False, True, False]
-    assert result.evaluation["decisions"] == 600
+    assert result.evaluation["decisions"] == 184
     assert result.evaluation["path_mm"] == 25
 
 

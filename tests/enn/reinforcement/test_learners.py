@@ -112,10 +112,11 @@ def test_actions_of_demonstrations_are_cloned_before_the_first_roll_out(point_en
 def test_a_training_with_demonstrations_and_a_falling_deviation_is_resumed_as_if_it_had_not_been_interrupted(
     point_env: Any, tmp_path: Path
 ) -> None:
-    settings = dataclasses.replace(SMALL_PPO, decisions=500, start_state_buffer_share=0.0, log_std_final=-2.5)
+    changed = {"decisions": 240, "n_steps": 8, "start_state_buffer_share": 0.0, "log_std_final": -2.5}
+    settings = dataclasses.replace(SMALL_PPO, **changed)
     shown = demonstrated(point_env)
     straight = Training(settings, point_env, None, 1, shown).run().policy
-    interrupted(Training(settings, point_env, tmp_path, 1, shown), 300)
+    interrupted(Training(settings, point_env, tmp_path, 1, shown), 150)
     require_same_weights(straight, Training(settings, point_env, tmp_path, 1, shown).run().policy)
 
 
@@ -126,14 +127,7 @@ def test_an_environment_may_observe_more_than_the_networks_read(point_env: Any) 
 
 
 def test_the_deviation_of_actions_falls_evenly_to_the_end_of_the_budget(point_env: Any) -> None:
-    settings = dataclasses.replace(
-        SMALL_PPO,
-        decisions=700,
-        learning_starts=100,
-        log_std_final=-2.5,
-        start_state_buffer_share=0.0,
-        cloning_weight=0.0,
-    )
+    settings = dataclasses.replace(SMALL_PPO, decisions=700, log_std_final=-2.5, start_state_buffer_share=0.0)
     # after 100 random decisions roll-outs of 128: the last that was full ended at 612 of the 700
     policy = Training(settings, point_env, None, 1).run().policy
     assert torch.allclose(policy.module.log_std, torch.full((2,), -1.0 - 1.5 * 612 / 700))
