@@ -26,7 +26,7 @@ from enn.reinforcement.training import (
     Training,
     TrainingSettings,
 )
-from enn.reinforcement.training.result import COLUMNS
+from enn.reinforcement.training.result import COLUMNS, TrainingResult
 from enn.reinforcement.training.training import TrainingRun
 from enn.reinforcement.vector_envs import SampledEnvs
 from tests.enn.conftest import PointEnv
@@ -34,28 +34,35 @@ from tests.enn.event_scalars import scalars
 from tests.enn.reinforcement.small_training import SMALL, demonstrated, interrupted, require_same_weights
 
 
-def test_sac_learns_and_its_curve_and_files_say_so(point_env: Any, tmp_path: Path) -> None:
-    seen: list[Progress] = []
-    settings = dataclasses.replace(SMALL, gradient_steps=1.0)
-    result = Training(settings, point_env, tmp_path, seed=3, metadata={"target": "centre"}).run(seen.append)
+@pytest.fixture(scope="module")
+def learnt(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TrainingResult, list[Progress]]:
+    """The folder of a training that learns, its result, and what it told meanwhile."""
+    folder, seen = tmp_path_factory.mktemp("learnt"), []
+    settings = dataclasses.replace(SMALL, gradient_steps=1.0, keep_critics=True)
+    training = Training(settings, PointEnv, folder, seed=3, metadata={"target": "centre"})
+    return folder, training.run(seen.append), seen
+
+
+def test_sac_learns_and_its_curve_and_files_say_so(learnt: tuple[Path, TrainingResult, list[Progress]]) -> None:
+    folder, result, seen = learnt
     assert result.evaluation["success"] == 1.0
     assert result.evaluation["steps"] < 12
-    lines = (tmp_path / "training.csv").read_text().splitlines()
+    lines = (folder / "training.csv").read_text().splitlines()
     assert lines[0] == ",".join(COLUMNS)
     assert len(lines) == 1 + len(result.curve) == 10
     assert [row["decisions"] for row in result.curve] == [104, 200, 304, 400, 504, 600, 704, 800, 904]
     assert result.curve[-1]["reward"] > result.curve[0]["reward"]
     assert result.curve[2]["evaluation_success"] is not None
     assert result.curve[3]["evaluation_success"] is None
-    record = json.loads((tmp_path / "training.json").read_text())
+    record = json.loads((folder / "training.json").read_text())
     assert record["settings"]["hidden"] == [32, 32]
+    assert 0 < record["metadata"].pop("entropy_weight") < 1  # kept with the critics
     assert record["metadata"] == {"seed": 3, "target": "centre", "decisions": 904}
     assert seen[0].decisions == 0
     assert seen[-1].total == 900
     assert result.timings["updates"] == pytest.approx(704, abs=8)
-    assert not (tmp_path / "tensorboard").exists()
-    loaded = Policy.load(tmp_path / "policy.pt")
-    played = run_episodes(loaded, [point_env()], [7, 8, 9], deterministic=True)
+    assert not (folder / "tensorboard").exists()
+    played = run_episodes(Policy.load(folder / "policy.pt"), [PointEnv()], [7, 8, 9], deterministic=True)
     assert played.success == 1.0
 
 
@@ -289,15 +296,14 @@ def test_an_asymmetric_critic_needs_nothing_to_act(point_env: Any, tmp_path: Pat
     assert loaded.act({"place": np.zeros(2, np.float32)}).shape == (2,)
 
 
-SHORT = dataclasses.replace(SMALL, stop_after=0, decisions=400, evaluate_every=200, keep_critics=True)
+SHORT = dataclasses.replace(
+    SMALL, stop_after=0, decisions=240, learning_starts=80, evaluate_every=120, keep_critics=True
+)
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("trained")
-    settings = dataclasses.replace(SMALL, gradient_steps=1.0, keep_critics=True)
-    Training(settings, PointEnv, folder, seed=3).run()
-    return folder / "policy.pt"
+@pytest.fixture
+def trained(learnt: tuple[Path, TrainingResult, list[Progress]]) -> Path:
+    return learnt[0] / "policy.pt"
 
 
 def test_the_critics_are_kept_and_read(trained: Path, tmp_path: Path) -> None:
@@ -329,7 +335,7 @@ def test_an_interrupted_one_goes_on_exactly(trained: Path, point_env: Any, tmp_p
     initial = Policy.load(trained)
     whole = Training(SHORT, point_env, tmp_path / "whole", seed=5, initial=initial).run()
     settings = dataclasses.replace(SHORT, checkpoint_seconds=0.0)
-    interrupted(Training(settings, point_env, tmp_path / "parts", seed=5, initial=initial), 250)
+    interrupted(Training(settings, point_env, tmp_path / "parts", seed=5, initial=initial), 160)
     other = Policy.load(trained)
     next(other.module.parameters()).data.add_(1e-3)
     with pytest.raises(CheckpointError, match="its initial is"):
