@@ -88,13 +88,6 @@ def test_feature_matching_draws_the_students_features_to_the_experts(episodes: l
         clone(episodes, settings, expert_features=spoilt)
 
 
-def test_saved_student_acts_the_same(student: ClonedPolicy, episodes: list[Trajectory], tmp_path: Path) -> None:
-    student.save(tmp_path / "student.pt")
-    seen = {"image": episodes[0].observations["image"]}
-    loaded = ClonedPolicy.load(tmp_path / "student.pt")
-    np.testing.assert_array_equal(loaded.act_batch(seen), student.act_batch(seen))
-
-
 def test_student_refuses_what_it_was_not_trained_on(student: ClonedPolicy) -> None:
     for observation, said in (
         ({"image": np.zeros((1, 48, 48), np.uint8)}, r"images of shape \(1, 40, 40\), got \(1, 48, 48\)"),
@@ -159,9 +152,3 @@ def test_follows_a_path_it_has_not_seen(follower: PathFollower) -> None:
     controller.reset()
     tips, _ = walk(PlannedPath(target), np.array([0.0, 0.001, 0.0]), controller)
     assert np.linalg.norm(tips - target[-1], axis=1).min() < 0.006
-
-
-def test_saved_follower_acts_the_same(follower: PathFollower, tmp_path: Path) -> None:
-    follower.save(tmp_path / "f.pt")
-    seen = np.random.default_rng(0).normal(size=(4, SETTINGS.size)).astype(np.float32)
-    np.testing.assert_array_equal(PathFollower.load(tmp_path / "f.pt").act(seen), follower.act(seen))
