@@ -87,9 +87,3 @@ def test_no_logger_writes_nothing_and_an_unknown_one_is_refused(
     monkeypatch.setenv(CHOICE, "mlflow")
     with pytest.raises(ValueError, match="no logger 'mlflow'"):
         Curves(tmp_path)
-
-
-def test_a_logger_that_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "wandb", None)
-    with pytest.raises(ModuleNotFoundError, match=r"pip install 'endonav-enn\[wandb\]'"):
-        open_writer(tmp_path, "wandb")
