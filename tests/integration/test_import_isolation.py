@@ -1,7 +1,5 @@
 """Import isolation: who may import whom, by the sources and by what an import really loads."""
 
-import ast
-import functools
 import graphlib
 import importlib
 import inspect
@@ -11,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-PROJECT_ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("cathsim", "enn", "guide3d", "splineformer")
+from tests.integration.documents.pages import PACKAGES, PROJECT_ROOT
+from tests.integration.source_imports import imports_of
+
 # package -> the project's packages it may import
 ALLOWED = {
     "cathsim": set(),
@@ -34,22 +33,9 @@ def sources(package: str) -> list[Path]:
     return found
 
 
-@functools.cache
-def imported_modules(file: Path) -> tuple[str, ...]:
-    """What every import names, also those inside functions and of import_module("...")."""
-    return tuple(_imported_modules(ast.parse(file.read_text(encoding="utf-8"))))
-
-
-def _imported_modules(tree: ast.Module) -> Iterator[str]:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
-            name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-            if name in ("import_module", "__import__", "importorskip") and isinstance(node.args[0].value, str):
-                yield node.args[0].value
+def imported_modules(file: Path) -> Iterator[str]:
+    """Yields what every import names, also those inside functions and of import_module("...")."""
+    yield from (f"{one.module}.{one.name}" if one.name else one.module for one in imports_of(file))
 
 
 def imported_packages(file: Path) -> Iterator[str]:
@@ -151,23 +137,6 @@ def test_public_names_are_shown_before_their_first_use_and_are_there(
         _ = module.nothing
 
 
-def imports_between_modules(tree: ast.Module, *, at_load_alone: bool) -> Iterator[tuple[str, str]]:
-    """Yields module and name of the imports: all of them, or without those in functions and for type checkers."""
-    left_out = set()
-    for node in ast.walk(tree) if at_load_alone else ():
-        if isinstance(node, ast.FunctionDef) or (
-            isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
-        ):
-            left_out |= {id(inner) for inner in ast.walk(node)}
-    for node in ast.walk(tree):
-        if id(node) in left_out:
-            continue
-        if isinstance(node, ast.Import):
-            yield from ((alias.name, "") for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            yield from ((node.module, alias.name) for alias in node.names)
-
-
 def test_no_module_imports_itself_through_others_not_even_for_types_or_in_a_function() -> None:
     files = {}
     for package in ALLOWED:
@@ -176,10 +145,9 @@ def test_no_module_imports_itself_through_others_not_even_for_types_or_in_a_func
             files[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
     graph: dict[str, set[str]] = {}
     for name, file in files.items():
-        tree = ast.parse(file.read_text(encoding="utf-8"))
         # a package's __init__ names for type checkers what it imports at first use
-        found = imports_between_modules(tree, at_load_alone=file.name == "__init__.py")
-        modules = {f"{module}.{wanted}" if f"{module}.{wanted}" in files else module for module, wanted in found}
+        found = [one for one in imports_of(file) if one.at_load or file.name != "__init__.py"]
+        modules = {whole if (whole := f"{one.module}.{one.name}") in files else one.module for one in found}
         graph[name] = (modules & files.keys()) - {name}
     assert sum(map(len, graph.values())) > len(files)
     list(graphlib.TopologicalSorter(graph).static_order())  # raises CycleError, which names the circle

@@ -1,7 +1,5 @@
 """The site: links, the notebook, entries of every module."""
 
-import ast
-import importlib
 import importlib.util
 import json
 import subprocess
@@ -11,8 +9,7 @@ from types import ModuleType
 
 import pytest
 
-PROJECT_ROOT = Path(__file__).resolve().parents[2]
-DOCS = PROJECT_ROOT / "docs"
+from tests.integration.documents.pages import DOCS, PROJECT_ROOT, read, require_imports
 
 
 @pytest.fixture(scope="module")
@@ -71,19 +68,9 @@ def test_the_site_is_built_strictly(tmp_path: Path) -> None:
     assert (tmp_path / "site" / "tutorial_1.png").stat().st_size > 10_000
 
 
-FOLDER = Path(__file__).parents[2] / "benchmarks"
-OURS = ("cathsim", "enn", "guide3d", "splineformer", "pipeline")
+BENCHMARKS = PROJECT_ROOT / "benchmarks"
 
 
-@pytest.mark.parametrize("file", sorted(FOLDER.rglob("*.py")), ids=lambda file: str(file.relative_to(FOLDER)))
+@pytest.mark.parametrize("file", sorted(BENCHMARKS.rglob("*.py")), ids=lambda file: str(file.relative_to(BENCHMARKS)))
 def test_what_a_benchmark_imports_is_there(file: Path) -> None:
-    missing = []
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in OURS:
-            module = importlib.import_module(node.module)
-            for name in node.names:
-                part = f"{node.module}.{name.name}"
-                a_module = hasattr(module, "__path__") and importlib.util.find_spec(part) is not None
-                if not a_module and not hasattr(module, name.name):
-                    missing.append(part)
-    assert not missing
+    require_imports(read(file))

@@ -1,13 +1,11 @@
 """Distributions: one version, pinned ranges, declared extras, modules that packages carry alike."""
 
-import ast
 import importlib.metadata
 import json
 import re
 import sys
 import tomllib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,6 +13,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from tests.integration.documents.pages import PACKAGES, PROJECT_ROOT
+from tests.integration.source_imports import imports_of
 
 FOLDERS = (".", *(f"packages/{name}" for name in PACKAGES))
 
@@ -62,11 +61,10 @@ def test_pinned_versions_lie_in_the_ranges(folder: str) -> None:
         assert wanted.specifier.contains(known[name]), wanted
 
 
-PHANTOM = "import cathsim; phantom = cathsim.load_phantom('type_1', resolution=2e-3); "
 # distribution[extra], module that is missing, what needs it
 USES = [
     ("cathsim[composer]", "dm_control", "import cathsim.composer"),
-    ("cathsim[hulls]", "coacd", f"{PHANTOM}from cathsim.contact.hulls import decompose; decompose(phantom, None)"),
+    ("cathsim[hulls]", "coacd", "from cathsim.contact.hulls import decompose; decompose(None, None)"),
     ("cathsim[human]", "pygame", "from cathsim.viewing.display import Window; Window()"),
     ("cathsim[metaimage]", "SimpleITK", "import cathsim; cathsim.import_anatomy('labels.mha')"),
     ("cathsim[pictures]", "matplotlib", "from cathsim.viewing.figure import new_figure; new_figure()"),
@@ -146,28 +144,12 @@ def test_no_message_advises_a_distribution_of_a_foreign_name(package: str) -> No
 BROUGHT = {"dm_env": "dm_control"}
 
 
-def imports(file: Path) -> set[str]:
-    """Top-level modules that a file imports anywhere, but for type checkers."""
-    found: set[str] = set()
-    pending: list[ast.AST] = [ast.parse(file.read_text(encoding="utf-8"))]
-    while pending:
-        node = pending.pop()
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            pending.extend(node.orelse)
-            continue
-        if isinstance(node, ast.Import):
-            found |= {alias.name.split(".")[0] for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found.add(node.module.split(".")[0])
-        pending.extend(ast.iter_child_nodes(node))
-    return found
-
-
 @pytest.mark.parametrize("package", PACKAGES)
 def test_what_a_package_imports_is_declared(package: str) -> None:
     declared = {canonicalize_name(one.name) for one in requirements(f"packages/{package}")}
-    sources = list((PROJECT_ROOT / "packages" / package / "src").rglob("*.py"))
-    foreign = set().union(*map(imports, sources)) - {package, *sys.stdlib_module_names}
+    sources = (PROJECT_ROOT / "packages" / package / "src").rglob("*.py")
+    imported = {one.module.split(".")[0] for file in sources for one in imports_of(file) if not one.for_types}
+    foreign = imported - {package, *sys.stdlib_module_names}
     brings = importlib.metadata.packages_distributions()
     missing = {
         name

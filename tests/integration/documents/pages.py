@@ -1,5 +1,6 @@
 """The documents of the repository, and what is read in them."""
 
+import ast
 import importlib
 import importlib.util
 import re
@@ -16,6 +17,7 @@ PAGES = sorted(DOCS.rglob("*.md"))
 STAGES = {path.stem for path in (PROJECT_ROOT / "conf" / "stage").glob("*.yaml")}
 TOP = [PROJECT_ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")]
 DOCUMENTS = [*TOP, *READMES, *PAGES]
+DOTTED = re.compile(rf"(?:{'|'.join((*PACKAGES, 'pipeline'))})(?:\.\w+)+")
 
 
 def relative(document: Path) -> str:
@@ -51,6 +53,16 @@ def resolves(name: str) -> bool:
             found = getattr(found, part)
         return True
     return False
+
+
+def require_imports(source: str) -> None:
+    """Fails where Python imports what the project does not have."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and node.module and DOTTED.match(f"{node.module}.x"):
+            assert all(resolves(f"{node.module}.{alias.name}") for alias in node.names), ast.unparse(node)
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names if DOTTED.match(f"{alias.name}.x")]
+            assert all(resolves(name) for name in names), ast.unparse(node)
 
 
 def read(document: Path) -> str:

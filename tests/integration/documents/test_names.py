@@ -1,6 +1,5 @@
 """Names, links, addresses, commands and settings in the documents are there."""
 
-import ast
 import importlib
 import importlib.util
 import re
@@ -15,6 +14,7 @@ import yaml
 from tests.integration.documents.pages import (
     DOCS,
     DOCUMENTS,
+    DOTTED,
     PACKAGES,
     PAGES,
     PROJECT_ROOT,
@@ -24,13 +24,13 @@ from tests.integration.documents.pages import (
     quoted,
     read,
     relative,
+    require_imports,
     resolves,
     table_column,
     without_blocks,
 )
 
 FOLDERS = ("pipeline/", "packages/", "benchmarks/", "tests/", "conf/", "docs/", "examples/")
-DOTTED = re.compile(rf"(?:{'|'.join((*PACKAGES, 'pipeline'))})(?:\.\w+)+")
 # Groups of entry points, which look like modules and are none.
 ENTRY_POINTS = {"cathsim.recorders"}
 
@@ -137,15 +137,6 @@ def test_settings_exist(document: Path) -> None:
     assert not sorted(used - known)
     for stage, name in re.findall(r"\bstage@([a-z]\w*)\.([a-z]\w*)", text):
         assert name in stages[stage], f"stage@{stage}.{name}"
-
-
-def require_imports(source: str) -> None:
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.ImportFrom) and node.module and DOTTED.match(f"{node.module}.x"):
-            assert all(resolves(f"{node.module}.{alias.name}") for alias in node.names), ast.unparse(node)
-        elif isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names if DOTTED.match(f"{alias.name}.x")]
-            assert all(resolves(name) for name in names), ast.unparse(node)
 
 
 @documents
