@@ -33,7 +33,7 @@ SETTINGS = RecurrentPolicySettings(
 
 def scaled(settings: RecurrentPolicySettings = SETTINGS, seed: int = 1) -> RecurrentPolicy:
     """A policy whose features count as they are."""
-    policy = RecurrentPolicy(settings, seed, perception={"cameras": ["a"]})
+    policy = RecurrentPolicy(settings, seed)
     policy.network.scale.fill_(1.0)
     return policy
 
@@ -79,14 +79,6 @@ def test_controller_asks_once_a_decision_and_forgets_between_episodes() -> None:
     steer.reset()
     np.testing.assert_array_equal([steer({}) for _ in range(7)], actions)
     assert len(views) == 2
-
-
-def test_file_keeps_policy_perception_and_metadata(tmp_path: Path) -> None:
-    policy = scaled()
-    policy.save(tmp_path / "policy.pt", episodes=4)
-    back = RecurrentPolicy.load(tmp_path / "policy.pt")
-    assert (back.settings, back.perception, back.metadata) == (SETTINGS, {"cameras": ["a"]}, {"episodes": 4})
-    np.testing.assert_array_equal(back.act(features())[0], policy.act(features())[0])
 
 
 SEQUENCE_CLONING_SETTINGS = RecurrentPolicySettings(features=12, encoder_blocks=((4, 6),), hidden=32)

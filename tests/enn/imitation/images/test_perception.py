@@ -34,19 +34,15 @@ def test_segmenter_finds_lumens_it_has_not_seen(segmenter: LumenSegmenter) -> No
     assert overlap(segmenter, 0.5 * images + 60, lumens) > 0.8  # brightness and contrast do not matter
 
 
-def test_policy_learns_what_the_expert_does(segmenter: LumenSegmenter) -> None:
+def test_policy_learns_what_the_expert_does_holds_its_actions_and_survives_the_file(
+    segmenter: LumenSegmenter, tmp_path: Path
+) -> None:
     perception = ImagePerception(segmenter)
     policy = policy_on(perception)
     first = advised(policy, perception, 1.0, 1)
     (loss,) = clone_sequences(policy, first, CLONING)
     assert clone_sequences(policy, first + advised(policy, perception, 0.0, 3), LONG)[-1] < 0.5 * loss
     assert np.mean([one.success for one in advised(policy, perception, 0.0, 4)]) > 0.8
-
-
-def test_controller_holds_its_actions_and_survives_the_file(segmenter: LumenSegmenter, tmp_path: Path) -> None:
-    perception = ImagePerception(segmenter)
-    policy = policy_on(perception)
-    clone_sequences(policy, advised(policy, perception, 1.0, 1, 8), CLONING)
     policy.save(tmp_path / "policy.pt")
     twin, seeing = load_image_policy(tmp_path / "policy.pt")
     steer, other = perception.controller(policy), seeing.controller(twin)
@@ -192,7 +188,7 @@ def wires(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def network() -> WireSegmenter:
-    return fit_wire_segmenter(*wires(60, 0), epochs=30)[0]
+    return fit_wire_segmenter(*wires(40, 0), epochs=24)[0]
 
 
 def test_it_finds_wires_it_has_not_seen(network: WireSegmenter) -> None:
