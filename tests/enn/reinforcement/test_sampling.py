@@ -1,5 +1,6 @@
-"""Sampling: threads, restores, the buffer, encoded environments."""
+"""Sampling: restores, encoded environments; start-state buffers, also of each case, more episodes where they fail."""
 
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -14,31 +15,10 @@ from enn.reinforcement.vector_envs import SampledEnvs
 from tests.enn.rod import Rod, fitted
 
 
-def _play(envs: SampledEnvs, count: int, seed: int = 0) -> list[tuple[Any, ...]]:
-    generator = np.random.default_rng(seed)
-    moments = []
+def _play(envs: SampledEnvs, count: int) -> None:
+    generator = np.random.default_rng(0)
     for _ in range(count):
-        observations, rewards, dones, infos = envs.step(generator.uniform(-1, 1, (envs.num_envs, 2)))
-        moments.append((observations["place"].copy(), rewards, dones, [info.get("episode") for info in infos]))
-    return moments
-
-
-def _same(first: list[tuple[Any, ...]], second: list[tuple[Any, ...]]) -> None:
-    for one, other in zip(first, second, strict=True):
-        for a, b in zip(one[:3], other[:3], strict=True):
-            np.testing.assert_array_equal(a, b)
-        assert one[3] == other[3]
-
-
-def test_threads_change_nothing(point_env: Any) -> None:
-    runs = []
-    for threads in (1, 3):
-        buffer = StartStateBuffer(share=0.5, seed=1)
-        envs = SampledEnvs([lambda: point_env(max_steps=9)] * 5, seed=2, threads=threads, start_state_buffer=buffer)
-        envs.reset()
-        runs.append(_play(envs, 60))
-        envs.close()
-    _same(*runs)
+        envs.step(generator.uniform(-1, 1, (envs.num_envs, 2)))
 
 
 def test_action_repeat_adds_rewards_and_stops_at_the_end(point_env: Any) -> None:
@@ -106,19 +86,6 @@ def test_episodes_go_where_they_fail(point_env: Any) -> None:
     assert 0.1 < asked.count(0) / len(asked) < 0.25  # 0.15 of 1.3
     assert len(buffer) > 0  # the successes of case 0 alone
     assert {float(state[-1]) for state in buffer.state()["cases"][0]["states"]} == {0.0}
-
-
-def test_goes_on_exactly_after_a_restore(point_env: Any) -> None:
-    def make() -> SampledEnvs:
-        return SampledEnvs([lambda: point_env(max_steps=12)] * 3, seed=7, start_state_buffer=StartStateBuffer(seed=2))
-
-    envs, other = make(), make()
-    envs.reset()
-    _play(envs, 40)
-    saved = envs.state()
-    observations = other.restore(saved)
-    np.testing.assert_array_equal(observations["place"], [env.place.astype(np.float32) for env in envs.envs])
-    _same(_play(envs, 60, seed=1), _play(other, 60, seed=1))
 
 
 def test_what_is_not_finite_stops_with_one_sentence(point_env: Any) -> None:
@@ -197,3 +164,86 @@ def test_environments_without_state_start_new_episodes(point_env: Any, caplog: p
     assert observations["place"].shape == (2, 2)
     np.testing.assert_array_equal(observations["place"], again["place"])
     assert "they start new episodes" in caplog.text
+
+
+def test_draws_its_share_from_what_was_added() -> None:
+    buffer = StartStateBuffer(share=0.25, seed=3)
+    assert buffer.draw() is None
+    states = np.arange(20.0).reshape(10, 2)
+    buffer.add_episode(states)
+    draws = [buffer.draw() for _ in range(4000)]
+    given = [draw for draw in draws if draw is not None]
+    assert 0.22 < len(given) / len(draws) < 0.28
+    assert {tuple(draw) for draw in given} == {tuple(row) for row in states}
+
+
+def episode(case: int, count: int, value: float = 0.0) -> np.ndarray:
+    return np.column_stack((np.full(count, value), np.arange(count), np.full(count, case)))
+
+
+def test_a_rare_case_is_drawn_as_often_as_a_frequent_one() -> None:
+    buffer = CaseStartStateBuffer(3, share=1.0, capacity=20)
+    buffer.add_episode(episode(2, 4))
+    for _ in range(30):
+        buffer.add_episode(episode(0, 10))
+    assert len(buffer) == 24  # the frequent one has not crowded the rare one out
+    cases = np.array([buffer.draw()[-1] for _ in range(2000)])  # type: ignore[index]
+    assert set(cases) == {0.0, 2.0}
+    assert 0.45 < (cases == 2).mean() < 0.55
+
+
+def test_states_of_cases_are_drawn_by_the_seed_and_apart_from_each_other() -> None:
+    def drawn(seed: int) -> dict[int, list[float]]:
+        buffer = CaseStartStateBuffer(2, share=1.0, capacity=50, seed=seed)
+        for case in (0, 1):
+            buffer.add_episode(episode(case, 50))
+        found: dict[int, list[float]] = {0: [], 1: []}
+        for _ in range(60):
+            state = buffer.draw()
+            assert state is not None
+            found[int(state[-1])].append(float(state[1]))
+        return {case: places[:20] for case, places in found.items()}
+
+    first, second = drawn(0), drawn(1)
+    assert first == drawn(0)
+    assert first[0] != second[0]
+    assert first[0] != first[1]
+
+
+def test_a_buffer_goes_on_exactly_after_a_restore() -> None:
+    buffer, other = CaseStartStateBuffer(3, seed=1, capacity=5), CaseStartStateBuffer(3, seed=9, capacity=5)
+    buffer.add_episode(episode(1, 7))
+    buffer.record_outcome(1, success=True)
+    buffer.choose_case()
+    other.restore(buffer.state())
+    for one in (buffer, other):
+        one.add_episode(episode(2, 3, value=4.0))
+        one.record_outcome(0, success=True)
+    for _ in range(50):
+        assert buffer.choose_case() == other.choose_case()
+        first, second = buffer.draw(), other.draw()
+        assert (first is None) == (second is None)
+        if first is not None:
+            np.testing.assert_array_equal(first, second)
+
+
+def filled() -> StartStateBuffer:
+    buffer = StartStateBuffer()
+    buffer.add_episode(np.zeros((2, 3)))
+    return buffer
+
+
+REFUSED: list[tuple[Callable[[], object], str]] = [
+    (lambda: StartStateBuffer(share=1.5), r"between 0 and 1, got 1\.5"),
+    (lambda: StartStateBuffer(capacity=0), "capacity must be at least 1"),
+    (lambda: filled().add_episode(np.zeros((2, 4))), r"keeps states of 3 values, got 4.*another wire"),
+    (lambda: filled().add_episode(np.zeros(3)), r"shape \(T, n\)"),
+    (lambda: filled().add_episode(np.full((1, 3), np.nan)), "finite"),
+    (lambda: StartStateBuffer(capacity=1).restore(filled().state()), "holds 2 states, more than the capacity of 1"),
+]
+
+
+@pytest.mark.parametrize(("call", "said"), REFUSED, ids=[said for _, said in REFUSED])
+def test_what_is_no_buffer_or_state_is_refused(call: Callable[[], object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        call()
