@@ -6,22 +6,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 import torch
 
 from enn.encoder import Encoder, EncoderSettings
-from enn.networks.network import NetworkSettings, build_network
 from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointError, CheckpointFolder
-from guide3d.learning.build import SHAPE_SIZES, build_shape_network
-from guide3d.learning.picture_store import Preprocessing
-from guide3d.learning.predictor import ShapePredictor
 from splineformer import build as splineformer_build
 from splineformer.predictor import Predictor
+from tests.enn.test_model_file import policy
 from tests.fuzz.mutations import damaged
 from tests.fuzz.promise import BrokenPromiseError, fuzz, refused
+from tests.guide3d.test_shipped import shape
 
 STATE = {
     "weights": {"a": torch.arange(40.0)},
@@ -31,23 +28,9 @@ STATE = {
 ROWS = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
 
 
-def policy() -> Policy:
-    """A small policy."""
-    space = gymnasium.spaces.Dict({"tip": gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float32)})
-    actions = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
-    settings = NetworkSettings(keys=("tip",), hidden=(8, 8))
-    return Policy(settings, build_network(settings, space, actions), space, actions)
-
-
 def encoder() -> Encoder:
     """A small encoder."""
     return Encoder(EncoderSettings(keys=("image", "joints"), shapes=((1, 36, 36), (4,)), hidden=8, features=6))
-
-
-def shape() -> ShapePredictor:
-    """A small shape predictor."""
-    size = SHAPE_SIZES["smoke"]
-    return ShapePredictor.of(build_shape_network(size, None, 6), size, Preprocessing(size.image_px))
 
 
 def wire_reader() -> Predictor:
