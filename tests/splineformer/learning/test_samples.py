@@ -289,8 +289,7 @@ def test_training_resumes_exactly(tmp_path: Path) -> None:
     assert resumed(trained, tmp_path).input == "maps"
 
 
-def test_training_in_a_data_set_resumes_exactly(tmp_path: Path) -> None:
-    data = draw(tmp_path / "drawn")
+def test_training_in_a_data_set_resumes_exactly(data: Dataset, tmp_path: Path) -> None:
     parts = split(data, (0.6, 0.2, 0.2))
     recipe = recipe_of("published", "smoke")
     recipe = replace(recipe, fit=replace(recipe.fit, epochs=2), images=8)
@@ -344,15 +343,17 @@ def test_the_command_leaves_a_network_that_reads(tmp_path: Path) -> None:
     ],
 )
 def test_commands_refuse_with_one_sentence(
-    main: Callable[[list[str]], int], words: tuple[str, ...], tmp_path: Path, caplog: pytest.LogCaptureFixture
+    main: Callable[[list[str]], int],
+    words: tuple[str, ...],
+    data: Dataset,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    if main is command:
-        draw(tmp_path)
     (tmp_path / "file").write_text("no folder")
     given = [word if word is FEW else word.format(none=tmp_path / "none", file=tmp_path / "file") for word in words]
-    data = [str(tmp_path), "--variant", "ordered"] if main is command else []
+    source = [str(data.root), "--variant", "ordered"] if main is command else []
     with caplog.at_level("ERROR"):
-        assert main([*data, "--size", "smoke", "--device", "cpu", "--output", str(tmp_path / "out"), *given]) == 2
+        assert main([*source, "--size", "smoke", "--device", "cpu", "--output", str(tmp_path / "out"), *given]) == 2
     messages = [record.getMessage() for record in caplog.records if record.levelname == "ERROR"]
     assert len(messages) == 1
     assert "\n" not in messages[0]
