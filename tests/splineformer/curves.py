@@ -7,6 +7,7 @@ from guide3d.dataset.frame import strip_mask
 from guide3d.geometry.polyline import resample
 from splineformer.build import build, size_of
 from splineformer.modeling.curve_network import CurveNetwork
+from splineformer.predictor import Predictor
 
 SIDE = 256
 
@@ -42,6 +43,16 @@ def network(variant: str, size: str = "smoke") -> CurveNetwork:
     """An untrained network, the same each time."""
     torch.manual_seed(0)
     return build(size_of(variant, size)).eval()
+
+
+def answering(predictor: Predictor, wires: int = 1, inverted: bool = False) -> Predictor:
+    """The predictor with a head that always says the same."""
+    head = predictor.network.kind
+    for layer in (head.wires, head.inverted):
+        torch.nn.init.zeros_(layer.weight)
+    head.wires.bias.data = 9.0 * torch.eye(3)[wires]
+    torch.nn.init.constant_(head.inverted.bias, 9.0 if inverted else -9.0)
+    return predictor
 
 
 def levels(count: int) -> torch.Tensor:
