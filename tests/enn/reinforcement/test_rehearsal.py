@@ -114,10 +114,11 @@ def test_what_others_show_is_learnt_from_nothing_and_from_a_policy(monkeypatch: 
     short = dataclasses.replace(FROM_NOTHING, decisions=960, evaluate_every=480, demonstrations_in_replay=0.0)
     first = rehearse(WindyEnv, settings=short, demonstrations=shown, seed=3)
     assert play_cases(first.policy, WindyEnv(), seed=7).success.sum() >= 2
+    short = dataclasses.replace(short, decisions=240, learning_starts=50, evaluate_every=240)
     rehearse(WindyEnv, settings=short, policy=first.policy, demonstrations=shown, seed=3)
     assert [one.demonstrations_in_replay for one in used] == [DEMONSTRATION_SHARE] * 2
     assert used[1].learning_rate == pytest.approx(DEMONSTRATION_SLOWER * used[0].learning_rate)
-    assert used[1].learning_starts == max(short.learning_starts, round(DEMONSTRATION_FIRST * 960))
+    assert used[1].learning_starts == max(short.learning_starts, round(DEMONSTRATION_FIRST * 240))
 
 
 def test_an_evaluation_plays_every_case_as_often() -> None:
