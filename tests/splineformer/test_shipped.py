@@ -19,11 +19,11 @@ from splineformer import shipped
 from splineformer.build import VARIANTS, build, size_of
 from splineformer.comparison.fluoroscopy_figures import curve_figures
 from splineformer.export import export_onnx, onnx_difference
-from splineformer.image_input import picture_of, shares_of_pixels
-from splineformer.modeling.published import SplineFormerSettings
+from splineformer.image_input import shares_of_pixels
 from splineformer.predictor import Predictor
 from splineformer.tokens import sampled, tokens_of_polyline, tokens_px
-from tests.splineformer.curves import image_of, network, wavy_wire
+from tests.guide3d.real_images import real_folder, write_some_pairs
+from tests.splineformer.curves import answering, image_of, network, wavy_wire
 
 
 @pytest.fixture
@@ -62,18 +62,14 @@ def test_another_format_or_name_is_refused(folder: Path) -> None:
 )
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_onnx_agrees_with_torch(variant: str, tmp_path: Path) -> None:
-    settings = size_of(variant, "smoke")
-    # unrolled: every token is a part of the graph of its own
-    model = build(replace(settings, limit=3) if isinstance(settings, SplineFormerSettings) else settings).eval()
+    # a small graph: every token is a part of its own, and so is every scale
+    fewer = {"published": {"limit": 3}, "ordered": {"image_px": 16, "channels": (4, 8), "blocks": (0, 0)}}
+    model = build(replace(size_of(variant, "smoke"), **fewer[variant])).eval()
     files = export_onnx(model, tmp_path / "model.onnx", batch=2)
     assert max(onnx_difference(model, tmp_path / "model.onnx", batch=2).values()) < 1e-3
     assert sorted(tmp_path.iterdir()) == sorted(files)
 
 
-ROOT = Path(__file__).parents[2]
-REAL = next(
-    (place / "shared" / "real" for place in (ROOT.parent, ROOT.parent.parent) if (place / "shared").is_dir()), None
-)
 PLAIN = FluoroscopySettings(clutter=1e-6, contrast=0.0, catheter=0.0, two_devices=0.0, no_wire=0.0, weakest=0.7)
 
 
@@ -87,13 +83,13 @@ def test_a_drawn_wire_is_read() -> None:
     assert figures["tip_px"] < 10
 
 
-def test_the_benchmark_of_real_images_stays_near_its_figures(capsys: pytest.CaptureFixture[str]) -> None:
-    if REAL is None or not (REAL / "xray_wires").is_dir():
-        pytest.skip("the real X-ray images (shared/real/xray_wires beside the project) are not here")
-    real = str(REAL / "xray_wires"), str(REAL / "stereo_pairs.json")
+def test_the_benchmark_of_real_images_stays_near_its_figures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    real = str(real_folder() / "xray_wires"), str(write_some_pairs(tmp_path))
     assert main(["--images", "0", "--alone", "--real", *real]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["images"] == 12
+    assert found["images"] == 6
     assert found["missed"] == 0
     assert found["curve_median_px"] < 6
     assert found["tip_median_px"] < 8
@@ -101,16 +97,6 @@ def test_the_benchmark_of_real_images_stays_near_its_figures(capsys: pytest.Capt
 
 def untrained(variant: str) -> Predictor:
     return Predictor(network(variant), source_px=256)
-
-
-def answering(predictor: Predictor, wires: int = 1, inverted: bool = False) -> Predictor:
-    """The predictor with a head that always says the same."""
-    head = predictor.network.kind
-    for layer in (head.wires, head.inverted):
-        torch.nn.init.zeros_(layer.weight)
-    head.wires.bias.data = 9.0 * torch.eye(3)[wires]
-    torch.nn.init.constant_(head.inverted.bias, 9.0 if inverted else -9.0)
-    return predictor
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -166,9 +152,6 @@ def test_other_sizes_and_depths() -> None:
     assert "512 x 512 px instead of 256 x 256" in twice.warnings[0]
     assert np.allclose(twice.tip_px + 0.5, 2 * (predictor(image).tip_px + 0.5), atol=0.1)
     assert np.allclose(predictor(np.stack([image] * 3, -1)).tokens, predictor(image).tokens)
-    wide = picture_of(image[:128], 64, 256)
-    assert wide.side_px == 256
-    assert not wide.pixels[40:].any()
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,7 @@ from guide3d.dataset.simulated_annotation import annotate, click, fit_annotation
 from guide3d.dataset.true_curves import TrueCurve, write_truth
 from guide3d.geometry.polyline import arc_length, distances_to
 from tests.guide3d.dataset.drawn_dataset import SIZE, annotation, cameras, wire, write_dataset
-
-REAL = Path(__file__).resolve().parents[4] / "shared" / "real"
+from tests.guide3d.real_images import real_folder
 
 
 @pytest.fixture(scope="module")
@@ -150,9 +149,9 @@ def test_properties_say_whether_annotations_are_undistorted(root: Path) -> None:
         Dataset.open(root)
 
 
-@pytest.mark.skipif(not REAL.is_dir(), reason="the real data are not there (../shared/real)")
 def test_the_public_sample_opens_without_images() -> None:
-    data = Dataset.open(REAL / "guide3d_raw_sample.json")
+    real = real_folder()
+    data = Dataset.open(real / "guide3d_raw_sample.json")
     assert {name: len(frames) for name, frames in data.acquisitions.items()} == {"1-bca-angle-5": 3}
     frame = data.frames[0]
     assert (frame.fluid, frame.wire, data.undistorted, data.skipped) == (True, "angled", None, ())
@@ -161,7 +160,7 @@ def test_the_public_sample_opens_without_images() -> None:
     assert np.array_equal(frame.polyline("b")[0], [514, 298])
     assert frame.curve_mm is None
     with pytest.raises(ValueError, match="several sets of cameras"):
-        Dataset.open(REAL / "guide3d_raw_sample.json", calibration=REAL / "xray_calibration")
+        Dataset.open(real / "guide3d_raw_sample.json", calibration=real / "xray_calibration")
 
 
 SIDE = 256
