@@ -75,7 +75,7 @@ def test_reinforcement_learning(name: str, point_env: Any, tmp_path: Path) -> No
     with second_device() as device:
         for place, folder in (("cpu", tmp_path / "here"), (device, tmp_path / "there")):
             settings = dataclasses.replace(TRAININGS[name], device=place, checkpoint_seconds=0.0)
-            Training(settings, lambda: point_env(keys), folder, seed=3).run()
+            Training(settings, lambda: point_env(keys, max_steps=8), folder, seed=3).run()
     loaded = Policy.load(tmp_path / "there" / "policy.pt")  # outside: a file with tensors from there would not open
     seen = {"place": np.zeros((2, 2), np.float32), "image": np.zeros((2, 1, 36, 36), np.uint8)}
     seen = {key: seen[key] for key in keys}
