@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 
+from cathsim import arch_variety
 from enn.export import OnnxPolicy, export_onnx
 from enn.networks.network import NetworkSettings, build_network
 from enn.policy import Policy
@@ -42,13 +44,16 @@ def row_of(file: Path, *words: str) -> dict[str, Any]:
     return read
 
 
-def test_a_random_policy_gets_a_row_that_is_the_same_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_random_policy_gets_a_row_that_is_the_same_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(arch_variety, "ArchVarietyEnv", partial(arch_variety.ArchVarietyEnv, max_steps=40))
     file = random_policy(tmp_path / "mine.pt")
     row = row_of(file, "--episodes", "2")
     assert capsys.readouterr().out.startswith("| mine.pt | 0 of 2 | 0 % (0 to ")
     assert (row["board"], row["whole"], row["policy"]["file"]) == ("arch_variety", False, "mine.pt")
     assert [case["anatomy"] for case in row["cases"]] == ["I_10060", "II_10060"]
-    assert all(not case["success"] and case["steps"] == 450 for case in row["cases"])
+    assert all(not case["success"] and case["steps"] == 40 for case in row["cases"])
     assert row["summary"]["success_pct"]["mean"] == 0
     assert row_of(file, "--episodes", "1")["cases"] == row["cases"][:1]
 
@@ -59,13 +64,17 @@ def test_all_episodes_are_other_ones(board: str, count: int) -> None:
     assert len({(*one.labels.values(), one.seed) for one in episodes}) == len(episodes) == count
 
 
-@pytest.mark.parametrize(("name", "prefix"), [("arch_variety", "arch_variety_"), ("random_trees", "")])
-def test_the_anatomies_are_those_that_a_row_names(name: str, prefix: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "prefix", "places", "steps"),
+    [("arch_variety", "arch_variety_", (7, -1), 450), ("random_trees", "", (-1,), 1000)],
+)
+def test_the_anatomies_are_those_that_a_row_names(name: str, prefix: str, places: tuple[int, ...], steps: int) -> None:
     board = boards()[name]
     environment = board.make("tracking", None, 64)
-    for episode in (board.episodes[7], board.episodes[-1]):
+    for episode in (board.episodes[place] for place in places):
         environment.reset(seed=episode.seed, options=episode.options)
         assert environment.unwrapped.phantom.name == f"{prefix}{episode.labels['anatomy']}"
+        assert environment.unwrapped.task.max_steps == steps
 
 
 @needs_onnx

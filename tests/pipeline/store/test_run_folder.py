@@ -23,7 +23,7 @@ from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.errors import StageError
 from pipeline.store.file_cache import FileCache
 from pipeline.store.manifest import Identity, Manifest, files_below, read_manifest
-from pipeline.store.provenance import hash_file
+from pipeline.store.provenance import hash_file, present_commit
 from pipeline.store.run_folder import RunFolder
 from pipeline.store.written_files import note
 
@@ -261,15 +261,16 @@ def run_killed(path: Path, identity: Identity, names: str, at: int) -> bool:
     return code == 9
 
 
-def do_without_flushing() -> None:
-    """A killed process loses nothing that it has handed to the kernel; waiting for the disk takes a minute."""
+def be_quick() -> None:
+    """Waits for no disk, since a killed process loses nothing that it has handed to the kernel; asks Git once."""
     os.fsync = lambda descriptor: None  # type: ignore[assignment]
+    present_commit()
 
 
 @pytest.fixture(scope="module")
 def small_process() -> Iterator[ProcessPoolExecutor]:
     """Forks of the tests' own process, which has gigabytes, take ten times as long."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=do_without_flushing) as small:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=be_quick) as small:
         yield small
 
 
