@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from signal import SIGINT, SIGTERM
 
 import pytest
@@ -58,11 +59,21 @@ def test_the_longest_chain_of_steps_that_wait_for_each_other() -> None:
     assert steps_to_the_end([Step("shape"), Step("shape", 1)]) == [1, 1]
 
 
-def test_stages_that_do_not_need_each_other_run_at_the_same_time(pipeline_process) -> None:
+@pytest.fixture
+def ended(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """Runs a chain in this process to its end; gives its exit code, and what it and its stages said."""
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        code = main([*arguments, f"runs_dir={tmp_path}"])
+        return code, *capfd.readouterr()
+
+    return run
+
+
+def test_stages_that_do_not_need_each_other_run_at_the_same_time(ended, tmp_path: Path) -> None:
     words = ("phantoms", "user_study", "report", "--", "budget=smoke", "name=run", "stage@report.embed_limit_mb=2")
-    process = start(pipeline_process, "--beside", "2", *words, *COARSE)
-    told, errors = process.communicate(timeout=240)
-    assert process.returncode == 0, errors
+    code, told, errors = ended("--beside", "2", *words, *COARSE)
+    assert code == 0, errors
     lines = told.splitlines()
     heads = [line.partition(";")[0] for line in lines if line.startswith("== ")]
     assert heads[:3] == ["== stage 1 of 3: phantoms", "== stage 2 of 3: user_study", "== stage 3 of 3: report"]
@@ -73,20 +84,19 @@ def test_stages_that_do_not_need_each_other_run_at_the_same_time(pipeline_proces
     assert any(line.startswith("phantoms | ") and "done in" in line for line in whole)
     assert any(line.startswith("user_study | ") and "done in" in line for line in whole)
     assert all(line.startswith(("== ", "phantoms | ", "user_study | ", "report | ")) for line in whole if line)
-    manifests = [read_manifest(pipeline_process.runs / "run" / name) for name in ("phantoms", "user_study", "report")]
+    manifests = [read_manifest(tmp_path / "run" / name) for name in ("phantoms", "user_study", "report")]
     phantoms, study, report = (manifest for manifest in manifests if manifest is not None)
     assert report.finished >= max(phantoms.finished, study.finished)
     assert report.config["embed_limit_mb"] == 2.0  # a setting goes to the stages that have it
-    assert (pipeline_process.runs / "run" / "report" / "index.html").is_file()
+    assert (tmp_path / "run" / "report" / "index.html").is_file()
 
 
-def test_the_failure_of_one_stops_those_beside_it(pipeline_process) -> None:
-    process = start(pipeline_process, "--beside", "2", "guide3d", "enn", "report", "--", "budget=desk", "name=run")
-    told, errors = process.communicate(timeout=240)
-    assert process.returncode == 2
+def test_the_failure_of_one_stops_those_beside_it(ended, tmp_path: Path) -> None:
+    code, told, errors = ended("--beside", "2", "guide3d", "enn", "report", "--", "budget=desk", "name=run")
+    assert code == 2
     assert any(line.startswith("enn | ") and "expert" in line for line in errors.splitlines())
     assert "report" not in told
-    assert not (pipeline_process.runs / "run" / "guide3d" / "manifest.json").exists()
+    assert not (tmp_path / "run" / "guide3d" / "manifest.json").exists()
     assert "Traceback" not in errors
 
 
@@ -105,16 +115,15 @@ def test_durations_are_worded() -> None:
     assert found == ["30 s", "12 min", "1 h 00 min", "2 h 05 min"]
 
 
-def test_stages_run_in_order_and_the_first_that_fails_ends_it(pipeline_process) -> None:
-    process = start(pipeline_process, "user_study", "baselines", "report", "--", "budget=smoke", "name=run")
-    told, errors = process.communicate(timeout=120)
-    assert process.returncode == 2
+def test_stages_run_in_order_and_the_first_that_fails_ends_it(ended, tmp_path: Path) -> None:
+    code, told, errors = ended("user_study", "baselines", "report", "--", "budget=smoke", "name=run")
+    assert code == 2
     lines = [line for line in told.splitlines() if line.startswith("==")]
     assert lines[0] == "== stage 1 of 3: user_study"
     assert lines[1].startswith("== stage 2 of 3: baselines; 1 done in ")
     assert "expert" in errors.strip().splitlines()[-1]  # which is missing
     assert len(lines) == 2
-    assert not (pipeline_process.runs / "run" / "report").exists()
+    assert not (tmp_path / "run" / "report").exists()
 
 
 def test_a_signal_ends_the_stage_and_starts_no_other(pipeline_process) -> None:
