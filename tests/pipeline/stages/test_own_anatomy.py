@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ from tests.pipeline.stages.small_expert import context, in_this_process
 
 TARGET = "left_carotid"
 NAMES = "phantom.names={lcca: left_carotid}"
+COARSE = 2e-3  # m between the nodes of the file's grid; the usual one takes twice as long to import
 TINY: dict[str, tuple[str, ...]] = {
     "expert": ("stage.film=false", "stage.threads=1"),
     "baselines": ("stage.decisions=32", "stage.ppo_decisions=32", "stage.observations=[internal]",
@@ -45,6 +47,13 @@ TINY: dict[str, tuple[str, ...]] = {
                    "stage.dagger_rounds=0", "stage.image_size_px=128", "stage.cameras=[a]", "stage.hidden=8",
                    "stage.film=false", "stage.trials=1"),
 }  # fmt: skip
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _coarse() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(AnatomyFile.load, "__defaults__", (COARSE,))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +105,7 @@ def run(mesh: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_stage_leaves_episodes_in_the_file_s_anatomy(run: Path, mesh: Path) -> None:
-    made = import_mesh(mesh, unit="mm", names={"lcca": TARGET})
+    made = import_mesh(mesh, unit="mm", names={"lcca": TARGET}, resolution=COARSE)
     for stage in ("expert", "baselines", "enn", "imitation", "navigation"):
         logs = sorted((run / stage).rglob("*.mcap"))
         assert logs, stage
@@ -153,7 +162,7 @@ def test_unseen_tests_in_the_file_what_it_learnt(mesh: Path, tmp_path: Path, mon
 
 def test_points_lie_in_the_file_s_axes(mesh: Path) -> None:
     file = (f"phantom.file='{mesh}'", "phantom.unit=mm", NAMES)
-    made = import_mesh(mesh, unit="mm", names={"lcca": TARGET})
+    made = import_mesh(mesh, unit="mm", names={"lcca": TARGET}, resolution=COARSE)
     report = made.imported
     assert report is not None
     place = made.tree["bca"].point_at(made.tree["bca"].length - 0.02)

@@ -135,6 +135,7 @@ def test_a_segmentation_and_its_series_are_built_and_drawn(
 ) -> None:
     """The segmentation lies 5 mm aside of the series that it was drawn on."""
     monkeypatch.setenv("CATHSIM_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(AnatomyFile.load, "__defaults__", (2e-3,))  # m between the nodes of the grid
     numbers = {name: number for number, name in enumerate(VESSELS, 1)}
     labels, affine = rasterise(load_phantom("type_1", resolution=2e-3), spacing=(1.5e-3, 1.5e-3, 2.5e-3), ids=numbers)
     write_segmentation(tmp_path / "vessels.dcm", labels, TO_LPS @ affine, dict(enumerate(VESSELS.values(), 1)))
@@ -146,7 +147,7 @@ def test_a_segmentation_and_its_series_are_built_and_drawn(
     write_series(tmp_path / "the CT", values, affine[:3, :3] / spacing, spacing=spacing, origin=affine[:3, 3])
 
     given = [f"phantom.file='{tmp_path / 'vessels.dcm'}'", f"phantom.ct='{tmp_path / 'the CT'}'"]
-    assert main(["stage=phantoms", *given, f"runs_dir={tmp_path}/runs"]) == 0
+    assert main(["stage=phantoms", "stage.resolution_mm=2.0", *given, f"runs_dir={tmp_path}/runs"]) == 0
     folder = tmp_path / "runs" / "desk" / "phantoms" / "vessels"
     assert set(json.loads((folder / "targets.json").read_text())["targets"]) >= {"bca", "lcca", "lsa", "rsa", "rcca"}
     assert "vessels/radiograph.png" in (folder.parent / "figures.json").read_text()
