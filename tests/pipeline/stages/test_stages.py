@@ -96,11 +96,18 @@ def test_two_files_and_a_line_add_a_stage_as_the_template_does(
     made = in_project(*python, "pipeline.command", "new", "stage", "ways_there")
     assert made.returncode == 0, made.stderr
     assert "stage: Counts to a number." in in_project("make", "help").stdout
-    words = ("budget=smoke", "name=run", "stage.step=4")
-    done = in_project(*python, "pipeline.chain", "--inputs", "count", "--", *words)
-    assert done.returncode == 0, done.stderr
-    assert "stage 1 of 2: user_study" in done.stdout
-    assert "stage 2 of 2: count" in done.stdout
+    run = ["budget=smoke", "name=run"]
+    counting = [*run, "stage.step=4"]
+    commands = [
+        ["chain", "--inputs", "count", "--", *counting], ["stages", "stage=count", *counting, "stage.threads=2"],
+        ["stages", "stage=ways_there", *run], ["stages", "stage=report", *run],
+    ]  # fmt: skip
+    code = f"from pipeline.command import main\nprint([main(words) for words in {commands}], flush=True)"
+    done = in_project(sys.executable, "-c", f"{code}\nmain(['new', 'stage', 'ways_there'])")
+    assert done.stdout.splitlines()[-1] == "[0, 0, 0, 0]", done.stderr
+    assert done.returncode == 2
+    for told in ("stage 1 of 2: user_study", "stage 2 of 2: count", "count: up to date"):
+        assert told in done.stdout
     folder = project / "runs" / "run" / "count"
     assert (folder / "numbers.json").read_text().split() == ["[", "0,", "4", "]"]
     manifest = read_manifest(folder)
@@ -108,13 +115,6 @@ def test_two_files_and_a_line_add_a_stage_as_the_template_does(
     assert manifest.config == {"name": "count", "numbers": 2, "until": 0, "step": 4, "threads": 0}
     tested = in_project(*python, "pytest", "-q", "tests/pipeline/stages/test_ways_there.py")
     assert "1 passed" in tested.stdout
-    run = ("budget=smoke", "name=run")
-    again = [["stage=count", *words, "stage.threads=2"], ["stage=ways_there", *run], ["stage=report", *run]]
-    code = f"from pipeline.command import main\nprint([main(['stages', *words]) for words in {again}], flush=True)"
-    done = in_project(sys.executable, "-c", f"{code}\nmain(['new', 'stage', 'ways_there'])")
-    assert done.stdout.splitlines()[-1] == "[0, 0, 0]", done.stderr
-    assert done.returncode == 2
-    assert "count: up to date" in done.stdout
     page = (project / "runs" / "run" / "report" / "index.html").read_text()
     for words_of_it in (">Count<", ">Ways there<", "Length of the way to each target."):
         assert words_of_it in page
