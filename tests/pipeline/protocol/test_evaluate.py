@@ -7,6 +7,7 @@ import hashlib
 import itertools
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -38,7 +39,7 @@ claims:
     title: Wires
     limits: drawn
     first: 690000
-    count: 6
+    count: 3
     noise_px: 1.0
 """
 
@@ -50,12 +51,28 @@ def protocol(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.fixture(autouse=True)
-def _forked_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module", autouse=True)
+def _forked_processes() -> Iterator[None]:
     """Cases are played where jobs are, which have most imports behind them; those that Ctrl-C ends, in a new Python."""
     context = get_context("forkserver")
     context.set_forkserver_preload([run.__name__])
-    monkeypatch.setattr(run, "get_context", lambda _: context)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "get_context", lambda _: context)
+        yield
+
+
+@pytest.fixture(scope="module")
+def _played_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("played")
+    (folder / "protocol.yaml").write_text(SCENES)
+    assert _evaluate(folder / "protocol.yaml") == 0
+    return folder
+
+
+@pytest.fixture
+def played(_played_once: Path, tmp_path: Path) -> Path:
+    """A protocol whose results lie beside it."""
+    return shutil.copytree(_played_once, tmp_path, dirs_exist_ok=True) / "protocol.yaml"
 
 
 def _evaluate(protocol: Path, *words: str) -> int:
@@ -75,7 +92,7 @@ def test_the_projects_protocol_names_shipped_policies_and_seeds_of_their_own() -
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("count: 6", "count: 0", "count: .*greater than 0"),
+        ("count: 3", "count: 0", "count: .*greater than 0"),
         ("reconstruction\n", "navigation\n    policies: [generalist]\n", "one of arches, phantoms and sources|noise"),
         ("noise_px: 1.0", "noise: 1.0", "noise"),
         ("first: 690000", "first: 7", "first: .*600000 and a multiple of 1000"),
@@ -119,34 +136,33 @@ def test_a_result_is_written_a_case_a_line() -> None:
         result_text({"cases": [{"force": float("nan")}]})
 
 
-def test_every_case_is_written_and_none_is_played_twice_unless_the_claim_changes(protocol: Path) -> None:
-    assert _evaluate(protocol) == 0
-    results, journal = (protocol.parent / "results" / name for name in ("wires.json", "wires.jsonl"))
+def test_every_case_is_written_and_none_is_played_twice_unless_the_claim_changes(played: Path) -> None:
+    results, journal = (played.parent / "results" / name for name in ("wires.json", "wires.jsonl"))
     first = json.loads(results.read_text())
-    assert (first["protocol"], first["claim"], len(first["cases"])) == (3, "wires", 6)
+    assert (first["protocol"], first["claim"], len(first["cases"])) == (3, "wires", 3)
     assert {"commit", "changes", "inputs", "claim"} == set(first["made_by"])
     assert all(case["success"] and case["mean_mm"] < 5 for case in first["cases"])
     lines = journal.read_text().splitlines()
-    journal.write_text("\n".join(lines[:4]) + '\n{"case": {"a": {}}\n{"case": {"anat')  # killed within lines
-    assert _evaluate(protocol) == 0
+    journal.write_text("\n".join(lines[:3]) + '\n{"case": {"a": {}}\n{"case": {"anat')  # killed within lines
+    assert _evaluate(played) == 0
     again = journal.read_text().splitlines()
-    assert (again[:4], len(again)) == (lines[:4], 7)
+    assert (again[:3], len(again)) == (lines[:3], 4)
     assert first["summary"]["cpu_min"] >= 0
     first_cases = [case | {"played_cpu_s": 0} for case in first["cases"]]
     assert [case | {"played_cpu_s": 0} for case in json.loads(results.read_text())["cases"]] == first_cases
-    assert _evaluate(protocol, "--seeds", "2") == 0
+    assert _evaluate(played, "--seeds", "2") == 0
     second = json.loads(results.read_text())
-    assert [case | {"played_cpu_s": 0} for case in second["cases"][:6]] == first_cases
-    assert second["summary"]["anatomies"] == 12
-    protocol.write_text(SCENES.replace("noise_px: 1.0", "noise_px: 0.0"))
-    assert _evaluate(protocol) == 0
+    assert [case | {"played_cpu_s": 0} for case in second["cases"][:3]] == first_cases
+    assert second["summary"]["anatomies"] == 6
+    played.write_text(SCENES.replace("noise_px: 1.0", "noise_px: 0.0"))
+    assert _evaluate(played) == 0
     (old,) = journal.parent.glob("wires.old-*.jsonl")
-    assert len(old.read_text().splitlines()) == 13
+    assert len(old.read_text().splitlines()) == 7
     assert json.loads(results.read_text())["summary"]["mean_mm_mean"]["mean"] < first["summary"]["mean_mm_mean"]["mean"]
 
 
 def test_ctrl_c_ends_it_at_once_and_other_libraries_begin_anew(protocol: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    protocol.write_text(SCENES.replace("count: 6", "count: 900"))
+    protocol.write_text(SCENES.replace("count: 3", "count: 900"))
     journal = protocol.parent / "results" / "wires.jsonl"
     words = ["--protocol", str(protocol), "--to", str(journal.parent), "--workers", "1"]
     command = [sys.executable, "-c", f"from pipeline.protocol.command import main; main({words!r})"]
@@ -163,7 +179,7 @@ def test_ctrl_c_ends_it_at_once_and_other_libraries_begin_anew(protocol: Path, m
     assert "stopped; the cases that were played are kept" in said
     kept = journal.read_text().splitlines()[1:]
     assert 2 <= len(kept) < 800
-    protocol.write_text(SCENES.replace("count: 6", "count: 2"))
+    protocol.write_text(SCENES.replace("count: 3", "count: 1"))
     for versions, aside in ({"mujoco": "98"}, 1), ({"mujoco": "99"}, 2), ({"mujoco": "99"}, 2):
         monkeypatch.setattr(run, "software_versions", lambda versions=versions: versions)
         assert _evaluate(protocol) == 0
@@ -171,6 +187,7 @@ def test_ctrl_c_ends_it_at_once_and_other_libraries_begin_anew(protocol: Path, m
 
 
 def test_a_damaged_journal_and_an_unknown_policy_are_told(protocol: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    protocol.write_text(SCENES.replace("count: 3", "count: 1"))
     journal = protocol.parent / "results" / "wires.jsonl"
     journal.parent.mkdir()
     journal.write_text('{"commit": "ab')
@@ -321,10 +338,8 @@ def test_the_board_says_what_its_rows_do(path: Path) -> None:
     assert not row["made_by"]["changes"]
 
 
-def test_a_table_is_made_from_results_and_a_change_of_them_is_seen(tmp_path: Path) -> None:
-    protocol, results = tmp_path / "protocol.yaml", tmp_path / "results"
-    protocol.write_text(SCENES)
-    assert main(["wires", "--protocol", str(protocol), "--to", str(results), "--workers", "1"]) == 0
+def test_a_table_is_made_from_results_and_a_change_of_them_is_seen(played: Path, tmp_path: Path) -> None:
+    results = tmp_path / "results"
     (tmp_path / "docs").mkdir()
     page = tmp_path / "docs" / "wires.md"
     page.write_text("# Wires\n\n<!-- results: wires -->\nold\n<!-- end of results -->\n\nmore\n")
@@ -340,16 +355,16 @@ def test_a_table_is_made_from_results_and_a_change_of_them_is_seen(tmp_path: Pat
     mean["mean"] += 1
     (results / "wires.json").write_text(json.dumps(result))
     assert rendered(text, results) != text
-    assert not outdated(result, read_protocol(protocol))
-    protocol.write_text(SCENES.replace("count: 6", "count: 7"))
-    assert "entry" in outdated(result, read_protocol(protocol))
+    assert not outdated(result, read_protocol(played))
+    played.write_text(SCENES.replace("count: 3", "count: 4"))
+    assert "entry" in outdated(result, read_protocol(played))
     for damaged in (json.dumps(result)[:90], "[]", "{}"):
         (results / "wires.json").write_text(damaged)
         with pytest.raises(ConfigurationError, match=r"wires\.json is damaged"):
             rendered(text, results)
     result["made_by"]["inputs"] = {"a policy": "of other weights"}
-    protocol.write_text(SCENES)
-    assert "policies" in outdated(result, read_protocol(protocol))
+    played.write_text(SCENES)
+    assert "policies" in outdated(result, read_protocol(played))
     (results / "wires.json").unlink()
     with pytest.raises(ConfigurationError, match="endonav evaluate wires"):
         rendered(text, results)
