@@ -1,7 +1,8 @@
-"""Tables, headlines and figures of the report: cells, seeds, layout, the thesis beside them; comparisons of runs."""
+"""Tables, headlines and figures of the report: cells, sweeps, seeds, layout, the thesis beside them; runs compared."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections import defaultdict
 from pathlib import Path
@@ -13,6 +14,7 @@ from PIL import Image
 
 from benchmarks.pipeline.compare_tables import compare as compare_runs
 from benchmarks.pipeline.compare_tables import direction
+from pipeline.plots.words import column_words, group_words, in_words, place_in_thesis, row_words
 from pipeline.report.comparison import NOT_MEASURED, PAGE, comparisons, rendered
 from pipeline.report.figures import ShownFigure, gather_figures
 from pipeline.report.headlines import BETTER, EQUAL, OPEN, UNLIKE, WORSE, compare, headline_specs, headlines
@@ -20,7 +22,17 @@ from pipeline.report.intervals import OverSeeds, difference_of_shares, mean_inte
 from pipeline.report.page import BEYOND, arrange, choose_film, render_page
 from pipeline.report.tables import as_csv, as_latex, format_over_seeds, join_sweep, metrics, report_tables
 from pipeline.store.provenance import PROJECT_ROOT
-from pipeline.tables import Cell, Figure, Table, format_cell, write_figures
+from pipeline.tables import (
+    Cell,
+    Figure,
+    Table,
+    check_cell,
+    format_cell,
+    pool,
+    read_figures,
+    write_figures,
+    write_results,
+)
 
 THESIS = yaml.safe_load((PROJECT_ROOT / "pipeline" / "report" / "thesis.yaml").read_text())["tables"]
 
@@ -317,3 +329,46 @@ def test_only_what_is_comparable_has_a_verdict_and_another_cell_may_be_the_measu
     assert (clicked.here, clicked.samples, clicked.verdict) == ("1.200 ± 0.300 mm", 60, BETTER)
     assert lines["segmentation"].verdict == UNLIKE
     assert all(spec.differs for spec in headline_specs())
+
+
+def test_a_cell_that_is_none_is_refused_where_it_is_written(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"ablation / bca/H / force_n: expected a finite number"):
+        write_results(tmp_path, {"ablation": {"bca/H": {"force_n": float("nan")}}})
+    with pytest.raises(ValueError, match="a pair"):
+        check_cell([1.0, 2.0, 3.0], "t / r / c")
+    with pytest.raises(FileNotFoundError, match=r"figure 'a' names b\.png"):
+        write_figures(tmp_path, [Figure("a", "", "b.png")])
+    assert read_figures(tmp_path) == []
+
+
+def test_pooling_equals_statistics_over_all_samples() -> None:
+    values = [[1.0, 2.0, 6.0], [4.0, 4.0]]
+    both = [x for part in values for x in part]
+
+    def pair(samples: list[float]) -> list[float]:
+        mean = sum(samples) / len(samples)
+        return [mean, math.sqrt(sum((x - mean) ** 2 for x in samples) / len(samples))]
+
+    cell, count = pool([(pair(part), len(part)) for part in values])
+    assert cell == pytest.approx(pair(both))
+    assert count == 5
+    assert pool([(90.0, None), (100.0, None)]) == ([95.0, 5.0], 2)
+    assert pool([(None, None), (3, 4)]) == (3, 4)
+    assert pool([("a", None), ("a", None)]) == ("a", None)
+
+
+def test_keys_in_words() -> None:
+    labels = {"ppo_image": "PPO image"}
+    assert row_words("ppo_image", labels) == "PPO image"
+    assert row_words("ppo_image (thesis)", labels) == "PPO image (thesis)"
+    assert row_words("fpn_10k", labels) == "FPN, 10k samples"
+    assert row_words("fpn_16 V_plain", labels) == "FPN, 16 samples, V plain"
+    assert row_words("some_new_row", labels) == "Some new row"
+    assert group_words("type_1/bca/enn", {"type_1": "Type I arch", "bca": "BCA"}, {}) == "Type I arch, BCA, ENN"
+    assert column_words("value_mm") == ("Value", "mm")
+    assert column_words("mean_force") == ("Mean force", "")
+    assert place_in_thesis("ch5-fig:reprojection-error") == "thesis, chapter 5, figure"
+    assert place_in_thesis("app1tab:training-time") == "thesis, appendix 1, table"
+    assert place_in_thesis("guide3d-tab:dataset-stats") == "thesis, chapter 5, table"
+    assert in_words("Sampling expert, low_tortuosity, LCCA") == "Sampling expert, Low tortuosity, LCCA"
+    assert in_words("0.5 N and/or 2 of 3, type_1/rcca") == "0.5 N and/or 2 of 3, Type I, RCCA"
