@@ -1,15 +1,20 @@
-"""Variants: each run reads the results that belong to it, checked, and no run removes those of another seed."""
+"""Variants and sweeps: each run reads the results that belong to it, checked; launchers run every job of a sweep."""
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import shutil
 import time
 from pathlib import Path
 
 import pytest
+from hydra.errors import MissingConfigException
 
+from pipeline.launch import one_line
 from pipeline.store.errors import StageError
 from pipeline.store.manifest import Identity, read_manifest
+from pipeline.store.provenance import PROJECT_ROOT
 from pipeline.store.run_folder import RunFolder
 from pipeline.store.variants import RunRequest, require_input, variant_of
 
@@ -117,3 +122,61 @@ def test_a_manifest_of_an_earlier_version_counts_as_not_run(tmp_path: Path, capl
     assert "of another version of the project: the stage counts as not run" in caplog.text
     with pytest.raises(StageError, match=r"holds none: run `python -m pipeline\.chain --inputs force -- "):
         read(tmp_path)
+
+
+RAY = importlib.util.find_spec("hydra_plugins") and importlib.util.find_spec("hydra_plugins.hydra_ray_launcher")
+COMMON = ("budget=smoke", "name=sweep")
+EXPERT = ("stage=expert", *COMMON, "stage.episodes=1", "stage.evaluation_episodes=1", "stage.film=false",
+          "stage.phantoms=[type_1]", "stage.targets=[bca]", "stage.task.max_steps=4")  # fmt: skip
+VALIDATE = ("stage=validate", *COMMON, "stage.speed_steps=3", "stage.speed_rounds=1", "stage.physics=false")
+
+
+@pytest.mark.parametrize("launcher", ["joblib", "submitit_local", "ray"])
+def test_launcher_runs_every_job(launcher: str, pipeline_process) -> None:
+    if launcher == "ray":
+        if not RAY:
+            pytest.skip("Ray's launcher is not installed: make ray")
+        pipeline_process.environment["HOME"] = str(pipeline_process.folder)  # Ray keeps a token of its own there
+        pipeline_process.environment["RAY_ADDRESS"] = "local"  # and not a cluster that another test started
+    overrides = ["-m", "stage=user_study", "budget=smoke", "name=sweep", "seed=3,4", f"hydra/launcher={launcher}"]
+    if launcher == "joblib":
+        overrides.append("hydra.launcher.n_jobs=2")
+    done = pipeline_process.run(*overrides, timeout_s=600)
+    assert done.returncode == 0, done.stderr
+    for seed in (3, 4):
+        folder = pipeline_process.runs / "sweep" / f"user_study@budget=smoke,seed={seed}"
+        assert json.loads((folder / "manifest.json").read_text())["seed"] == seed
+    assert not [name for name in ("outputs", "multirun", ".submitit") if (PROJECT_ROOT / name).exists()]
+
+
+def test_ray_where_it_is_not_installed_is_one_sentence() -> None:
+    error = MissingConfigException("not found", missing_cfg_file="hydra/launcher/ray")
+    assert one_line(error, []).startswith("Ray's launcher is not installed: run `make ray`")
+
+
+def test_variants_of_different_jobs_differ() -> None:
+    assert variant_of(["stage=phantoms", "name=x", "seed=1"]) == "seed=1"
+    assert variant_of(["stage=phantoms"]) == ""
+    lists = [variant_of([f"stage.phantoms=[{names}]"]) for names in ("a,b", "a_b", "b,a")]
+    assert len(set(lists)) == 3
+    long = [variant_of([f"stage.phantoms={'x' * 200}{end}"]) for end in "ab"]
+    assert long[0] != long[1]
+    assert all(len(name) < 150 and "/" not in name for name in [*lists, *long])
+    assert variant_of(["seed=1", "budget=smoke"]) == variant_of(["budget=smoke", "seed=1"])
+
+
+@pytest.mark.slow
+def test_each_seed_of_a_sweep_reads_what_its_own_left(pipeline_process) -> None:
+    coarse = ("stage.phantoms=[type_1]", "stage.picture=false", "stage.resolution_mm=2.5")
+    done = pipeline_process.run_here("stage=phantoms", *coarse, *COMMON)
+    assert done.returncode == 0, done.stderr
+    for seeds, stage in (("0,1", EXPERT), ("1", VALIDATE)):  # seed 0 is what it would read anyway
+        done = pipeline_process.run_here("-m", f"seed={seeds}", *stage)
+        assert done.returncode == 0, done.stdout + done.stderr
+    run = pipeline_process.runs / "sweep"
+    (folder,) = run.glob("validate@*seed=1,*")
+    (expert,) = run.glob("expert@*seed=1,*")
+    found = read_manifest(folder)
+    assert found is not None
+    assert found.seed == 1
+    assert list(found.identity.input_hashes) == ["phantoms", expert.name]
