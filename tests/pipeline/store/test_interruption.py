@@ -157,25 +157,15 @@ except KeyboardInterrupt:
 """
 
 
-_ENDS = pytest.mark.parametrize(("number", "words", "code"), [("SIGINT", ["interrupted"], 0), ("SIGTERM", [], 143)])
-
-
-def _interrupted_in(statement: str, number: str, folder: Path) -> subprocess.CompletedProcess[str]:
-    (folder / "some_library.py").write_text(_LIBRARY.format(signal=number))
-    code = _INTERRUPTED_IN.format(folder=str(folder), statement=statement, signal=number)
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
-
-
-@_ENDS
-def test_a_signal_within_an_import_comes_after_it(tmp_path: Path, number: str, words: list[str], code: int) -> None:
-    ran = _interrupted_in("import some_library", number, tmp_path)
-    assert (ran.stdout.split(), ran.stderr, ran.returncode) == (["imported", *words], "", code)
-
-
-@_ENDS
-def test_a_signal_within_a_finaliser_comes_after_it(tmp_path: Path, number: str, words: list[str], code: int) -> None:
-    ran = _interrupted_in("Finalised()", number, tmp_path)
-    assert (ran.stdout.split(), ran.stderr, ran.returncode) == (words, "", code)
+@pytest.mark.parametrize(("number", "words", "code"), [("SIGINT", ["interrupted"], 0), ("SIGTERM", [], 143)])
+@pytest.mark.parametrize(("statement", "before"), [("import some_library", ["imported"]), ("Finalised()", [])])
+def test_a_signal_within_an_import_or_a_finaliser_comes_after_it(
+    tmp_path: Path, statement: str, before: list[str], number: str, words: list[str], code: int
+) -> None:
+    (tmp_path / "some_library.py").write_text(_LIBRARY.format(signal=number))
+    script = _INTERRUPTED_IN.format(folder=str(tmp_path), statement=statement, signal=number)
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert (ran.stdout.split(), ran.stderr, ran.returncode) == ([*before, *words], "", code)
 
 
 _POOL = """
