@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import json
 import logging
+import multiprocessing
 import shutil
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from pipeline.jobs import pool
-from pipeline.jobs.engines.cluster import JOBS, ClusterEngine, Needs, end_earlier_jobs
+from pipeline.jobs.engines.cluster import JOBS, ClusterEngine, Executor, Needs, end_earlier_jobs
 from pipeline.jobs.engines.local import ctrl_c_held_back
 from pipeline.jobs.engines.settings import SETTINGS, RaySettings, SlurmSettings
 from pipeline.jobs.engines.slurm import SlurmExecutor
@@ -25,9 +27,62 @@ from pipeline.store.errors import StageError
 from pipeline.store.manifest import read_manifest
 from pipeline.store.run_folder import RunFolder
 from pipeline.store.variants import effective_overrides
-from tests.pipeline.jobs.engines.process_executor import ProcessExecutor
 from tests.pipeline.jobs.toy_training import Toy, square, train
 from tests.pipeline.waiting import wait_until
+
+
+class ProcessExecutor(Executor):
+    """A cluster whose machines are processes of this one, which a test can kill; tasks beyond them wait."""
+
+    def __init__(self, machines: int = 2, memory_gb: float = 8.0, has_gpus: bool = False) -> None:
+        self.capacity, self.memory_gb, self.has_gpus = machines, memory_gb, has_gpus
+        self.tasks: list[tuple[str, Task, Needs]] = []
+        self.processes: dict[int, Any] = {}
+        self.cancelled: set[int] = set()
+        self.closed = False
+
+    def fits(self, needs: Needs) -> bool:
+        return needs.memory_gb <= self.memory_gb
+
+    def submit(self, name: str, task: Task, needs: Needs) -> int:
+        self.tasks.append((name, task, needs))
+        self._start()
+        return len(self.tasks) - 1
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("fork")
+        for number, (_, task, _) in enumerate(self.tasks):
+            running = sum(process.is_alive() for process in self.processes.values())
+            if number not in self.processes and number not in self.cancelled and running < self.capacity:
+                process = context.Process(target=run_task, args=(task,))
+                process.start()
+                self.processes[number] = process
+
+    def result(self, handle: int) -> str | None:
+        self._start()
+        if handle in self.cancelled:
+            return "it was cancelled"
+        process = self.processes.get(handle)
+        if process is None or process.is_alive():
+            return None
+        return "" if process.exitcode == 0 else f"machine {handle} does not answer"
+
+    def lose(self, handle: int) -> None:
+        """Kills a machine."""
+        self.processes[handle].kill()
+        self.processes[handle].join()
+
+    def cancel(self, handle: int) -> None:
+        self.cancelled.add(handle)
+        if handle in self.processes:
+            self.processes[handle].kill()
+
+    def close(self) -> None:
+        self.closed = True
+        for process in self.processes.values():
+            process.kill()
+            process.join()
+
 
 Made = Callable[..., ProcessExecutor]
 
