@@ -1,8 +1,9 @@
-"""Trials, one log a held-out seed, none repeated after an interruption; and replays of logs."""
+"""Trials, one log a held-out seed, none repeated after an interruption; replays of logs; films of a training."""
 
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import enn
 from cathsim import NavigateEnv, load_catheter
+from cathsim.arch_variety import ArchVarietyEnv
 from cathsim.goals.environment import NavigateGoalEnv
+from pipeline.config import RunConfig
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.__main__ import main
+from pipeline.execution import observation_of_trainings
+from pipeline.jobs.engines.local import variables_set
 from pipeline.recording.record import record_episode
 from pipeline.recording.replay import ReplayError, recorded_catheter, replay
+from pipeline.recording.training_films import training_films
 from pipeline.recording.trials import Origin, run_trials, summary
 from pipeline.seeds import held_out_seeds
 from pipeline.stages.learning.task import LearningTask
@@ -224,3 +231,27 @@ def test_a_log_is_filmed(tmp_path: Path) -> None:
     with Image.open(tmp_path / "0.gif") as film:
         assert film.n_frames == 4
         assert film.size[1] == 400
+
+
+def test_every_second_evaluation_is_filmed(tmp_path: Path) -> None:
+    policy = enn.load("arch_variety")
+    make = partial(ArchVarietyEnv, ("I",), (3,), observation=policy.keys, max_steps=6)
+    assert training_films(tmp_path, make, 5) is None
+    with variables_set(observation_of_trainings(RunConfig(stage=None, name="a", films=2))):
+        films = training_films(tmp_path, make, 5)
+    assert films is not None
+    for decisions in (100, 200, 300):
+        films(policy, decisions)
+    assert sorted(path.name for path in (tmp_path / "films").iterdir()) == ["00000100.gif", "00000300.gif"]
+    with Image.open(tmp_path / "films" / "00000100.gif") as film:
+        assert film.n_frames >= 4
+        assert film.size == (700, 400)
+
+
+def test_what_a_run_was_told_ends_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    from enn.curves import chosen_logger
+
+    monkeypatch.delenv("ENN_LOGGER", raising=False)
+    with variables_set(observation_of_trainings(RunConfig(stage=None, name="a", logger="none"))):
+        assert chosen_logger() == "none"
+    assert chosen_logger() == "tensorboard"
