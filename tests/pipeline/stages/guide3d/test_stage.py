@@ -66,16 +66,18 @@ def test_a_generated_run_leaves_data_curves_tables_and_figures(generated: Path) 
     assert shown == {"samples.png", "reprojection.png", "segments.png", "overlays.png", "space.png"}
 
 
-def test_ones_own_data_set_is_read_where_it_lies(own: Path, tmp_path: Path) -> None:
+def test_ones_own_data_set_is_read_where_it_lies(tmp_path: Path) -> None:
+    own = tmp_path / "own"
+    write_dataset(own, acquisitions=4, frames=1)
     before = {path: path.stat().st_mtime_ns for path in own.rglob("*")}
     folder = run_own(own, tmp_path, compared=3)
     assert before == {path: path.stat().st_mtime_ns for path in own.rglob("*")}
     results = json.loads((folder / "results.json").read_text())
-    assert results["guide3d_composition"]["total"]["total"] == 16
-    assert results["guide3d_reconstruction"]["global"]["n"] == 8
+    assert results["guide3d_composition"]["total"]["total"] == 8
+    assert results["guide3d_reconstruction"]["global"]["n"] == 4
     assert results["guide3d_reconstruction"]["greedy"]["n"] == 3
     assert results["guide3d_reconstruction"]["global"]["accepted_pct"] == 100.0
-    assert sum(frame.reconstruction_mm is not None for frame in open_dataset(folder).frames) == 8
+    assert sum(frame.reconstruction_mm is not None for frame in open_dataset(folder).frames) == 4
     assert not (folder / "dataset").exists()
 
 
