@@ -42,7 +42,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def shapes(run: Path) -> dict:
-    settings = ShapeSettings(rows=["spherical", "cartesian", "fgrn"], size="smoke", device="cpu")
+    settings = ShapeSettings(rows=["spherical", "fgrn"], size="smoke", device="cpu")
     return run_here(settings, run, network_stage, ("guide3d",))
 
 
@@ -53,14 +53,14 @@ def masks(run: Path) -> dict:
 
 
 def test_shape_leaves_networks_tables_and_figures(run: Path, shapes: dict) -> None:
-    assert set(shapes["shape_prediction_mm"]) == {"spherical", "cartesian"}
-    assert set(shapes["shape_networks"]) == {"spherical", "cartesian", "fgrn"}
+    assert set(shapes["shape_prediction_mm"]) == {"spherical"}
+    assert set(shapes["shape_networks"]) == {"spherical", "fgrn"}
     for cells in shapes["shape_networks"].values():
         assert cells["n"] == 4  # one acquisition of six
         assert cells["max_ed"][0] >= cells["mers"][0] > 0
         assert cells["frechet"][0] >= cells["chamfer"][0] > 0
     figures = json.loads((run / "shape" / "figures.json").read_text())
-    assert len(figures) == 6
+    assert len(figures) == 4
     assert sorted(p.name for p in (run / "shape" / "fgrn").iterdir()) == [
         "examples.npz", "predictor.pt", "shape.json", "tensorboard", "training.json",
     ]  # fmt: skip
