@@ -293,7 +293,7 @@ def test_a_navigator_by_images_plays_in_the_copies(tmp_path: Path) -> None:
 
 
 def test_the_sampling_expert_shows_the_way_where_none_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    task = Task(start_rotation_deg=180.0, max_steps=300)
+    task = Task(start_rotation_deg=180.0, max_steps=300, success_radius_mm=50.0)  # half way is enough
     job = job_of(tmp_path, copies=1, demonstrations=2, expert="needed", task=task)
     assert record_demonstrations(job, Report()) == {"expert": [1, 1]}  # the scan is this part's
     (shown,) = read_demonstrations(tmp_path)
