@@ -24,7 +24,7 @@ def small_settings(**changed: Any) -> UnseenSettings:
 
 
 def image_job(folder: Path, rounds: int, row: str = "image_true_mask") -> ImagePolicyJob:
-    small = {"segmenter_epochs": 1, "rounds": rounds, "advised_episodes": 2, "epochs": 1, "wire_epochs": 1}
+    small = {"segmenter_epochs": 1, "rounds": rounds, "advised_episodes": 1, "epochs": 1, "wire_epochs": 1}
     return ImagePolicyJob(
         folder=folder / "unseen",
         origin=Origin("unseen", row, 0, "desk"),

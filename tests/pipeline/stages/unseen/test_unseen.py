@@ -82,14 +82,14 @@ def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
     starts = roadmap.StartsJob(tmp_path / "unseen" / "starts", TASK, (0,), seed=0)
     assert roadmap.insert_starts(starts, Report())["states"] > 0
     small = small_settings(targets=["lcca"], anatomies=1, validation_episodes=1, hidden=16)
-    tiny = replace(roadmap.training_settings(small, 1, 160), learning_starts=32, n_envs=4)
+    tiny = replace(roadmap.training_settings(small, 1, 96), learning_starts=32, n_envs=4)
     teacher = roadmap.RoadmapJob(
         folder=tmp_path / "unseen",
         origin=Origin("unseen", "roadmap", 0, "desk"),
         task=TASK,
         anatomies=(0,),
         tests=TESTS,
-        settings=replace(tiny, evaluate_every=160),
+        settings=replace(tiny, evaluate_every=96),
         validated=(2,),
     )
     by_roadmap = roadmap.train_roadmap(teacher, Report())
