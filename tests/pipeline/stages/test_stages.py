@@ -91,7 +91,7 @@ def in_project(project: Path) -> Callable[..., subprocess.CompletedProcess[str]]
 def test_two_files_and_a_line_add_a_stage_as_the_template_does(
     project: Path, in_project: Callable[..., subprocess.CompletedProcess[str]]
 ) -> None:
-    """Both stages are in one run, whose report has what they left."""
+    """Both stages are in one run, whose report has what they left; a wrong setting of one is a sentence."""
     python = (sys.executable, "-m")
     made = in_project(*python, "pipeline.command", "new", "stage", "ways_there")
     assert made.returncode == 0, made.stderr
@@ -101,11 +101,14 @@ def test_two_files_and_a_line_add_a_stage_as_the_template_does(
     commands = [
         ["chain", "--inputs", "count", "--", *counting], ["stages", "stage=count", *counting, "stage.threads=2"],
         ["stages", "stage=ways_there", *run], ["stages", "stage=report", *run],
+        ["stages", "stage=count", "name=wrong", "stage.steps=2"],
     ]  # fmt: skip
     code = f"from pipeline.command import main\nprint([main(words) for words in {commands}], flush=True)"
     done = in_project(sys.executable, "-c", f"{code}\nmain(['new', 'stage', 'ways_there'])")
-    assert done.stdout.splitlines()[-1] == "[0, 0, 0, 0]", done.stderr
+    assert done.stdout.splitlines()[-1] == "[0, 0, 0, 0, 2]", done.stderr
     assert done.returncode == 2
+    (sentence,) = (line for line in done.stderr.splitlines() if "did you mean stage.step?" in line)
+    assert "stage.numbers, stage.until, stage.step, stage.threads" in sentence
     for told in ("stage 1 of 2: user_study", "stage 2 of 2: count", "count: up to date"):
         assert told in done.stdout
     folder = project / "runs" / "run" / "count"
@@ -118,14 +121,6 @@ def test_two_files_and_a_line_add_a_stage_as_the_template_does(
     page = (project / "runs" / "run" / "report" / "index.html").read_text()
     for words_of_it in (">Count<", ">Ways there<", "Length of the way to each target."):
         assert words_of_it in page
-
-
-def test_wrong_settings_of_it_are_one_sentence(in_project: Callable[..., subprocess.CompletedProcess[str]]) -> None:
-    done = in_project(sys.executable, "-m", "pipeline", "stage=count", "name=wrong", "stage.steps=2")
-    assert done.returncode == 2
-    (sentence,) = done.stderr.strip().splitlines()
-    assert "did you mean stage.step?" in sentence
-    assert "stage.numbers, stage.until, stage.step, stage.threads" in sentence
 
 
 def test_stages_come_after_what_they_read_and_an_unknown_one_is_refused() -> None:
