@@ -363,6 +363,20 @@ def test_files_of_pydicom_are_refused_by_name(name: str, said: str) -> None:
         read_xray(path)
 
 
+@pytest.mark.parametrize("name", ["MR_small.dcm", "MR_small_RLE.dcm", "MR_small_bigendian.dcm"])
+def test_pixels_of_pydicoms_files_are_decoded_as_an_x_ray_run(name: str, tmp_path: Path) -> None:
+    source = get_testdata_file(name, download=False)
+    if source is None:
+        pytest.skip(f"pydicom is installed without {name}")
+    dataset = pydicom.dcmread(source)
+    dataset.SOPClassUID = "1.2.840.10008.5.1.4.1.1.12.1"
+    dataset.file_meta.MediaStorageSOPClassUID = dataset.SOPClassUID
+    dataset.PixelRepresentation = 0  # its values are positive
+    pydicom.dcmwrite(tmp_path / "run.dcm", dataset)
+    run = read_xray(tmp_path / "run.dcm")
+    assert np.array_equal(run.frames[0], pydicom.dcmread(source).pixel_array)
+
+
 FRAMES = frames_of(12)
 CT = "1.2.840.10008.5.1.4.1.1.2"
 

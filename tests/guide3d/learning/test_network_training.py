@@ -4,7 +4,6 @@ import dataclasses
 import json
 import logging
 import os
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -214,27 +213,13 @@ def test_the_command_line_changes_recipe_and_fit(data: Dataset, tmp_path: Path) 
     assert len(json.loads((tmp_path / "training.json").read_text())["rows"]) == 2
 
 
-# Two processes as torchrun starts them, by their environment: forked from one that has imported what takes long.
-BOTH = """
-import os, sys
-from guide3d.train import main
-other = os.fork()
-os.environ["RANK"] = os.environ["LOCAL_RANK"] = "0" if other else "1"
-code = main(sys.argv[1:])
-if not other:
-    os._exit(code)  # a forked process may wait for threads of the other at its end
-sys.exit(code or os.waitstatus_to_exitcode(os.wait()[1]))
-"""
-
-
 @pytest.mark.slow
 def test_two_processes_train_together(data: Dataset, tmp_path: Path) -> None:
     words = [str(data.root), "--network", "spherical", "--size", "smoke", "--epochs", "2", "--device", "cpu"]
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        own = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(free.getsockname()[1])}
     done = subprocess.run(
-        [sys.executable, "-c", BOTH, *words, "--output", str(tmp_path)],
-        env=os.environ | own, capture_output=True, text=True, timeout=240, check=False,
+        [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "guide3d.train",
+         *words, "--output", str(tmp_path)],
+        capture_output=True, text=True, timeout=240, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
     told = json.loads((tmp_path / "training.json").read_text())
