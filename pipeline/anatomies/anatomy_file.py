@@ -82,9 +82,13 @@ class AnatomyFile:
         """Its phantom, grid nodes `resolution` m apart; a ValueError says why it cannot be imported."""
         return _imported(replace(self, ct=None), resolution)
 
-    def background(self) -> XRayScene | None:
-        """Its CT, which X-ray images show around its vessels, or None; a ValueError if it is not the anatomy's."""
-        return None if self.ct is None else _background(self)
+    def background(self, resolution: float = RESOLUTION) -> XRayScene | None:
+        """Its CT, which X-ray images show around its vessels as `load` places them, or None.
+
+        Raises:
+            ValueError: it is not the anatomy's.
+        """
+        return None if self.ct is None else _background(self, resolution)
 
 
 def in_settings(text: object) -> str:
@@ -112,11 +116,11 @@ def _imported(file: AnatomyFile, resolution: float) -> Phantom:
 
 
 @functools.lru_cache(maxsize=1)  # a CT has hundreds of MB
-def _background(file: AnatomyFile) -> XRayScene:
+def _background(file: AnatomyFile, resolution: float) -> XRayScene:
     from cathsim.fluoroscopy import ct_scene
 
     assert file.ct is not None
-    return ct_scene(file.ct, file.load(), transform=file.transform)
+    return ct_scene(file.ct, file.load(resolution), transform=file.transform)
 
 
 def load_anatomy(anatomy: str | AnatomyFile) -> Phantom:

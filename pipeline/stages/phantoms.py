@@ -74,7 +74,7 @@ def check_phantoms(settings: PhantomsSettings) -> None:
     _LOGGER.info("phantoms: reading %s, a minute for a new file", file.path)
     try:
         file.load(settings.resolution_mm / _MM)
-        file.background()
+        file.background(settings.resolution_mm / _MM)
     except ValueError as error:
         raise ConfigurationError(f"phantom {file.name} cannot be built: {in_settings(error)}") from error
 
@@ -87,7 +87,7 @@ def run_phantoms(settings: PhantomsSettings, context: StageContext) -> Results:
     for anatomy in context.folder.resumable(anatomies, key=lambda a: a.label, label="phantoms"):
         try:
             phantom = _build(anatomy, settings)
-            background = None if anatomy.file is None else anatomy.file.background()
+            background = None if anatomy.file is None else anatomy.file.background(settings.resolution_mm / _MM)
         except ValueError as error:
             raise ConfigurationError(f"phantom {anatomy.label} cannot be built: {in_settings(error)}") from error
         if background is not None and phantom.imported is not None:

@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from cathsim import load_phantom
+from cathsim.anatomy import import_anatomy
 from cathsim.viewing import film
 from cathsim.viewing.film import BIPLANE_PX, VIEW_WIDTH_PX
 from pipeline.anatomies.anatomy_file import AnatomyFile
@@ -135,11 +136,17 @@ def test_a_segmentation_and_its_series_are_built_and_drawn(
 ) -> None:
     """The segmentation lies 5 mm aside of the series that it was drawn on."""
     monkeypatch.setenv("CATHSIM_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(AnatomyFile.load, "__defaults__", (2e-3,))  # m between the nodes of the grid
+    resolutions: list[float] = []
+
+    def imported(*arguments: Any, resolution: float, **named: Any) -> Any:
+        resolutions.append(resolution)
+        return import_anatomy(*arguments, resolution=resolution, **named)
+
+    monkeypatch.setattr("cathsim.anatomy.import_anatomy", imported)
     numbers = {name: number for number, name in enumerate(VESSELS, 1)}
     labels, affine = rasterise(load_phantom("type_1", resolution=2e-3), spacing=(1.5e-3, 1.5e-3, 2.5e-3), ids=numbers)
     write_segmentation(tmp_path / "vessels.dcm", labels, TO_LPS @ affine, dict(enumerate(VESSELS.values(), 1)))
-    image = nibabel.load(ct_of(AnatomyFile.of(str(tmp_path / "vessels.dcm")).load(), tmp_path / "ct.nii.gz"))
+    image = nibabel.load(ct_of(AnatomyFile.of(str(tmp_path / "vessels.dcm")).load(2e-3), tmp_path / "ct.nii.gz"))
     affine = TO_LPS @ image.affine
     affine[0, 3] += 5.0
     spacing = np.linalg.norm(affine[:3, :3], axis=0)
@@ -148,6 +155,7 @@ def test_a_segmentation_and_its_series_are_built_and_drawn(
 
     given = [f"phantom.file='{tmp_path / 'vessels.dcm'}'", f"phantom.ct='{tmp_path / 'the CT'}'"]
     assert main(["stage=phantoms", "stage.resolution_mm=2.0", *given, f"runs_dir={tmp_path}/runs"]) == 0
+    assert set(resolutions) == {2e-3}, "the CT is that of the phantom as it was imported"
     folder = tmp_path / "runs" / "desk" / "phantoms" / "vessels"
     assert set(json.loads((folder / "targets.json").read_text())["targets"]) >= {"bca", "lcca", "lsa", "rsa", "rcca"}
     assert "vessels/radiograph.png" in (folder.parent / "figures.json").read_text()
