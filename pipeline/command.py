@@ -81,8 +81,9 @@ def _models(arguments: list[str]) -> int:
     if arguments[:1] in (["-h"], ["--help"]):
         say("endonav models [NAME]: lists the trained models that are shipped, or prints the card of one")
         return _FINE
-    if not arguments:
-        say("\n".join(f"{name}: {sentence}" for name, (sentence, _) in shipped.items()) or "no model is shipped")
+    if not arguments or arguments[-1] in _PACKAGES:
+        listed = [f"{name}: {one[0]}" for name, one in shipped.items() if name.startswith(" ".join(arguments))]
+        say("\n".join(listed) or "no model is shipped")
         return _FINE
     matches = [(full.split()[1], package) for full, (_, package) in shipped.items() if full.split()[1] == arguments[-1]]
     if not matches:

@@ -24,7 +24,7 @@ _LIBRARY = "endonav"
 def main(arguments: Sequence[str]) -> int:
     """Runs the command; 1 where the Hub refuses, 2 for wrong usage."""
     parser = Parser(prog="endonav hub", description=__doc__)
-    verbs = parser.add_subparsers(dest="verb", required=True)
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="upload|download")
     up = verbs.add_parser("upload", help="a policy's file to USER/NAME, a folder to datasets/USER/NAME")
     up.add_argument("path", type=Path, metavar="FILE|FOLDER")
     up.add_argument("address")

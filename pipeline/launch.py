@@ -103,8 +103,9 @@ def _unknown_key(key: str, overrides: list[str]) -> str:
     names = settings_beside(key, dict(word.split("=", 1) for word in reversed(overrides) if "=" in word))
     if key.startswith("engine.") and not names:
         return f"unknown setting {key!r}: engine={LOCAL} has none; engine=ray and engine=slurm have some"
-    close = "".join(f" (did you mean {name}?)" for name in difflib.get_close_matches(key, names, n=1))
-    return f"unknown setting {key!r}{close}" + (f": choose one of {', '.join(names)}" if names else "")
+    if close := difflib.get_close_matches(key, names, n=1):
+        return f"unknown setting {key!r}: did you mean {close[0]}? (--cfg job shows all)"
+    return f"unknown setting {key!r}" + (f": choose one of {', '.join(names)}" if names else "")
 
 
 def _first_line(text: str) -> str:

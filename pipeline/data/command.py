@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import sys
 from collections.abc import Callable
@@ -10,7 +9,7 @@ from pathlib import Path
 
 from pipeline.data.download import DownloadError, download
 from pipeline.data.sources import Sources, read_sources
-from pipeline.printing import say
+from pipeline.printing import Parser, say
 from pipeline.store.atomic_files import atomic_path
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_file
@@ -21,9 +20,9 @@ _PERCENT = 100
 
 def main(arguments: list[str]) -> int:
     """Runs the command; 1 if files are still missing, 2 for wrong usage."""
-    parser = argparse.ArgumentParser(prog="endonav data", description=__doc__)
+    parser = Parser(prog="endonav data", description=__doc__)
     parser.add_argument("--sources", type=Path, metavar="FILE", help="instead of the project's")
-    verbs = parser.add_subparsers(dest="verb", required=True)
+    verbs = parser.add_subparsers(dest="verb", required=True, metavar="list|fetch|add")
     verbs.add_parser("list", help="a line for each source")
     verbs.add_parser("fetch", help="download what is missing").add_argument("names", nargs="*", metavar="NAME")
     verbs.add_parser("add", help="take files by their content").add_argument("folder", type=Path, metavar="FOLDER")

@@ -9,7 +9,7 @@ from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Any
 
-from pipeline.printing import say
+from pipeline.printing import Parser, say
 from pipeline.protocol.claims import read_protocol
 from pipeline.store.errors import ConfigurationError, system_sentence
 
@@ -18,7 +18,7 @@ _FINE, _USAGE = 0, 2
 
 def main(arguments: list[str]) -> int:
     """Runs the command; 2 for wrong usage."""
-    parser = argparse.ArgumentParser(prog="endonav evaluate", description=__doc__)
+    parser = Parser(prog="endonav evaluate", description=__doc__)
     parser.add_argument("claims", nargs="*", metavar="CLAIM", help="default: all, which take hours")
     parser.add_argument("--seeds", type=int, default=1, help="how often, each on other anatomies (default 1)")
     parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
@@ -58,6 +58,8 @@ def main(arguments: list[str]) -> int:
         os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers are as many as there are to be
         from pipeline.protocol.run import measure
 
+        if not options.claims:
+            say("measuring all claims, which may take hours: --list shows them, to name some", error=True)
         for name in options.claims or protocol.claims:
             result = measure(name, protocol, options.to, seeds=options.seeds, workers=options.workers, tell=_tell)
             say(_line(name, result["summary"]))
@@ -87,6 +89,8 @@ def _row(options: argparse.Namespace) -> int:
 def _tell(name: str, done: int, count: int) -> None:
     if sys.stderr.isatty():
         sys.stderr.write(f"\r{name}: {done} of {count} cases" + "\n" * (done == count))
+    elif 10 * done // count > 10 * (done - 1) // count:  # a line at each tenth
+        say(f"{name}: {done} of {count} cases", error=True)
 
 
 def _line(name: str, summary: dict[str, Any]) -> str:

@@ -42,7 +42,12 @@ _KINDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Writes the files; nothing that is there is overwritten."""
     parser = Parser(prog="endonav new", description=__doc__)
-    parser.add_argument("kind", choices=_KINDS, help="a stage goes into the clone, others into the present folder")
+    parser.add_argument(
+        "kind",
+        choices=_KINDS,
+        metavar="|".join(_KINDS),
+        help="a stage goes into the clone, others into the present folder",
+    )
     parser.add_argument("name", metavar="NAME", help="a Python name in small letters")
     options = parser.parse_args(arguments)
     name, kind = options.name, _KINDS[options.kind]

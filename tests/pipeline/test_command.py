@@ -202,7 +202,7 @@ WRONG = {
     "experiment": (("stage=phantoms", "experiment=nothing"), ["'nothing'", "demo"]),
     "launcher": (("stage=phantoms", "hydra/launcher=cloud"), ["'cloud'", "joblib", "submitit_local"]),
     "phantom": (("stage=phantoms", "stage.phantoms=[type_9]"), ["'type_9'", "type_1", "bovine"]),
-    "key": (("stage=phantoms", "sed=3"), ["'sed'", "did you mean seed?", "budget"]),
+    "key": (("stage=phantoms", "sed=3"), ["'sed'", "did you mean seed?"]),
     "added key": (("stage=phantoms", "+sed=3"), ["'sed'", "budget"]),
     "number of a stage": (("stage=5",), ["unknown stage '5'", "choose one of phantoms"]),
     "task as a whole": (("stage=enn", "task=5"), ["task has several settings", "task.wire=…", "task.max_steps=…"]),

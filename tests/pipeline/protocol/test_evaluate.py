@@ -216,7 +216,9 @@ def test_data_that_are_not_here_and_files_that_are_refused_are_said(
     steer(protocol, "sources: open, count: 2", "generalist")
     claim = read_protocol(protocol).claims["steer"]
     assert _evaluate(protocol) == 2
-    assert "data are missing: `endonav data fetch box tube`" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "measuring all claims" in said
+    assert "data are missing: `endonav data fetch box tube`" in said
     for name in sources.entries:
         sources.anatomy(name).parent.mkdir()
         sources.anatomy(name).write_bytes(b"solid no vessel")

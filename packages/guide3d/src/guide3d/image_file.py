@@ -200,7 +200,7 @@ def _read(path: Path, colours: bool) -> GreyLevels:
 def _content(path: Path) -> bytes:
     """A file's bytes, if nothing is wrong with it at first sight; decoders would say so in words of their own."""
     if not path.exists():
-        raise ImageError(f"image {path} is missing")
+        raise ImageError(f"image {path} is missing: check its path")
     try:
         with open_regular(path, _LARGEST_FILE) as file:
             data = file.read()

@@ -311,7 +311,7 @@ def test_what_is_started_does_not_see_it() -> None:
     ("overrides", "words"),
     [
         (["engine=rai"], "unknown engine 'rai': choose one of local, ray, slurm"),
-        (["engine=ray", "engine.retrys=3"], "unknown setting 'engine.retrys' (did you mean engine.retries?)"),
+        (["engine=ray", "engine.retrys=3"], "unknown setting 'engine.retrys': did you mean engine.retries?"),
         (["engine.retries=1"], "unknown setting 'engine.retries': engine=local has none"),
         (["engine=slurm", "engine.manager=pbs"], "engine.manager has no 'pbs'"),
     ],

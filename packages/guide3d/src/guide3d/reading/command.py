@@ -98,7 +98,7 @@ def main(words: Sequence[str] | None = None, program: str = _PROGRAM) -> int:
     try:
         _run(options)
     except (ImportError, OSError, ValueError) as error:
-        sys.stderr.write(f"guide3d.read: {in_words(error)}\n")
+        sys.stderr.write(f"{program}: {in_words(error)}\n")
         return 1
     return 0
 

@@ -89,7 +89,7 @@ class Source:
                 yield picture
         elif self.path.suffix.lower() in FILMS or is_tiff(self.path):
             if not self.path.exists():
-                raise ImageError(f"{'image' if is_tiff(self.path) else 'film'} {self.path} is missing")
+                raise ImageError(f"{'image' if is_tiff(self.path) else 'film'} {self.path} is missing: check its path")
             decoded = yield from decoded_frames(self.path, tiff_pages if is_tiff(self.path) else film_frames, most)
             self.count, self.rate = decoded.count, decoded.rate
             self._note(*decoded.notes)
