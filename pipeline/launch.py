@@ -45,6 +45,7 @@ from pipeline.task import PARTS, TASK
 
 _NUMBER = "Config group override must be"  # so begins the ValueError of a number as a choice, ``stage=5``
 _KEY = re.compile(r"Could not (?:override|append|delete from config:) '?([\w./@-]+)|Key '([\w.]+)' (?:is )?not in")
+_ALIKE = 0.75  # of a setting that is meant, by its last word
 _LONGEST = 400  # characters of what a library says, which may quote a whole value
 
 
@@ -103,8 +104,9 @@ def _unknown_key(key: str, overrides: list[str]) -> str:
     names = settings_beside(key, dict(word.split("=", 1) for word in reversed(overrides) if "=" in word))
     if key.startswith("engine.") and not names:
         return f"unknown setting {key!r}: engine={LOCAL} has none; engine=ray and engine=slurm have some"
-    if close := difflib.get_close_matches(key, names, n=1):
-        return f"unknown setting {key!r}: did you mean {close[0]}? (--cfg job shows all)"
+    ends = {name.rpartition(".")[2]: name for name in reversed(names)}
+    if close := difflib.get_close_matches(key.rpartition(".")[2], ends, n=1, cutoff=_ALIKE):
+        return f"unknown setting {key!r}: did you mean {ends[close[0]]}? (--cfg job shows all)"
     return f"unknown setting {key!r}" + (f": choose one of {', '.join(names)}" if names else "")
 
 

@@ -107,8 +107,7 @@ def test_two_files_and_a_line_add_a_stage_as_the_template_does(
     done = in_project(sys.executable, "-c", f"{code}\nmain(['new', 'stage', 'ways_there'])")
     assert done.stdout.splitlines()[-1] == "[0, 0, 0, 0, 2]", done.stderr
     assert done.returncode == 2
-    (sentence,) = (line for line in done.stderr.splitlines() if "did you mean stage.step?" in line)
-    assert "stage.numbers, stage.until, stage.step, stage.threads" in sentence
+    assert "did you mean stage.step?" in done.stderr
     for told in ("stage 1 of 2: user_study", "stage 2 of 2: count", "count: up to date"):
         assert told in done.stdout
     folder = project / "runs" / "run" / "count"
