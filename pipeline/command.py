@@ -82,7 +82,9 @@ def _models(arguments: list[str]) -> int:
         say("endonav models [NAME]: lists the trained models that are shipped, or prints the card of one")
         return _FINE
     if not arguments or arguments[-1] in _PACKAGES:
-        listed = [f"{name}: {one[0]}" for name, one in shipped.items() if name.startswith(" ".join(arguments))]
+        listed = [
+            f"{name}: {one[0]}" for name, one in shipped.items() if not arguments or name.split()[0] == arguments[-1]
+        ]
         say("\n".join(listed) or "no model is shipped")
         return _FINE
     matches = [(full.split()[1], package) for full, (_, package) in shipped.items() if full.split()[1] == arguments[-1]]

@@ -124,6 +124,8 @@ def test_a_new_policy_and_a_new_phantom_pass_their_tests(
 def test_models_are_listed_and_have_cards(capsys: pytest.CaptureFixture[str]) -> None:
     assert command.main(["models"]) == 0
     assert "guide3d reader: Finds guidewires" in capsys.readouterr().out
+    assert command.main(["models", "splineformer"]) == 0
+    assert {line.split()[0] for line in capsys.readouterr().out.splitlines()} == {"splineformer"}
     assert command.main(["models", "reader"]) == 0
     assert "\n# reader\n" in capsys.readouterr().out
     assert command.main(["models", "nothing"]) == 2

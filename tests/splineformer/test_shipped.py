@@ -22,7 +22,7 @@ from splineformer.export import export_onnx, onnx_difference
 from splineformer.image_input import shares_of_pixels
 from splineformer.predictor import Predictor
 from splineformer.tokens import sampled, tokens_of_polyline, tokens_px
-from tests.guide3d.real_images import real_folder, write_some_pairs
+from tests.guide3d.real_images import real_folder
 from tests.splineformer.curves import answering, image_of, network, wavy_wire
 
 
@@ -83,13 +83,11 @@ def test_a_drawn_wire_is_read() -> None:
     assert figures["tip_px"] < 10
 
 
-def test_the_benchmark_of_real_images_stays_near_its_figures(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    real = str(real_folder() / "xray_wires"), str(write_some_pairs(tmp_path))
+def test_the_benchmark_of_real_images_stays_near_its_figures(capsys: pytest.CaptureFixture[str]) -> None:
+    real = str(real_folder() / "xray_wires"), str(real_folder() / "stereo_pairs.json")
     assert main(["--images", "0", "--alone", "--real", *real]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["images"] == 6
+    assert found["images"] == 12
     assert found["missed"] == 0
     assert found["curve_median_px"] < 6
     assert found["tip_median_px"] < 8

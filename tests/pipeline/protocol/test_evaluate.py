@@ -192,6 +192,7 @@ def test_a_damaged_journal_and_an_unknown_policy_are_told(protocol: Path, capsys
     journal.parent.mkdir()
     journal.write_text('{"commit": "ab')
     assert _evaluate(protocol) == 0
+    assert "wires: 1 of 1 cases" in capsys.readouterr().err
     (old,) = journal.parent.glob("wires.old-*.jsonl")
     assert old.read_text() == '{"commit": "ab'
     steer(protocol, "arches: random, count: 1", "nobody")
