@@ -15,12 +15,14 @@ from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.mesh.aortic_ends import aortic_ends
 from cathsim.anatomy.mesh.arches.arch_naming import name_vessels
 from cathsim.anatomy.mesh.branches import RoughVessel
+from cathsim.anatomy.mesh.reading import Triangles
+from cathsim.anatomy.mesh.surface_import import SurfaceFacts, phantom_of_surface
 from cathsim.anatomy.surface import lumen_surface
 from cathsim.anatomy.vessel_tree import nearest_on_branch
 from tests.cathsim.anatomy.generator.drawn_arch import BOW, LIMB, WIDTH, arch_mesh, arch_tree
 from tests.cathsim.anatomy.lumen_report import check_lumen
 
-DESCENDING, ASCENDING, ARCH = 0.13, 0.05, 0.04  # m: lengths of the limbs, radius of the arch
+DESCENDING, ASCENDING, ARCH = 0.13, 0.015, 0.04  # m: lengths of the limbs, radius of the arch
 
 
 def smooth(points: np.ndarray, step: float = 1e-3) -> np.ndarray:
@@ -29,21 +31,25 @@ def smooth(points: np.ndarray, step: float = 1e-3) -> np.ndarray:
     return np.stack([np.interp(at, arc, points[:, k]) for k in range(3)], axis=1)
 
 
-def aorta(radius: float, ascending: float, bulge: float) -> Branch:
+def aorta(
+    radius: float, ascending: float, bulge: float, limbs: tuple[float, float] = (DESCENDING, ASCENDING)
+) -> Branch:
     """From the descending end on; the radius grows to that of the ascending limb, and bulges at the distal arch."""
     angle = np.linspace(0, np.pi, 200)[:, None]
     turn = ARCH * np.concatenate([np.cos(angle), 0 * angle, np.sin(angle)], axis=1)
-    low, high = np.array([[ARCH, 0, -DESCENDING]]), np.array([[-ARCH, 0, -ASCENDING]])
+    low, high = np.array([[ARCH, 0, -limbs[0]]]), np.array([[-ARCH, 0, -limbs[1]]])
     points = smooth(np.concatenate([low, turn, high]))
     arc = np.arange(len(points)) * 1e-3
-    at = DESCENDING + 0.3 * np.pi * ARCH
-    grown = radius + (ascending - radius) * np.clip((arc - DESCENDING) / (np.pi * ARCH), 0, 1)
+    at = limbs[0] + 0.3 * np.pi * ARCH
+    grown = radius + (ascending - radius) * np.clip((arc - limbs[0]) / (np.pi * ARCH), 0, 1)
     return Branch("aorta", points, grown + bulge * np.exp(-(((arc - at) / 0.02) ** 2)))
 
 
-def branch(name: str, root: Branch, share: float, radius: float, beyond: float) -> Branch:
+def branch(
+    name: str, root: Branch, share: float, radius: float, beyond: float, descending: float = DESCENDING
+) -> Branch:
     """Straight out of the arch at a share of its half turn."""
-    arc = DESCENDING + share * np.pi * ARCH
+    arc = descending + share * np.pi * ARCH
     origin, out = root.point_at(arc), np.array([np.cos(share * np.pi), 0.25, np.sin(share * np.pi)])
     length = float(root.radius_at(arc)) + beyond
     points = origin + np.arange(0.0, length, 1e-3)[:, None] * out / np.linalg.norm(out)
@@ -55,7 +61,7 @@ def imported_in_metres(tree: VesselTree, path: Path) -> Phantom:
     return import_mesh(path, unit="m", resolution=2e-3, cache_dir=path.parent / "cache")
 
 
-def test_a_stump_that_is_wider_than_the_aorta_is_no_end_of_it(tmp_path: Path) -> None:
+def test_a_stump_that_is_wider_than_the_aorta_is_no_end_of_it_and_does_not_turn_it(tmp_path: Path) -> None:
     root = aorta(0.0112, 0.0135, bulge=0.008)
     stump = branch("lsa", root, 0.3, 0.0168, beyond=0.018)
     others = [branch(name, root, share, 0.0045, beyond=0.045) for name, share in (("lcca", 0.56), ("bca", 0.72))]
@@ -69,6 +75,19 @@ def test_a_stump_that_is_wider_than_the_aorta_is_no_end_of_it(tmp_path: Path) ->
     doubts = [note for note in phantom.imported.notes if "may end elsewhere" in note]  # type: ignore[union-attr]
     assert len(doubts) == 1  # the stump is large
     assert phantom.depths.place(phantom.target("lsa").position).depth == pytest.approx(0.030, abs=0.002)
+
+
+def test_an_aorta_of_two_equal_limbs_lies_as_the_patients_axes_say_and_without_them_a_doubt_is_told() -> None:
+    root = aorta(0.012, 0.012, bulge=0.0, limbs=(0.05, 0.05))
+    sides = [branch(f"b{share}", root, share, 0.0045, beyond=0.045, descending=0.05) for share in (0.4, 0.6)]
+    mesh = lumen_surface(build_lumen(VesselTree((root, *sides)), resolution=1e-3, fillet_radius=3e-3))
+    surface = Triangles(mesh.vertices, mesh.faces)
+    for side in (1.0, -1.0, None):
+        frame = None if side is None else np.diag([side, side, 1.0])
+        phantom = phantom_of_surface(surface, SurfaceFacts("arch"), name="a", digest="a", resolution=2e-3, frame=frame)
+        assert phantom.tree.root.points[0, 0] > 0.02 > -0.02 > phantom.tree.root.points[-1, 0]  # descends on the left
+        doubts = [note for note in phantom.imported.notes if "which of the aorta's two ends" in note]  # type: ignore[union-attr]
+        assert len(doubts) == (side is None)
 
 
 def way(*parts: tuple[str, float, float]) -> tuple[np.ndarray, np.ndarray]:

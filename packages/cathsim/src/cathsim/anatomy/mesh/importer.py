@@ -30,7 +30,7 @@ from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.pictures.import_picture import vessels_named, with_picture_of_doubts
 from cathsim.anatomy.vessel_names import ACCESS, AORTA
 
-IMPORT_VERSION = 22  # raise it whenever the same file gives another phantom
+IMPORT_VERSION = 23  # raise it whenever the same file gives another phantom
 _MEASURED = 4  # parts whose width is measured for the unit
 
 

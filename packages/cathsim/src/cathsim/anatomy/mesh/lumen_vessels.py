@@ -32,6 +32,7 @@ _BESIDE = 1.6  # radii from the middle of an end: a way that leads further off l
 _AS_WIDE, _NEAR_TIP = 0.7, 3.0  # of the wide part's radius: what its ends have at least, how near its tips they lie
 _NARROW = 0.35  # of a wide vessel's radius: one that may be cut off for the wide one's end
 _NARROWER = 0.7  # of a wide vessel's radius: the end of a short one beside it is not wider
+_UNCLEAR = 0.25  # a smaller ascending score is not clear
 
 Array = NDArray[np.float64]
 
@@ -205,14 +206,22 @@ def _is_beside(end: VesselEnd, tip: Array) -> bool:
 
 
 def find_vessels(
-    cavity: Cavity, inside: NDArray[np.bool_], ends: list[VesselEnd], *, rings: bool = False, scale: float = 1.0
-) -> tuple[RoughVessel, tuple[str, ...]]:
+    cavity: Cavity,
+    inside: NDArray[np.bool_],
+    ends: list[VesselEnd],
+    *,
+    rings: bool = False,
+    scale: float = 1.0,
+    frame: Array | None = None,
+) -> tuple[RoughVessel, tuple[str, ...], bool]:
     """The aorta with its branches, from its descending end on, and a note on each end that may be the aorta's, too.
 
-    Vessels of a ring lead to where they meet.
+    Vessels of a ring lead to where they meet. The last value is whether the shape does not show which of the aorta's
+    ends is the heart's.
 
     Args:
         scale: m per unit of the file, for the notes.
+        frame: (3, 3) rows are the patient's left, posterior and superior axis, where they are known.
 
     Raises:
         MeshRefusedError: the ends are not of one lumen, or the aorta has no branch.
@@ -254,7 +263,11 @@ def find_vessels(
     first, last, unsure = aortic_ends([paths.points(way) for way in ways], depths, [end.radius for end in ends])
     first, last = sorted((first, last), key=lambda n: ends[n].radius)
     aorta = vessels(first, last)
-    if ascending_score(aorta, ends[first].radius, ends[last].radius) < 0:
+    score = ascending_score(aorta, ends[first].radius, ends[last].radius)
+    unclear = abs(score) < _UNCLEAR
+    if unclear and frame is not None:  # the descending end is further to the left and to the back
+        score, unclear = float((frame[0] + frame[1]) @ (ends[first].centre - ends[last].centre)), False
+    if score < 0:
         aorta = vessels(last, first)
     if not aorta.children:
         raise MeshRefusedError("the aorta has no branch to steer into; expected an aortic arch with its branches.")
@@ -263,7 +276,7 @@ def find_vessels(
         f"({', '.join(f'{x / scale:.4g}' for x in ends[n].centre)}) of the file"
         for n in unsure
     )
-    return aorta, notes
+    return aorta, notes, unclear
 
 
 def _coarse(cavity: Cavity, inside: NDArray[np.bool_]) -> LumenPaths:

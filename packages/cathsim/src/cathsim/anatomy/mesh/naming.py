@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 def ascending_score(aorta: RoughVessel, first_radius: float, last_radius: float) -> float:
     """How much speaks for an aorta's last end being the ascending one (positive), against its first; end radii in m."""
-    score = 2.0 * math.log(last_radius / first_radius)
+    score = 2.0 * math.log(last_radius / first_radius)  # not the branches' radii: any of them may be dilated
     # Coronary arteries, at the root, and those of the trunk say nothing of the arch's order.
     widest = max((child.radius for child in aorta.children), default=0.0)
     children = [child for child in aorta.children if child.radius > _MAIN * widest]
@@ -50,7 +50,6 @@ def ascending_score(aorta: RoughVessel, first_radius: float, last_radius: float)
         score += 1.0 * (2 * middle / length - 1)  # the arch's branches lie nearer to the root than to the other end
     if len(children) > 1:
         near, far = children[-1], children[0]
-        score += 0.7 * math.log(near.radius / far.radius)
         score += 0.4 * float(np.clip(len(near.ends) - len(far.ends), -1, 1))
     return score
 

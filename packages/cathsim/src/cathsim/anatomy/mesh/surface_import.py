@@ -174,13 +174,16 @@ class SurfaceImport:
         away = voxels_away(inside)
         surface = lumen_samples(samples, cavity, inside, ends, away)
         self.budget.check_time("finding its vessels")
-        aorta, unsure = find_vessels(cavity, inside, ends, rings=rings > 0, scale=self.facts.scale)
+        scale, axes = self.facts.scale, self.frame
+        aorta, unsure, unclear = find_vessels(cavity, inside, ends, rings=rings > 0, scale=scale, frame=axes)
         if self.facts.nameless and len(unsure) > _MOST_WIDE_ENDS:
             raise MeshRefusedError(
                 f"{self.facts.file} seems to be no aorta: {len(unsure)} vessels beside its two ends are as wide; "
                 "if it is one, say so by labels={number: 'aorta'}."
             )
         self.notes += unsure
+        if unclear:
+            self.notes.append("its shape hardly shows which of the aorta's two ends is the heart's: check the names")
         pose = self._pose(aorta, cavity.origin + np.argwhere(inside) * cavity.spacing)
         aorta = turned(aorta, pose.rotation, pose.offset)
         automatic, final, named = self._named(aorta, pose)
