@@ -19,7 +19,7 @@ from typing import Any
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 KEYS = {"ArrowUp": 38, "ArrowDown": 40, "ArrowLeft": 37, "ArrowRight": 39, "Shift": 16, " ": 32,
         "a": 65, "c": 67, "d": 68, "f": 70, "m": 77, "p": 80, "r": 82, "s": 83, "w": 87}  # fmt: skip
-_PAUSE = 0.03  # s between two looks
+_PAUSE, _PATIENCE = 0.03, 30  # s between two looks, and until it is given up
 _SHOWN = "window.consoleStatistics?.frame && {...consoleStatistics.frame, wire: 0, catheter: 0, pictures: 0}"
 
 
@@ -32,23 +32,16 @@ def find_browser() -> str | None:
     return next((path for name in BROWSERS if (path := shutil.which(name))), None)
 
 
-def wait_until(condition: Callable[[], Any], seconds: float) -> Any:
-    """Waits for a condition.
-
-    Args:
-        condition: asked again and again.
-        seconds: after which it is given up.
-
-    Returns:
-        Its value, which is true.
+def wait_until(condition: Callable[[], Any]) -> Any:
+    """Waits for a condition, which it asks again and again; returns its value, which is true.
 
     Raises:
-        TimeoutError: it stayed false.
+        TimeoutError: it stayed false for half a minute, which a machine under load does not take either.
     """
-    end = time.monotonic() + seconds
+    end = time.monotonic() + _PATIENCE
     while not (value := condition()):
         if time.monotonic() > end:
-            raise TimeoutError(f"waited {seconds:g} s in vain")
+            raise TimeoutError(f"waited {_PATIENCE} s in vain")
         time.sleep(_PAUSE)
     return value
 
@@ -106,7 +99,7 @@ class Tab:
         self._open.callback(self._end)
         try:
             port_file = profile / "DevToolsActivePort"
-            wait_until(lambda: port_file.is_file() and "\n" in port_file.read_text(), 30)
+            wait_until(lambda: port_file.is_file() and "\n" in port_file.read_text())
             port = port_file.read_text().splitlines()[0]
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=10) as answer:
                 pages = [page for page in json.load(answer) if page["type"] == "page"]
@@ -162,7 +155,7 @@ class Tab:
             address: as the console printed it.
         """
         self.call("Page.navigate", url=address)
-        wait_until(lambda: self.value("window.consoleStatistics?.drawn > 5"), 30)
+        wait_until(lambda: self.value("window.consoleStatistics?.drawn > 5"))
 
     def value(self, expression: str) -> Any:
         """Evaluates JavaScript in the page.

@@ -42,7 +42,7 @@ def restart(tab: Tab) -> None:
     else:
         tab.key("r", down=True)
         tab.key("r", down=False)
-    wait_until(lambda: tab.frame()["state"] == "ready", 5)
+    wait_until(lambda: tab.frame()["state"] == "ready")
 
 
 def stands_still(tab: Tab) -> float:
@@ -54,7 +54,7 @@ def stands_still(tab: Tab) -> float:
         after = tab.frame()
         return after["step"] > before["step"] and abs(after["insertion_mm"] - before["insertion_mm"]) < 0.3
 
-    wait_until(still, 5)
+    wait_until(still)
     return float(tab.frame()["insertion_mm"])
 
 
@@ -62,11 +62,11 @@ def test_keys_move_the_wire_while_they_are_held(tab: Tab) -> None:
     restart(tab)
     assert tab.frame()["insertion_mm"] < 2
     tab.key("ArrowUp", down=True)
-    wait_until(lambda: tab.frame()["insertion_mm"] > 15, 10)
+    wait_until(lambda: tab.frame()["insertion_mm"] > 15)
     tab.key("ArrowUp", down=False)
     stopped = stands_still(tab)
     tab.key("ArrowDown", down=True)
-    wait_until(lambda: tab.frame()["insertion_mm"] < stopped - 4, 5)
+    wait_until(lambda: tab.frame()["insertion_mm"] < stopped - 4)
     tab.key("ArrowDown", down=False)
     assert tab.value("consoleStatistics.latencies.length") >= 2
 
@@ -75,24 +75,24 @@ def test_an_episode_is_on_disk_when_time_is_up_with_its_answers_and_is_replayed(
     restart(tab)
     tab.key("ArrowUp", down=True)
     before = tab.value("[consoleStatistics.received, performance.now()]")
-    wait_until(lambda: tab.frame()["state"] == "ended", 20)
+    wait_until(lambda: tab.frame()["state"] == "ended")
     after = tab.value("[consoleStatistics.received, performance.now()]")
     tab.key("ArrowUp", down=False)
     rate = 1000 * (after[0] - before[0]) / (after[1] - before[1])
     assert rate > 10, "pictures come, even on a machine under load"
-    wait_until(lambda: tab.value("document.getElementById('end').open"), 5)
+    wait_until(lambda: tab.value("document.getElementById('end').open"))
     recorded = Path(tab.value("document.getElementById('end-recorded').textContent").removeprefix("Recorded in "))
     assert recorded.is_file()
     assert episodes in recorded.parents
     tab.value("document.querySelectorAll('.likert').forEach((row, k) => row.querySelectorAll('input')[k % 5].click())")
     tab.value("document.getElementById('save-answers').click()")
     beside = recorded.with_name(f"{recorded.stem}.questionnaire.json")
-    wait_until(beside.is_file, 5)
+    wait_until(beside.is_file)
     assert list(json.loads(beside.read_text())["answers"].values())[:7] == [1, 2, 3, 4, 5, 1, 2]
-    wait_until(lambda: tab.value("sessionStorage.getItem('questionnaire answered')"), 5)
+    wait_until(lambda: tab.value("sessionStorage.getItem('questionnaire answered')"))
     tab.value("document.getElementById('end').open && document.getElementById('end').close('closed')")
     tab.value("document.getElementById('replay').click()")
-    wait_until(lambda: tab.frame()["state"] == "replay" and tab.frame()["step"] > 3, 5)
+    wait_until(lambda: tab.frame()["state"] == "replay" and tab.frame()["step"] > 3)
 
 
 def plug_gamepad(tab: Tab, axes: list[float], mapping: str = "") -> None:
@@ -118,7 +118,7 @@ def pull_gamepad(tab: Tab) -> None:
 def test_a_gamepad_steers_and_lets_go_when_it_is_pulled_out(tab: Tab) -> None:
     restart(tab)
     plug_gamepad(tab, [0, -1, 0, 0])
-    wait_until(lambda: tab.frame()["insertion_mm"] > 8, 10)
+    wait_until(lambda: tab.frame()["insertion_mm"] > 8)
     pull_gamepad(tab)
     assert tab.value("consoleStatistics.controls") == [0, 0]
     assert "gamepad was pulled out" in tab.value("document.getElementById('notice').textContent")
@@ -131,9 +131,9 @@ def choose_catheter(tab: Tab, name: str) -> None:
       select.value = "{name}";
       select.dispatchEvent(new Event("change"));
     }})()""")
-    wait_until(lambda: tab.value("consoleStatistics.task.catheter ?? ''") == name, 20)
+    wait_until(lambda: tab.value("consoleStatistics.task.catheter ?? ''") == name)
     # the task comes before the first picture of it
-    wait_until(lambda: tab.frame()["state"] == "ready" and ("lead_mm" in tab.frame()) == bool(name), 10)
+    wait_until(lambda: tab.frame()["state"] == "ready" and ("lead_mm" in tab.frame()) == bool(name))
 
 
 def steered(tab: Tab) -> list[float]:
@@ -146,17 +146,17 @@ def test_two_devices_are_steered_by_keys(tab: Tab) -> None:
     assert "VERTEBRAL 6F" in tab.value("document.getElementById('label-task').textContent")
     for name in ("w", "ArrowUp"):
         tab.key(name, down=True)
-    wait_until(lambda: steered(tab) == [1, 0, 1, 0], 3)
-    wait_until(lambda: tab.frame()["catheter_insertion_mm"] > 15, 10)
+    wait_until(lambda: steered(tab) == [1, 0, 1, 0])
+    wait_until(lambda: tab.frame()["catheter_insertion_mm"] > 15)
     tab.key("w", down=False)
     tab.key("d", down=True)
     tab.key("Shift", down=True)
-    wait_until(lambda: steered(tab) == [0.25, 0, 0, 0.25], 3)
+    wait_until(lambda: steered(tab) == [0.25, 0, 0, 0.25])
     tab.key("Shift", down=False)
-    wait_until(lambda: tab.frame()["lead_mm"] > 8 and tab.frame()["catheter_rotation_rad"] > 0.3, 10)
+    wait_until(lambda: tab.frame()["lead_mm"] > 8 and tab.frame()["catheter_rotation_rad"] > 0.3)
     for name in ("d", "ArrowUp"):
         tab.key(name, down=False)
-    wait_until(lambda: steered(tab) == [0, 0, 0, 0], 3)
+    wait_until(lambda: steered(tab) == [0, 0, 0, 0])
     frame = tab.frame()
     assert frame["rotation_rad"] == 0, "the catheter's keys do not turn the wire"
     assert len(frame["feeder_forces_n"]) == 2
@@ -168,10 +168,10 @@ def test_two_fingers_steer_two_devices_on_a_phone(tab: Tab) -> None:
     tab.phone(390, 844)
     catheter, wire = ".pad:nth-of-type(1) [data-key=KeyW]", ".pad:nth-of-type(2) [data-key=ArrowUp]"
     tab.touch(catheter, wire)
-    wait_until(lambda: steered(tab) == [1, 0, 1, 0], 3)
-    wait_until(lambda: tab.frame()["catheter_insertion_mm"] > 5, 10)
+    wait_until(lambda: steered(tab) == [1, 0, 1, 0])
+    wait_until(lambda: tab.frame()["catheter_insertion_mm"] > 5)
     tab.touch()
-    wait_until(lambda: steered(tab) == [0, 0, 0, 0], 3)
+    wait_until(lambda: steered(tab) == [0, 0, 0, 0])
     assert tab.value("document.documentElement.scrollWidth <= innerWidth"), "nothing sticks out to the side"
     shown = tab.value("""(() => {
       const pads = document.getElementById("pads").getBoundingClientRect();
@@ -209,7 +209,7 @@ def test_a_finger_that_still_steers_at_the_end_answers_no_question(tab: Tab) -> 
     restart(tab)
     tab.phone(390, 844)
     tab.touch(".pad:nth-of-type(2) [data-key=ArrowUp]")
-    wait_until(lambda: tab.value("document.getElementById('end').open"), 30)
+    wait_until(lambda: tab.value("document.getElementById('end').open"))
     assert tab.value("document.getElementById('end').scrollTop") == 0, "the score is seen first"
     tab.touch()
     time.sleep(0.3)
@@ -217,7 +217,7 @@ def test_a_finger_that_still_steers_at_the_end_answers_no_question(tab: Tab) -> 
     assert tab.value("document.querySelectorAll('#criteria input:checked').length") == 0
     tab.touch("#criteria label:nth-of-type(4)")
     tab.touch()
-    wait_until(lambda: tab.value("document.querySelectorAll('#criteria input:checked').length") == 1, 5)
+    wait_until(lambda: tab.value("document.querySelectorAll('#criteria input:checked').length") == 1)
     tab.desktop()
     restart(tab)
 
@@ -240,46 +240,46 @@ def tap(tab: Tab, key: str) -> None:
 
 def test_vessels_are_seen_after_an_injection_and_on_the_roadmap(tab: Tab) -> None:
     restart(tab)
-    wait_until(lambda: tab.frame()["contrast"] == 0, 10)
+    wait_until(lambda: tab.frame()["contrast"] == 0)
     plain = [grey(tab, screen) for screen in ("fluoroscopy", "second")]
     tap(tab, "c")
-    wait_until(lambda: grey(tab, "fluoroscopy") < plain[0] - 2 and grey(tab, "second") < plain[1] - 2, 10)
-    wait_until(lambda: tab.frame()["contrast"] == 0 and abs(grey(tab, "fluoroscopy") - plain[0]) < 0.5, 20)
+    wait_until(lambda: grey(tab, "fluoroscopy") < plain[0] - 2 and grey(tab, "second") < plain[1] - 2)
+    wait_until(lambda: tab.frame()["contrast"] == 0 and abs(grey(tab, "fluoroscopy") - plain[0]) < 0.5)
     tap(tab, "m")
-    wait_until(lambda: grey(tab, "fluoroscopy") > plain[0] + 1, 5)
+    wait_until(lambda: grey(tab, "fluoroscopy") > plain[0] + 1)
     tap(tab, "m")
-    wait_until(lambda: not tab.frame()["roadmap"], 5)
+    wait_until(lambda: not tab.frame()["roadmap"])
 
 
 def test_the_pedal_holds_the_last_image_and_counts_the_dose(tab: Tab) -> None:
     restart(tab)
     tap(tab, "f")
-    wait_until(lambda: not tab.frame()["beam"], 5)
+    wait_until(lambda: not tab.frame()["beam"])
     held = grey(tab, "fluoroscopy")
     tab.key("ArrowUp", down=True)
-    wait_until(lambda: tab.frame()["insertion_mm"] > 10, 10)
+    wait_until(lambda: tab.frame()["insertion_mm"] > 10)
     assert grey(tab, "fluoroscopy") == held
     assert tab.frame()["dose_s"] == 0
     tab.key(" ", down=True)
-    wait_until(lambda: tab.frame()["dose_s"] > 0.3, 10)
+    wait_until(lambda: tab.frame()["dose_s"] > 0.3)
     tab.key(" ", down=False)
     tab.key("ArrowUp", down=False)
-    wait_until(lambda: not tab.frame()["beam"], 5)
+    wait_until(lambda: not tab.frame()["beam"])
     tap(tab, "f")
-    wait_until(lambda: tab.frame()["beam"], 5)
+    wait_until(lambda: tab.frame()["beam"])
 
 
 def test_c_arms_turn_by_dragging_and_zoom_by_the_wheel(tab: Tab) -> None:
     restart(tab)
     tab.drag("#fluoroscopy", (-75, 40))
-    wait_until(lambda: tab.value("consoleStatistics.task.views.a.primary_deg") == -30, 10)
+    wait_until(lambda: tab.value("consoleStatistics.task.views.a.primary_deg") == -30)
     assert tab.value("consoleStatistics.task.views.a.secondary_deg") == 10
     assert tab.value("document.getElementById('angles-a').textContent") == "RAO 30° CRAN 10°"
     tab.call("Input.dispatchMouseEvent", type="mouseWheel", x=1100, y=300, deltaX=0, deltaY=-700)
-    wait_until(lambda: tab.value("consoleStatistics.task.views.b.zoom") > 1.9, 10)
+    wait_until(lambda: tab.value("consoleStatistics.task.views.b.zoom") > 1.9)
     for screen in ("fluoroscopy", "second"):
         tab.value(f"document.getElementById('{screen}').dispatchEvent(new MouseEvent('dblclick'))")
-    wait_until(lambda: tab.value("consoleStatistics.task.views.b.zoom") == 1, 10)
+    wait_until(lambda: tab.value("consoleStatistics.task.views.b.zoom") == 1)
     tab.value("document.getElementById('swap').click()")
     assert tab.value("document.getElementById('second').hidden && !document.getElementById('space').hidden")
     tab.value("document.getElementById('swap').click()")

@@ -45,7 +45,7 @@ def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
 def show(tab: Tab, address: str, width: int, *, unfolded: bool = False) -> None:
     tab.call("Emulation.setDeviceMetricsOverride", width=width, height=900, deviceScaleFactor=2, mobile=width < 700)
     tab.call("Page.navigate", url=address)
-    wait_until(lambda: tab.value("document.readyState === 'complete' && !!document.querySelector('footer')"), 20)
+    wait_until(lambda: tab.value("document.readyState === 'complete' && !!document.querySelector('footer')"))
     if unfolded:
         tab.value("document.querySelectorAll('details').forEach(one => { one.open = true; })")
 
@@ -70,7 +70,7 @@ def test_a_link_to_a_folded_table_opens_it(tab: Tab, pages: dict[str, str]) -> N
     show(tab, pages["empty"], 1440)
     assert not tab.value("document.getElementById('segmentation').checkVisibility()")
     tab.value("document.querySelector('a[href=\"#segmentation\"]').click()")
-    wait_until(lambda: tab.value("document.getElementById('segmentation').checkVisibility()"), 5)
+    wait_until(lambda: tab.value("document.getElementById('segmentation').checkVisibility()"))
 
 
 def test_a_figure_is_enlarged_by_a_click(tab: Tab, pages: dict[str, str]) -> None:
