@@ -47,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if arguments is None:  # this process is the command's own
         os.environ[CALLED] = "1"
+        sys.stdout, sys.stderr = (one or open(os.devnull, "w") for one in (sys.stdout, sys.stderr))  # noqa: SIM115
     if not words or words[0] in ("-h", "--help"):
         say(_HELP)
         return _FINE if words else _USAGE
@@ -133,9 +134,10 @@ def _import(arguments: list[str]) -> int:
 
 
 def _read(arguments: list[str]) -> int:
+    from guide3d.commands import run
     from guide3d.reading.command import main as read
 
-    return read(arguments, program="endonav read")
+    run(lambda: read(arguments, program="endonav read"))
 
 
 def _train(arguments: list[str]) -> int:

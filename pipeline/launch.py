@@ -30,7 +30,7 @@ from pipeline.jobs.engines.settings import LOCAL
 from pipeline.printing import installing, say, written
 from pipeline.settings.kinds import sentence
 from pipeline.settings.quoting import advice, with_quoted_paths
-from pipeline.stages import available_stages
+from pipeline.stages import available_stages, load_stage
 from pipeline.store.errors import PipelineError, system_error, system_sentence
 from pipeline.store.interruption import (
     EXIT_INTERRUPTED,
@@ -217,7 +217,9 @@ def refusal(arguments: list[str]) -> str:
     register_schemas(_chosen_stages(arguments))
     try:
         with initialize_config_dir(str(CONFIG_DIRECTORY), version_base="1.3"):
-            run_config(compose("config", overrides=arguments))
+            config = run_config(compose("config", overrides=arguments))
+        if config.phantom.file is config.phantom.mesh is None:  # else only reading the file shows what its anatomy has
+            load_stage(config.stage.name).check(config.stage)
     except Exception as error:
         if not is_foreseen(error):
             raise

@@ -33,16 +33,23 @@ _EXTRAS = {"make setup": "pip install 'endonav[learning]'", "make ray": "pip ins
 
 
 def say(text: str, *, error: bool = False) -> None:
-    """Prints a text and its line end; where nobody reads any more, it and all that follows are dropped."""
+    """Prints a text and its line end; where nobody reads any more, it and all that follows are dropped.
+
+    A stream that cannot be written, as a file on a full disk, ends the program with exit code 1.
+    """
     stream = sys.stderr if error else sys.stdout
+    if stream is None:  # the program was started with it closed
+        return
     lines = "\n".join("\t".join(map(visible, line.split("\t"))) for line in text.rstrip().split("\n"))
     try:
         stream.write(f"{lines}\n")  # at once: threads may print, too
         stream.flush()
-    except BrokenPipeError:
+    except OSError as failure:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())  # else Python complains again at its end
         os.close(nowhere)
+        if not isinstance(failure, BrokenPipeError):
+            sys.exit(f"what the command prints cannot be written: {failure.strerror}")
 
 
 def written(command: str) -> str:

@@ -252,7 +252,7 @@ def record_episode(
                 film.add(environment)
             if terminated or truncated:
                 break
-            action = policy(observation, info)
+            action = np.asarray(policy(observation, info), environment.action_space.dtype)  # as a replay gives it
             observation, reward, terminated, truncated, info = environment.step(action)
             step += 1
             tips.append(info["tip"])

@@ -114,9 +114,15 @@ def replay(
 
 
 def film_of(log: Path, destination: Path) -> Path:
-    """Repeats a logged episode and films it into a GIF, which appears under its name only when it is whole."""
+    """Repeats a logged episode and films it into a GIF, which appears under its name only when it is whole.
+
+    Raises:
+        ReplayError: the episode does not repeat, or the destination's name is no GIF's.
+    """
     from cathsim.viewing.film import Film
 
+    if destination.suffix.lower() != ".gif":
+        raise ReplayError(f"{destination} is no name of a GIF: let it end in .gif")
     film = Film()
     try:
         replay(log, film=film)

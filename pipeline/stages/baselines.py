@@ -125,6 +125,14 @@ def plan(settings: BaselinesSettings, context: StageContext) -> list[PolicyTrain
     ]
 
 
+def check_baselines(settings: BaselinesSettings) -> None:
+    """Refuses unknown phantoms, targets and wires, and hyper-parameters that one of the algorithms has not."""
+    check_learning(settings)
+    for algorithm in settings.algorithms if settings.training else ():
+        for observation in settings.observations:
+            training_settings(settings, algorithm, observation)
+
+
 def training_settings(settings: BaselinesSettings, algorithm: str, observation: str) -> TrainingSettings:
     """Hyper-parameters of a row of the table: "ppo" or "sac" on "internal", "image" or "sequential"."""
     from enn.reinforcement import DESK_PPO, DESK_SAC
@@ -163,4 +171,4 @@ def path_followers(settings: BaselinesSettings, context: StageContext) -> list[J
     return jobs
 
 
-STAGE = Stage(settings=BaselinesSettings, run=run_baselines, reads=("expert",), prepare=settle, check=check_learning)
+STAGE = Stage(settings=BaselinesSettings, run=run_baselines, reads=("expert",), prepare=settle, check=check_baselines)

@@ -42,6 +42,8 @@ def check_enn(settings: EnnSettings) -> None:
     """Refuses unknown phantoms, targets, wires and modality sets with a ConfigurationError."""
     check_learning(settings)
     require_modalities(settings.expert, *settings.modalities)
+    if settings.training:  # now, and not after the stages that it reads
+        training_settings(settings, settings.decisions)
 
 
 def run_enn(settings: EnnSettings, context: StageContext) -> Results:

@@ -81,6 +81,12 @@ def test_a_restored_state_goes_on_with_the_same_bits(make_simulation: MakeSimula
 def test_a_state_of_another_wire_is_refused(make_simulation: MakeSimulation) -> None:
     with pytest.raises(ValueError, match=r"expected a state of shape \(173,\), got \(509,\)"):
         make_simulation().restore(make_simulation("thesis").state())
+    state = make_simulation().state()
+    for place, value in ((0, np.nan), (-1, np.nan), (-1, 1e6), (-1, 0.5), (-1, -1.0)):
+        wrong = state.copy()
+        wrong[place] = value
+        with pytest.raises(ValueError, match="no state of this simulation"):
+            make_simulation().restore(wrong)
 
 
 @pytest.mark.parametrize("wire", ["default", "thesis"])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+import enn
 from enn.devices import bfloat16_on_processor
 from enn.networks.network import NetworkSettings, build_network
 from enn.networks.normalisation import fit_normalisation
@@ -87,9 +88,23 @@ def test_other_observations_are_one_clear_sentence() -> None:
         ({"tip": np.zeros(4), "feeder": np.zeros(2)}, r"'tip' of shape \(3,\), got \(4,\): another wire"),
         (np.zeros(3), "sees tip, feeder by name, got one array"),
         ({"tip": np.zeros(3), "feeder": np.array([0.0, np.nan])}, "'feeder' is not finite"),
+        ({"tip": np.zeros(3), "feeder": np.zeros(2, bool)}, "'feeder' of type float32, got bool"),
+        (None, "sees tip, feeder by name, got one array"),
     ):
         with pytest.raises(ValueError, match=said):
             policy.act(observation)
+
+
+def test_numbers_of_another_precision_and_lists_are_taken_and_images_of_another_range_are_not() -> None:
+    observation = {"tip": np.full(3, 0.5, np.float32), "feeder": np.ones(2, np.float32)}
+    policy, action = _policy(), _policy().act(observation)
+    for other in (lambda values: values.astype(float), lambda values: values.tolist()):
+        np.testing.assert_array_equal(policy.act({key: other(observation[key]) for key in observation}), action)
+    reader = enn.load("type_1_bca")
+    seen = {key: np.zeros(space.shape, space.dtype) for key, space in reader.observation_space.items()}
+    reader.act(seen)
+    with pytest.raises(ValueError, match="'image' of type uint8, got float32"):
+        reader.act(seen | {"image": seen["image"].astype(np.float32)})
 
 
 @pytest.mark.parametrize(

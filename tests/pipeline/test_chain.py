@@ -150,6 +150,14 @@ def test_a_signal_ends_the_stage_and_starts_no_other(pipeline_process) -> None:
             ["phantoms", "unseen", "--", "budget=smoke", "pretrained=true", "stage@unseen.policy=mine.pt"],
             "unseen: stage.shipped=true",
         ),
+        *(
+            (
+                ["--inputs", stage, "--", "budget=smoke", f"stage@{stage}.training={{{wrong}}}"],
+                f"{stage}: stage.training",
+            )
+            for stage in ("enn", "baselines")
+            for wrong in ("foo: 1", "learning_rate: -1")
+        ),
     ],
 )
 def test_what_cannot_be_is_refused(words: list[str], problem: str, capsys: pytest.CaptureFixture[str]) -> None:

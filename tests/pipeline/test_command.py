@@ -70,7 +70,8 @@ def test_a_file_of_yours_is_imported_read_or_refused(
     assert "endonav import FILE" in capsys.readouterr().err
     assert command.main(["import", "no, file.stl"]) == 2
     assert "phantom.file=no, file.stl is no file" in capsys.readouterr().err
-    assert command.main(["read", "nothing.png"]) == 1
+    with pytest.raises(SystemExit, match="1"):
+        command.main(["read", "nothing.png"])
     assert "nothing.png is missing" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         command.main(["read", "--help"])
@@ -308,6 +309,14 @@ def test_a_reader_that_has_gone_is_no_error() -> None:
     process.stdin.close()
     assert process.stderr.read() == ""
     assert process.wait(60) == 3
+
+
+@pytest.mark.parametrize("words", ["-m pipeline.command models", "-m guide3d"])
+def test_output_that_is_closed_is_no_error_and_a_full_disk_is_one_sentence(words: str) -> None:
+    for redirection, code, lines in ((">&-", 0, 0), ("2>&-", 0, 0), (">/dev/full", 1, 1)):
+        shell = ["sh", "-c", f'exec "{sys.executable}" {words} {redirection}']
+        process = subprocess.run(shell, capture_output=True, text=True, check=False)
+        assert (process.returncode, len(process.stderr.splitlines())) == (code, lines), (redirection, process.stderr)
 
 
 def test_texts_go_where_they_belong(capfd: pytest.CaptureFixture[str]) -> None:

@@ -319,6 +319,8 @@ def check_unseen(settings: UnseenSettings) -> None:
         raise ConfigurationError(f"unknown view {', '.join(map(repr, unknown))}: choose from {', '.join(VIEWS)}")
     require_known_task(settings.task)
     require_feeder(settings.task, "unseen")
+    if settings.training:
+        training_settings(settings, settings.anatomies, max(settings.decisions, 1))
 
 
 def run_unseen(settings: UnseenSettings, context: StageContext) -> Results:

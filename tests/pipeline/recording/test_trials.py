@@ -222,7 +222,7 @@ def test_a_log_keeps_the_catheter_and_not_its_name_alone(tmp_path: Path) -> None
 
 def test_a_log_is_filmed(tmp_path: Path) -> None:
     environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=6, catheter="vertebral", image_size=40)
-    record_episode(environment, lambda *_: np.ones(4), tmp_path / "0.mcap", seed=1, operator="test")
+    record_episode(environment, lambda *_: np.full(4, 0.9), tmp_path / "0.mcap", seed=1, operator="test")
     with EpisodeReader(tmp_path / "0.mcap") as log:
         masks = [log.mask("frontal", 6, device) for device in ("wire", "catheter")]
         np.testing.assert_array_equal(log.mask("frontal", 6), masks[0] | masks[1])
@@ -231,6 +231,8 @@ def test_a_log_is_filmed(tmp_path: Path) -> None:
     with Image.open(tmp_path / "0.gif") as film:
         assert film.n_frames == 4
         assert film.size[1] == 400
+    assert main(["film", str(tmp_path / "0.mcap"), str(tmp_path / "0.mp4")]) != 0
+    assert not (tmp_path / "0.mp4").exists()
 
 
 def test_every_second_evaluation_is_filmed(tmp_path: Path) -> None:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 # The servo's target never runs further ahead of the wire than its force limit can use.
 LEAD_ADVANCE, LEAD_ROTATION = 0.004, 0.4
 SETTLE_STEPS = 3
+NO_STATE = "the state is no state of this simulation: take one that its own state() gave"
 
 
 @kept_with_owner
@@ -412,11 +413,14 @@ class Simulation:
         """Returns to a state of a simulation with the same arguments.
 
         Raises:
-            ValueError: the state has another size.
+            ValueError: the state has another size, is not finite, or is of another simulation.
         """
         size = 3 * self.nq + len(self._to) + 3
         if state.shape != (size,):
             raise ValueError(f"expected a state of shape ({size},), got {state.shape}")
+        known = np.isfinite(state[:-2]).all() and not np.isnan(state[-2])  # the depth may be infinite
+        if not known or state[-1] not in range(len(self.chains.counts)):
+            raise ValueError(NO_STATE)
         self._index = int(state[-1])
         self._chain = self._chain_at(self._index)
         data, active = self.data, self.model.nq

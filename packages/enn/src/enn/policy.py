@@ -86,8 +86,9 @@ class Policy:
             Within the action space. Shape (actions,).
         """
         if isinstance(observation, Mapping):
-            return self.act_batch({key: observation[key][None] for key in observation}, deterministic, generator)[0]
-        return self.act_batch(observation[None], deterministic, generator)[0]
+            batch = {key: np.asarray(observation[key])[None] for key in self.keys or observation if key in observation}
+            return self.act_batch(batch, deterministic, generator)[0]
+        return self.act_batch(np.asarray(observation)[None], deterministic, generator)[0]
 
     def act_batch(
         self, observations: Observation, deterministic: bool = True, generator: np.random.Generator | None = None
@@ -95,8 +96,8 @@ class Policy:
         """Actions for observations with a leading N. Shape (N, actions).
 
         Raises:
-            ValueError: an observation is missing, has another shape than in training, or is not finite; a draw
-                without a generator.
+            ValueError: an observation is missing, has another shape or type than in training, or is not finite; a
+                draw without a generator.
         """
         with torch.inference_mode():
             mean, log_std = action_distribution(self.module, self._encoded(self._tensors(observations)))
@@ -157,9 +158,12 @@ class Policy:
             raise ValueError(
                 f"the policy was trained with {name} of shape {space.shape}, got {values.shape[1:]}: another {kind}"
             )
+        learnt = np.dtype(space.dtype)
+        if values.dtype != learnt and (learnt.kind != "f" or values.dtype.kind not in "fiu"):
+            raise ValueError(f"the policy was trained with {name} of type {learnt}, got {values.dtype}: convert it")
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             raise ValueError(f"{name} is not finite: look at what makes the observations")
-        return torch.as_tensor(values).to(self.module.device)
+        return torch.as_tensor(values.astype(learnt, copy=False)).to(self.module.device)
 
     def save(self, path: Path | str, *, critics: bool = False, half: bool = False, half_critics: bool = False) -> None:
         """Writes settings, spaces and weights into one file, atomically.

@@ -37,26 +37,36 @@ def list_commands(package: str) -> NoReturn:
 
 def run(main: Callable[[], int]) -> NoReturn:
     """Ends the program with a command's exit code; what nobody reads any more, as after `head`, is dropped."""
+    read_by_nobody()
     try:
         try:
             code: Any = main()
         except SystemExit as end:  # as argparse ends it
             code = end.code
         sys.stdout.flush()
-    except BrokenPipeError:
+    except OSError as error:  # of standard output
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # else Python complains again at its end
-        code = 0
+        code = 0 if isinstance(error, BrokenPipeError) else f"what it prints cannot be written: {error.strerror}"
     except KeyboardInterrupt:
         sys.stderr.write("stopped by Ctrl-C\n")
         code = 130
     sys.exit(code)
 
 
+def read_by_nobody() -> None:
+    """Opens what the program was started without, standard output or errors, so that what is written there is lost."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - for as long as the program runs
+
+
 def in_words(error: BaseException) -> str:
     """One line about an error, for the end of a command; the system's with the file and without a number."""
     if isinstance(error, BrokenPipeError):
         raise error  # nobody reads what is printed: `run` ends the command
-    text = f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.strerror else str(error)
+    text = str(error)
+    if isinstance(error, OSError) and error.strerror:
+        text = f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     return " ".join(text.split())
 
 

@@ -205,6 +205,8 @@ def test_a_volume_survives_load_phantom_cache_description_and_pickling(
     assert load_phantom(str(thick), resolution=COARSE, cache_dir=cache).hash == imported.hash
     with pytest.raises(ValueError, match="takes no seed"):
         load_phantom(str(thick), seed=3, cache_dir=cache)
+    with pytest.raises(MeshRefusedError, match="labels is a mapping such as"):
+        load_phantom(thick, labels=[1, 2], cache_dir=cache)
     with pytest.raises(MeshRefusedError, match="unit in its header"):
         load_phantom(thick, unit="mm", cache_dir=cache)
     _load.cache_clear()

@@ -22,7 +22,7 @@ from cathsim.guidewire import Guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.presets import Accuracy, dividing
 from cathsim.robot.pace import PACES, Pace
-from cathsim.simulation import Simulation, not_finite, vessel_of
+from cathsim.simulation import NO_STATE, Simulation, not_finite, vessel_of
 
 _ONE_DEVICE = (
     "the pair has one device, which translation and rotation move, or insertion and rotation place: leave catheter out"
@@ -295,11 +295,13 @@ class DualSimulation(Simulation):
         """Returns to a state of a simulation with the same arguments.
 
         Raises:
-            ValueError: the state has another size.
+            ValueError: the state has another size, is not finite, or is of another simulation.
         """
         extra = 1 + DEVICES + self.twist.size
         if len(state) != len(super().state()) + extra:
             raise ValueError(f"expected a state of shape ({len(super().state()) + extra},), got {state.shape}")
+        if not np.isfinite(state[-extra:]).all():
+            raise ValueError(NO_STATE)
         self._hubs.set(float(state[-extra]), state[1 - extra : 1 - extra + DEVICES].tolist())
         super().restore(state[:-extra])
         self.twist[:] = state[len(state) - self.twist.size :].reshape(self.twist.shape)

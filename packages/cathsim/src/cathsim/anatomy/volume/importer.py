@@ -78,6 +78,8 @@ def import_volume(
     path = Path(path).expanduser()
     directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
     hashable = hashable_names(names)
+    if labels is not None and not isinstance(labels, Mapping):
+        raise MeshRefusedError(f"labels is a mapping such as {{1: 'aorta', 2: 'lsa'}}, got {labels!r}.")
     hashable_labels = None if not labels else tuple(labels.items())
     with ONE_AT_A_TIME:
         digest = volume_digest(path, hashable_labels, hashable, resolution, transform, extend)
