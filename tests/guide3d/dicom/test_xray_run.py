@@ -15,7 +15,7 @@ import pydicom
 from pydicom.data import get_testdata_file
 from pydicom.pixels import apply_voi, apply_windowing
 from pydicom.sequence import Sequence
-from pydicom.uid import ImplicitVRLittleEndian, JPEGBaseline8Bit, JPEGLosslessSV1, RLELossless
+from pydicom.uid import ExplicitVRBigEndian, ImplicitVRLittleEndian, JPEGBaseline8Bit, JPEGLosslessSV1, RLELossless
 
 from guide3d.dicom.__main__ import main
 from guide3d.dicom.run_folder import read_xray
@@ -70,6 +70,29 @@ def test_a_table_of_grey_values_goes_before_the_window(tmp_path: Path) -> None:
     expected = apply_voi(frames_of(1, bits=10), dataset) / 4095
     assert np.array_equal(run.images(), np.rint(255 * expected).astype(np.uint8))
     assert run.images().min() == 0
+
+
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize(("bits", "kind"), [(16, "OW"), (16, "US"), (12, "OW"), (8, "OW"), (8, "US"), (8, "packed")])
+def test_tables_of_grey_values_in_both_byte_orders(bits: int, kind: str, big: bool, tmp_path: Path) -> None:
+    frames = frames_of(1, bits=10)
+    table = np.linspace(0, 2**bits - 1, 600).astype(np.uint16)
+    words = table.astype(np.uint8).view("<u2") if kind == "packed" else table
+    dataset = xray_dataset(frames, 10)
+    entries = item(LUTDescriptor=[600, 100, bits])
+    if kind == "US":
+        entries.add_new("LUTData", "US", words.tolist())
+    else:
+        entries.add_new("LUTData", "OW", words.astype(">u2" if big else "<u2").tobytes())
+    dataset.VOILUTSequence = [entries]
+    if big:
+        dataset.file_meta.TransferSyntaxUID = ExplicitVRBigEndian
+        dataset.PixelData = frames.astype(">u2").tobytes()
+    path = write(dataset, tmp_path / "run.dcm")
+    expected = table[np.clip(frames.astype(int) - 100, 0, 599)]
+    if bits > 8:
+        assert np.array_equal(apply_voi(frames, pydicom.dcmread(path)), expected)
+    assert np.array_equal(read_xray(path).images(), np.rint(255 * (expected / (2.0**bits - 1))).astype(np.uint8))
 
 
 @pytest.mark.parametrize(

@@ -119,8 +119,13 @@ def _brightness(header: Header, frame: int, levels: np.ndarray) -> np.ndarray | 
             try:
                 count, first, bits = (int(number) for number in items[0].LUTDescriptor)
                 data = items[0].LUTData
-                kind = np.uint8 if isinstance(data, bytes) and bits <= 8 else np.uint16
-                table = np.frombuffer(data, kind) if isinstance(data, bytes) else np.asarray(data)
+                if isinstance(data, bytes):  # words in the file's byte order, of one or, up to 8 bits, of two entries
+                    little = header.dataset.original_encoding[1]
+                    table = np.frombuffer(data, "<u2" if little else ">u2").astype("<u2")
+                    if bits <= 8 and len(data) < 2 * (count or 65536):
+                        table = table.view(np.uint8)
+                else:
+                    table = np.asarray(data)
                 at = np.clip(levels - first, 0, (count or 65536) - 1).astype(int)
                 return np.asarray(table.astype(float)[at] / (2.0**bits - 1))
             except Exception:
