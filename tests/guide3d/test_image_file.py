@@ -11,7 +11,14 @@ import tifffile
 from PIL import Image
 from scipy import ndimage
 
-from guide3d.image_file import ImageError, eight_bits, encode_png, read_grey_levels, tiff_pages, write_png
+from guide3d.image_file import (
+    ImageError,
+    eight_bits,
+    encode_png,
+    read_grey_levels,
+    tiff_pages,
+    write_png,
+)
 from guide3d.image_filters import sampled
 from guide3d.opencv import cv2
 from guide3d.text_file import numbers_in, read_json, read_text
@@ -96,10 +103,39 @@ def test_pages_are_a_film_and_no_image(tmp_path: Path) -> None:
         with pytest.raises(ImageError, match=f"{name}.tif holds 3 pages: save the one that is meant"):
             read_grey_levels(tmp_path / f"{name}.tif")
         assert np.array_equal(list(tiff_pages(tmp_path / f"{name}.tif")), pages)
-    with tifffile.TiffWriter(tmp_path / "small.tif") as file:  # with a preview, as scanners write it
-        file.write(GREY)
-        file.write(GREY[::4, ::4], subfiletype=1)
-    assert np.array_equal(read_grey_levels(tmp_path / "small.tif"), GREY)
+    tifffile.imwrite(tmp_path / "volume.tif", np.stack(pages), photometric="minisblack", volumetric=True)
+    with pytest.raises(ImageError, match=r"volume.tif cannot be read: it is a volume of 3 layers; save them as pages"):
+        read_grey_levels(tmp_path / "volume.tif")
+
+
+def test_pages_of_other_sizes_count(tmp_path: Path) -> None:
+    path = tmp_path / "image.tif"
+    Image.fromarray(GREY[:20]).save(path, save_all=True, append_images=[Image.fromarray(GREY)])
+    with pytest.raises(ImageError, match=r"image.tif holds 2 pages: save the one that is meant"):
+        read_grey_levels(path)
+
+
+@pytest.mark.parametrize("kinds", [(0, 1), (1, 0), (1, 0, 1), (4, 0), (1,)])
+def test_previews_and_masks_are_no_pages(kinds: tuple[int, ...], tmp_path: Path) -> None:
+    with tifffile.TiffWriter(tmp_path / "image.tif") as file:
+        for kind in kinds:
+            page = GREY if kind == 0 or len(kinds) == 1 else GREY[::4, ::4]
+            file.write(page > 99 if kind == 4 else page, subfiletype=kind)
+    assert np.array_equal(read_grey_levels(tmp_path / "image.tif"), GREY)
+    assert np.array_equal(list(tiff_pages(tmp_path / "image.tif")), [GREY])
+
+
+@pytest.mark.parametrize("orientation", range(2, 9))
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
+def test_the_turn_that_a_tiff_asks_for_is_not_made(orientation: int, kind: type, tmp_path: Path) -> None:
+    path, levels = tmp_path / "image.tif", GREY.astype(kind)
+    tags = [(274, "H", 1, orientation, True)]
+    for more in ({}, {"byteorder": ">"}, {"bigtiff": True}, {"compression": "zlib"}):
+        tifffile.imwrite(path, np.stack([levels, levels[::-1]]), photometric="minisblack", extratags=tags, **more)
+        assert np.array_equal(list(tiff_pages(path)), [levels, levels[::-1]])
+    if kind != np.float32:
+        Image.fromarray(levels).save(path, compression="tiff_lzw", tiffinfo={274: orientation})
+        assert np.array_equal(read_grey_levels(path), levels)
 
 
 @pytest.mark.parametrize("ending", [".png", ".jpg", ".tif", ".bmp"])

@@ -58,7 +58,7 @@ def read_grey_levels(path: str | Path) -> GreyLevels:
     """Reads a PNG, JPEG, TIFF or BMP as grey levels (h, w), 0 black.
 
     Colours become grey by ITU-R 601, transparency is left out, and a turn that the file asks for is not made. A TIFF
-    whose white is zero is inverted.
+    whose white is zero is inverted; its previews and masks are left out.
 
     Returns:
         uint8; uint16 where it has more than 8 bits; float32 where it has real or signed numbers, or more than 16 bits.
@@ -91,7 +91,7 @@ def tiff_pages(path: Path, most: int | None = None) -> Generator[GreyLevels, Non
     data = _content(path)
     if not data.startswith(_TIFF):
         raise ImageError(f"image {path} cannot be read: it is damaged, or no TIFF")
-    pages, others = _pages(path, data)
+    data, pages, others = _pages(path, data)
     for page in pages[:most]:
         yield _page(path, data, page, colours=True)
     notes = [f"{path.name}: {others} pages of another size were left out"] if others else []
@@ -269,33 +269,45 @@ def _half_precision(data: bytes, page: int) -> Any:
 
 
 def _only_page(path: Path, data: bytes, colours: bool) -> GreyLevels:
-    pages, _ = _pages(path, data)
-    if len(pages) > 1:
-        raise ImageError(f"image {path} holds {len(pages)} pages: save the one that is meant as a file of its own")
+    data, pages, others = _pages(path, data)
+    if len(pages) + others > 1:
+        raise ImageError(
+            f"image {path} holds {len(pages) + others} pages: save the one that is meant as a file of its own"
+        )
     return _page(path, data, pages[0], colours)
 
 
-def _pages(path: Path, data: bytes) -> tuple[list[_Page], int]:
-    """The pages that have the first one's size; how many have another size."""
+def _pages(path: Path, data: bytes) -> tuple[bytes, list[_Page], int]:
+    """The file without turns and transparency; the pages that have the first one's size; how many have another size.
+
+    Pages that are previews or masks of others do not count.
+    """
     import tifffile
 
+    stream = io.BytesIO(data)
     try:
-        with tifffile.TiffFile(io.BytesIO(data)) as file:
-            whole = [page.aspage() for page in file.pages]
-            tags = [(page.imagewidth, page.imagelength, page.photometric == 0, page.is_reduced) for page in whole]
+        with tifffile.TiffFile(stream) as file:
+            all_pages = [page.aspage() for page in file.pages]
+            whole = [page for page in all_pages if not (page.is_reduced or page.is_mask)] or all_pages
+            for page in whole:
+                # OpenCV turns a TIFF even where it is told not to, and darkens what is said to be transparent
+                for tag, plain in (("Orientation", 1), ("ExtraSamples", 0)):
+                    if tag in page.tags and page.tags[tag].value != plain:
+                        page.tags[tag].overwrite((plain,) * page.tags[tag].count)
+            sizes = [(page.imagewidth, page.imagelength) for page in whole]
+            layers = max(page.imagedepth for page in whole)
             packed = [list(zip(page.dataoffsets, page.databytecounts, strict=False)) if page.compression in _DEFLATE
                       else [] for page in whole]  # fmt: skip
-            sizes = [page.nbytes + _PADDING for page in whole]
+            pages = [_Page(page.index, page.photometric == 0, parts, page.nbytes + _PADDING)
+                     for page, size, parts in zip(whole, sizes, packed, strict=True) if size == sizes[0]]  # fmt: skip
     except Exception:  # a damaged file raises a dozen kinds
-        tags = []
-    if not tags:
-        raise ImageError(f"image {path} cannot be read: it is damaged, or no image")
-    fault = _fault_of_sides(*tags[0][:2])
+        raise ImageError(f"image {path} cannot be read: it is damaged, or no image") from None
+    fault = _fault_of_sides(*sizes[0])
+    if layers > 1:
+        fault = f"it is a volume of {layers} layers; save them as pages"
     if fault:
         raise ImageError(f"image {path} cannot be read: {fault}")
-    pages = [_Page(number, bool(white), packed[number], sizes[number]) for number, (*size, white, _) in enumerate(tags)
-             if size == list(tags[0][:2])]  # fmt: skip
-    return pages, sum(not reduced for *_, reduced in tags) - len(pages)
+    return stream.getvalue(), pages, len(whole) - len(pages)
 
 
 def _is_whole(packed: bytes, most: int) -> bool:
