@@ -4,6 +4,7 @@ import codecs
 import os
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from guide3d.image_file import (
     eight_bits,
     encode_png,
     read_grey_levels,
+    read_picture,
     tiff_pages,
     write_png,
 )
@@ -64,6 +66,11 @@ def test_tiffs_of_other_numbers_keep_their_values(kind: str, compression: str | 
     read = read_grey_levels(tmp_path / "image.tif")
     assert read.dtype == np.float32
     assert np.array_equal(read, levels)
+    for planes, axis in (("contig", -1), ("separate", 0)):
+        samples, transparent = np.stack([levels, levels[::-1]], axis), ["unassalpha"]
+        tifffile.imwrite(tmp_path / "image.tif", samples, photometric="minisblack", planarconfig=planes,
+                         compression=compression, extrasamples=transparent)  # fmt: skip
+        assert np.array_equal(read_grey_levels(tmp_path / "image.tif"), levels)
 
 
 def test_float_images_of_opencv_and_pillow(tmp_path: Path) -> None:
@@ -136,6 +143,46 @@ def test_the_turn_that_a_tiff_asks_for_is_not_made(orientation: int, kind: type,
     if kind != np.float32:
         Image.fromarray(levels).save(path, compression="tiff_lzw", tiffinfo={274: orientation})
         assert np.array_equal(read_grey_levels(path), levels)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("transparent", [None, "unassalpha", "assocalpha", "unspecified"])
+@pytest.mark.parametrize("more", [{}, {"compression": "zlib"}, {"byteorder": ">"}, {"tile": (32, 32)}])
+def test_planes_and_transparency_of_tiffs(
+    bits: int, transparent: str | None, more: dict[str, Any], tmp_path: Path
+) -> None:
+    """Colours are the same grey however they are stored, grey keeps its depth, and what is transparent its light."""
+    path, kind = tmp_path / "image.tif", np.uint8 if bits == 8 else np.uint16
+    colours = np.random.default_rng(1).integers(0, 2**bits, (40, 56, 3)).astype(kind)
+    if bits == 16:
+        colours[0, 0] = 1000, 20_000, 50_000
+    tifffile.imwrite(path, colours, photometric="rgb")
+    grey_of_colours = read_grey_levels(path)
+    assert bits == 8 or grey_of_colours[0, 0] == 17_739
+    for photometric, samples, grey in (
+        ("rgb", colours, grey_of_colours),
+        ("minisblack", colours[..., :1], colours[..., 0]),
+        ("miniswhite", ~colours[..., :1], colours[..., 0]),
+    ):
+        if transparent:
+            samples = np.concatenate([samples, colours[..., 1:2] // 2], -1)
+            more = {**more, "extrasamples": [transparent]}
+        for planes in ("contig", "separate") if samples.shape[-1] > 1 else ():
+            stored = samples if planes == "contig" else np.moveaxis(samples, -1, 0)
+            tifffile.imwrite(path, stored, photometric=photometric, planarconfig=planes, **more)
+            read = read_grey_levels(path)
+            assert read.dtype == kind
+            assert np.array_equal(read, grey)
+            if bits == 8:
+                assert np.array_equal(read_picture(path), colours if photometric == "rgb" else grey)
+
+
+def test_layouts_that_are_not_read_say_what_to_do(tmp_path: Path) -> None:
+    colours = np.random.default_rng(1).random((40, 56, 3)).astype(np.float32)
+    for planes, stored in (("contig", colours), ("separate", np.moveaxis(colours, -1, 0))):
+        tifffile.imwrite(tmp_path / "image.tif", stored, photometric="rgb", planarconfig=planes)
+        with pytest.raises(ImageError, match="packed in a way that is not read; save it as grey levels, uncompressed"):
+            read_grey_levels(tmp_path / "image.tif")
 
 
 @pytest.mark.parametrize("ending", [".png", ".jpg", ".tif", ".bmp"])

@@ -50,6 +50,7 @@ class _Page(NamedTuple):
 
     number: int
     white_is_zero: bool
+    is_unlike: bool  # OpenCV refuses how its samples are laid out, or takes them for others
     packed: list[tuple[int, int]]  # first byte and bytes of what zlib has packed
     unpacked_bytes: int  # of the whole page at most
 
@@ -231,8 +232,6 @@ def _without_prints(path: Path, data: bytes, colours: bool) -> GreyLevels:
 
 def _decoded(path: Path, data: bytes, colours: bool, page: int = 0) -> GreyLevels:
     levels = _by_opencv(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH, page)
-    if levels is None and data.startswith(_TIFF):
-        levels = _half_precision(data, page)
     if levels is None or levels.dtype.kind not in "uif":
         raise ImageError(f"image {path} cannot be read: it is damaged, or no image")
     if levels.dtype == np.uint8 and colours:
@@ -256,16 +255,30 @@ def _by_opencv(data: bytes, way: int, page: int) -> Any:
     return images[0] if images else None
 
 
-def _half_precision(data: bytes, page: int) -> Any:
-    """Grey levels of a TIFF's page of 16-bit real numbers, which OpenCV does not read; None of any other."""
+def _usual(path: Path, data: bytes, number: int) -> bytes:
+    """A page of a TIFF as a TIFF that OpenCV reads: grey or colours alone, in one plane, real numbers of 32 bits."""
     import tifffile
 
+    usual = io.BytesIO()
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
-            tiff_page = file.pages[page].aspage()
-            return tiff_page.asarray() if tiff_page.dtype == np.float16 and len(tiff_page.shape) == 2 else None
+            page = file.pages[number].aspage()
+            planes = page.asarray().reshape(page.shaped)[:, 0]
+            samples = np.moveaxis(planes, 0, -1).reshape(*planes.shape[1:3], -1)
+            samples = samples[..., :3] if page.photometric == 2 else samples[..., 0]
+            if samples.dtype == np.float16:
+                samples = samples.astype(np.float32)
+            readable = page.bitspersample % 8 == 0 and (samples.ndim == 2 or samples.itemsize <= 2)
+            one_plane = "contig" if samples.ndim == 3 else None
+            tifffile.imwrite(usual, samples, photometric=page.photometric, planarconfig=one_plane)
     except Exception:  # a damaged file raises a dozen kinds
-        return None
+        readable = False
+    if not readable:
+        raise ImageError(
+            f"image {path} cannot be read: it is damaged, or packed in a way that is not read; save it as grey levels, "
+            "uncompressed"
+        )
+    return usual.getvalue()
 
 
 def _only_page(path: Path, data: bytes, colours: bool) -> GreyLevels:
@@ -298,7 +311,7 @@ def _pages(path: Path, data: bytes) -> tuple[bytes, list[_Page], int]:
             layers = max(page.imagedepth for page in whole)
             packed = [list(zip(page.dataoffsets, page.databytecounts, strict=False)) if page.compression in _DEFLATE
                       else [] for page in whole]  # fmt: skip
-            pages = [_Page(page.index, page.photometric == 0, parts, page.nbytes + _PADDING)
+            pages = [_Page(page.index, page.photometric == 0, _is_unlike(page), parts, page.nbytes + _PADDING)
                      for page, size, parts in zip(whole, sizes, packed, strict=True) if size == sizes[0]]  # fmt: skip
     except Exception:  # a damaged file raises a dozen kinds
         raise ImageError(f"image {path} cannot be read: it is damaged, or no image") from None
@@ -308,6 +321,18 @@ def _pages(path: Path, data: bytes) -> tuple[bytes, list[_Page], int]:
     if fault:
         raise ImageError(f"image {path} cannot be read: {fault}")
     return stream.getvalue(), pages, len(whole) - len(pages)
+
+
+def _is_unlike(page: Any) -> bool:
+    """Whether OpenCV refuses how tifffile's page is laid out, or reads other samples than it has."""
+    if page.dtype == np.float16:
+        return True
+    if page.samplesperpixel == 1 or page.photometric not in (0, 1, 2):  # white is zero, black is zero, RGB
+        return False
+    bits, planes = page.bitspersample, page.planarconfig == 2
+    if page.photometric == 2:
+        return bool(bits > 16 or (bits > 8 and planes))
+    return bool(bits > 8 or planes or page.is_tiled)
 
 
 def _is_whole(packed: bytes, most: int) -> bool:
@@ -326,7 +351,10 @@ def _page(path: Path, data: bytes, page: _Page, colours: bool) -> GreyLevels:
     # OpenCV stops before the checksums
     if not all(_is_whole(data[first : first + count], page.unpacked_bytes) for first, count in page.packed):
         raise ImageError(f"image {path} cannot be read: it is damaged")
-    levels = _decoded(path, data, colours, page.number)
+    if page.is_unlike:
+        levels = _decoded(path, _usual(path, data, page.number), colours)
+    else:
+        levels = _decoded(path, data, colours, page.number)
     if not page.white_is_zero or levels.dtype == np.uint8:  # of 8 bits, OpenCV has inverted it already
         return levels
     top = levels.max()  # of 12 bits in 16, 4095 is black
