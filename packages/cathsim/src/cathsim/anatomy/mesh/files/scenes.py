@@ -1,4 +1,4 @@
-"""Surfaces that trimesh reads: OBJ, PLY and OFF, and glTF scenes with names; of their references only data is read."""
+"""Surfaces that trimesh reads: PLY and OFF, and glTF scenes with names; of their references only data is read."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from urllib.parse import unquote
 
 import numpy as np
 
+from cathsim.anatomy.mesh.files.obj_off import read_obj
 from cathsim.anatomy.mesh.files.surface import (
     MOST_BYTES,
     MOST_NODES,
     MOST_TRIANGLES,
     SurfaceFile,
-    part_names,
     space_of_comment,
     triangles_of_cells,
 )
@@ -36,32 +36,27 @@ _END = b"end_header\n"
 
 
 def read_mesh(path: Path) -> list[tuple[str, SurfaceFile]]:
-    """Reads an OBJ, PLY or OFF file without its materials and textures; objects or groups with names of vessels apart.
+    """Reads an OBJ, PLY or OFF file without its materials and textures; OBJ objects or groups of vessels apart.
 
     Raises:
-        Exception: whatever trimesh raises on a damaged file.
+        Exception: whatever its reader raises on a damaged file.
     """
-    import trimesh
-
     with open_regular(path, MOST_BYTES) as file:
         content = file.read()
     kind = path.suffix[1:].lower()
-    space, notes = space_of_comment(content), []
+    if kind == "obj":
+        return read_obj(content)
+    import trimesh
+
     settings: dict[str, Any] = {"file_type": kind, "process": False, "skip_materials": True, "resolver": {}}
-    for key, split in (("o", "split_objects"), ("g", "split_groups")) if kind == "obj" else ():
-        names, note = part_names(re.findall(rb"^%s[ \t]+(.*?)[ \t\r]*$" % key.encode(), content, re.MULTILINE))
-        notes += [note] if note else []
-        if names:
-            scene = trimesh.load_scene(BytesIO(content), group_material=False, **(settings | {split: True}))
-            return [(name, _surface(mesh, space)) for name, mesh in scene.geometry.items()]
     try:
         loaded = trimesh.load(BytesIO(content), force="mesh", **settings)
     except ValueError:
         if kind != "ply":
             raise
         return [("", read_polygons(content))]
-    notes += [note] if (note := _rows_beyond(content, kind)) else []
-    return [("", _surface(loaded, space, tuple(notes)))]
+    note = _rows_beyond(content, kind)
+    return [("", _surface(loaded, space_of_comment(content), (note,) if note else ()))]
 
 
 def _rows_beyond(content: bytes, kind: str) -> str:
