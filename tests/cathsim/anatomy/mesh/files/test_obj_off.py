@@ -66,3 +66,46 @@ def test_faces_before_the_first_object_and_of_an_object_in_two_places(tmp_path: 
 def test_a_damaged_obj_is_refused(damage: str, tmp_path: Path):
     with pytest.raises(MeshRefusedError, match="expected a triangle mesh in OBJ format; export it again"):
         _read(tmp_path / "a.obj", _obj() + damage)
+
+
+OFF = "OFF\n4 4 6\n0 0 0\n3 0 0\n0 5 0\n0 0 7\n3 0 2 1\n3 0 1 3\n3 0 3 2\n3 1 2 3\n"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        OFF,
+        OFF.replace("OFF", "# made by hand\nCOFF").replace("0 5 0", "0 5 0 1.0 0.5 0.5 1.0  # red"),
+        OFF.replace("3 1 2 3", " 3\t1 2 3 0.5 0.5 0.5").replace("\n", "\r\n\r\n"),
+        OFF.replace("OFF\n", "OFF "),
+        OFF.removeprefix("OFF\n"),
+        codecs.BOM_UTF8 + OFF.encode(),
+        OFF.encode("utf-16"),
+    ],
+)
+def test_an_off_as_the_format_allows_it(content: str | bytes, tmp_path: Path):
+    np.testing.assert_array_equal(_read(tmp_path / "a.off", content)[""], POINTS[FACES - 1])
+
+
+@pytest.mark.parametrize("kind", ["obj", "off"])
+def test_polygons_are_fans_of_triangles(kind: str, tmp_path: Path):
+    angle = np.linspace(0, 2 * np.pi, 6, endpoint=False)
+    points = np.c_[np.tile(np.c_[np.cos(angle), np.sin(angle)], (2, 1)), np.repeat([0, 1], 6)]
+    walls = [[k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6] for k in range(5)] + [[5, 0, 6], [5, 6, 11]]
+    polygons = [list(range(5, -1, -1)), *walls, list(range(6, 12))]
+    rows = [*("v {} {} {}".format(*row) for row in points), *(f"f {' '.join(str(k + 1) for k in p)}" for p in polygons)]
+    if kind == "off":
+        faces = [f"{len(polygon)} {' '.join(map(str, polygon))}" for polygon in polygons]
+        rows = ["OFF", f"12 {len(polygons)} 0", *(row[2:] for row in rows[:12]), *faces]
+    (corners,) = _read(tmp_path / f"a.{kind}", "\n".join(rows)).values()
+    fans = [[polygon[0], *polygon[k : k + 2]] for polygon in polygons for k in range(1, len(polygon) - 1)]
+    np.testing.assert_allclose(corners, points[fans])
+
+
+@pytest.mark.parametrize(
+    ("whole", "damage"),
+    [("3 1 2 3", "4 1 2 3"), ("3 1 2 3", "3 1 2 4"), ("3 1 2 3", "-3 1 2 3"), ("0 0 7", "0 0"), ("OFF", "OFF BINARY")],
+)
+def test_a_damaged_off_is_refused(whole: str, damage: str, tmp_path: Path):
+    with pytest.raises(MeshRefusedError, match="expected a triangle mesh in OFF format; export it again"):
+        _read(tmp_path / "a.off", OFF.replace(whole, damage))

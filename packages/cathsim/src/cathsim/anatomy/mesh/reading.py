@@ -23,8 +23,8 @@ from cathsim.anatomy.mesh.samples import bounds_of, sample_surface
 from cathsim.guarded_reading import UnreadableFileError, check_regular, open_regular
 
 SCENES = (".glb", ".gltf")
-BY_TRIMESH = (".ply", ".off", *SCENES)
-SUFFIXES = (".stl", ".obj", *BY_TRIMESH, ".vtp", ".vtk")
+BY_TRIMESH = (".ply", *SCENES)
+SUFFIXES = (".stl", ".obj", *BY_TRIMESH, ".off", ".vtp", ".vtk")
 FORMATS = "STL, OBJ, PLY, OFF, VTP, VTK or GLB"
 _PARAVIEW = "ParaView (Extract Surface, then save as VTP)"
 _CONVERTERS = {

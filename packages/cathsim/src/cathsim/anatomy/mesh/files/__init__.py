@@ -1,1 +1,1 @@
-"""Files of surfaces: VTK PolyData, STL, OBJ, and what trimesh reads, as points and triangles."""
+"""Files of surfaces: VTK PolyData, STL, OBJ, OFF, and what trimesh reads, as points and triangles."""

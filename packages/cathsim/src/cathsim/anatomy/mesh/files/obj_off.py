@@ -1,12 +1,14 @@
-"""Reader of Wavefront OBJ: vertices, and polygons of them, in lines of text.
+"""Readers of OBJ and OFF: vertices, and polygons of them, in lines of text.
 
-Source: Object files (.obj), appendix B1 of the manual of Wavefront's Advanced Visualizer. trimesh (5.2) counts relative
-indices from the end of the file, and reads no tabs, indented lines or comments behind values.
+Sources: Object files (.obj), appendix B1 of the manual of Wavefront's Advanced Visualizer; OFF files, in the manual of
+Geomview. trimesh (5.2) counts an OBJ's relative indices from the end of the file, reads no tabs, indented lines or
+comments behind values there, and no mixed polygons of more than four corners in OFF.
 """
 
 from __future__ import annotations
 
 import codecs
+import re
 from array import array
 from collections import defaultdict
 from collections.abc import Iterable
@@ -19,6 +21,7 @@ from cathsim.anatomy.mesh.files.surface import (
     Indices,
     SurfaceFile,
     part_names,
+    rows_beyond,
     space_of_comment,
     triangles_of_cells,
 )
@@ -59,6 +62,30 @@ def read_obj(content: bytes) -> list[tuple[str, SurfaceFile]]:
                     named[name].append(run)
             return [(name, _part(vertices, np.concatenate(runs), space)) for name, runs in named.items()]
     return [("", SurfaceFile(vertices, faces, space, notes))]
+
+
+def read_off(content: bytes) -> SurfaceFile:
+    """Reads vertices and faces of text, polygons as fans, without colours and normals.
+
+    Raises:
+        Exception: it is no such file, or holds less than it promises.
+    """
+    rows = [row for line in _lines(content) if (row := line.partition("#")[0].strip())]
+    head = re.match(r"(?:[A-Z4n]*OFF)?\s*(\d+)\s+(\d+)", "\n".join(rows[:2]))
+    if head is None:
+        raise ValueError("it does not begin as an OFF file")
+    rows, count, polygons = rows[head.group().count("\n") + 1 :], int(head[1]), int(head[2])
+    notes = rows_beyond(count + polygons, len(rows))
+    points, corners, sizes = array("d"), array("q"), array("q")
+    for row in rows[:count]:
+        x, y, z = map(float, row.split()[:3])
+        points.extend((x, y, z))
+    for row in rows[count : count + polygons]:
+        words = row.split()
+        sizes.append(int(words[0]))
+        corners.extend(map(int, words[1 : 1 + sizes[-1]]))
+    faces = triangles_of_cells(np.array(corners), np.cumsum(sizes), strips=False)
+    return SurfaceFile(np.array(points).reshape(-1, 3), faces, space_of_comment(content), notes)
 
 
 def _part(vertices: Array, faces: Indices, space: str) -> SurfaceFile:

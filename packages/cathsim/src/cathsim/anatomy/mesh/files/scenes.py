@@ -1,4 +1,4 @@
-"""Surfaces that trimesh reads: PLY and OFF, and glTF scenes with names; of their references only data is read."""
+"""Surfaces that trimesh reads: PLY, and glTF scenes with names; of their references only data is read."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import json
 import re
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
 
-from cathsim.anatomy.mesh.files.obj_off import read_obj
+from cathsim.anatomy.mesh.files.obj_off import read_obj, read_off
 from cathsim.anatomy.mesh.files.surface import (
     MOST_BYTES,
     MOST_NODES,
     MOST_TRIANGLES,
     SurfaceFile,
+    rows_beyond,
     space_of_comment,
     triangles_of_cells,
 )
@@ -43,48 +43,35 @@ def read_mesh(path: Path) -> list[tuple[str, SurfaceFile]]:
     """
     with open_regular(path, MOST_BYTES) as file:
         content = file.read()
-    kind = path.suffix[1:].lower()
-    if kind == "obj":
+    if path.suffix.lower() == ".obj":
         return read_obj(content)
+    if path.suffix.lower() == ".off":
+        return [("", read_off(content))]
     import trimesh
 
-    settings: dict[str, Any] = {"file_type": kind, "process": False, "skip_materials": True, "resolver": {}}
     try:
-        loaded = trimesh.load(BytesIO(content), force="mesh", **settings)
+        loaded = trimesh.load(
+            BytesIO(content), file_type="ply", force="mesh", process=False, skip_materials=True, resolver={}
+        )
     except ValueError:
-        if kind != "ply":
-            raise
         return [("", read_polygons(content))]
-    note = _rows_beyond(content, kind)
-    return [("", _surface(loaded, space_of_comment(content), (note,) if note else ()))]
+    vertices, faces = (np.asarray(getattr(loaded, key, np.zeros((0, 3)))) for key in ("vertices", "faces"))
+    notes = _rows_beyond(content)
+    return [("", SurfaceFile(vertices.astype(np.float64), faces.astype(np.int64), space_of_comment(content), notes))]
 
 
-def _rows_beyond(content: bytes, kind: str) -> str:
-    """A note on rows behind those that the head of a text file promises; empty where there are none.
+def _rows_beyond(content: bytes) -> tuple[str, ...]:
+    """A note on rows behind those that the head of a PLY file of text promises; none where there are none.
 
     Raises:
         ValueError: there are less, or so many more that the head is wrong.
     """
-    rows = [row for row in content.splitlines() if row.strip() and not (kind == "off" and row.lstrip()[:1] == b"#")]
-    if kind == "off":
-        head = re.match(rb"\s*(?:[A-Z4n]*OFF)?\s*(\d+)\s+(\d+)", b"\n".join(rows[:2]))
-        counts = [int(number) for number in head.groups()] if head else []
-        rows = rows[head.group().count(b"\n") + 1 :] if head else []
-    elif kind == "ply" and re.search(rb"^format +ascii", content, re.MULTILINE):
-        end = next(k for k, row in enumerate(rows) if row.strip() == b"end_header")
-        counts = [int(row.split()[2]) for row in rows[:end] if row.startswith(b"element ")]
-        rows = rows[end + 1 :]
-    else:
-        return ""
-    more = len(rows) - sum(counts)
-    if more < 0 or more > 0.2 * sum(counts):
-        raise ValueError(f"it promises {sum(counts)} rows and holds {len(rows)}")
-    return f"{more} rows behind those that it promises are left out" if more else ""
-
-
-def _surface(loaded: Any, space: str, notes: tuple[str, ...] = ()) -> SurfaceFile:
-    vertices, faces = (np.asarray(getattr(loaded, key, np.zeros((0, 3)))) for key in ("vertices", "faces"))
-    return SurfaceFile(vertices.astype(np.float64), faces.astype(np.int64), space, notes)
+    if not re.search(rb"^format +ascii", content, re.MULTILINE):
+        return ()
+    rows = [row for row in content.splitlines() if row.strip()]
+    end = next(k for k, row in enumerate(rows) if row.strip() == b"end_header")
+    promised = sum(int(row.split()[2]) for row in rows[:end] if row.startswith(b"element "))
+    return rows_beyond(promised, len(rows) - end - 1)
 
 
 def read_scene(path: Path) -> list[tuple[str, SurfaceFile]]:

@@ -51,6 +51,17 @@ def part_names(names: Iterable[bytes]) -> tuple[list[str], str]:
     return [], f"its {len(parts)} parts are taken together, no name is an artery's: {listing}" if len(parts) > 1 else ""
 
 
+def rows_beyond(promised: int, held: int) -> tuple[str, ...]:
+    """A note on rows behind those that the head of a text file promises; none where there are none.
+
+    Raises:
+        ValueError: there are less, or so many more that the head is wrong.
+    """
+    if not promised <= held <= 1.2 * promised:
+        raise ValueError(f"it promises {promised} rows and holds {held}")
+    return (f"{held - promised} rows behind those that it promises are left out",) if held > promised else ()
+
+
 def numbers(text: str | bytes, kind: str) -> NDArray:
     """Numbers of a text, parted by white space, of one type of numpy.
 
