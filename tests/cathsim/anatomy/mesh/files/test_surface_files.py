@@ -13,6 +13,7 @@ from cathsim.anatomy import import_anatomy, import_mesh
 from cathsim.anatomy.mesh.importer import mesh_digest
 from cathsim.anatomy.mesh.parts import vessel_parts
 from cathsim.anatomy.mesh.parts.vessel_parts import read_parts, surface_files
+from cathsim.anatomy.mesh.reading import read_surfaces
 from cathsim.anatomy.mesh.report import MeshRefusedError
 
 SPHERE = trimesh.creation.icosphere(2, 10.0)
@@ -255,3 +256,30 @@ def test_a_scene_of_other_things_than_plain_triangles(change: str, tmp_path: Pat
     path.write_text(json.dumps(tree))
     with pytest.raises(MeshRefusedError, match="fans of triangles, or sparse or normalized numbers"):
         read_parts(path)
+
+
+def test_a_node_of_several_primitives_is_one_part_by_its_own_name(tmp_path: Path):
+    path, _ = _gltf(tmp_path)
+    tree = json.loads(path.read_text())
+    (part,) = tree["meshes"][0]["primitives"]
+    points = {"attributes": {"POSITION": part["attributes"]["POSITION"]}}
+    tree["meshes"] = [{"primitives": [part, part | {"material": 0}, points | {"mode": 0}]}, {"primitives": [part]}]
+    tree["meshes"].append({"primitives": [part, points | {"mode": 3}]})  # of a line, which trimesh leaves out
+    tree["materials"] = [{}]
+    tree["nodes"] = [
+        {"name": "world", "children": [1, 2, 3, 4]},
+        {"name": "aorta", "mesh": 0, "translation": [50, 0, 0]},
+        {"name": "lsa", "mesh": 0, "scale": [2, 2, 2]},
+        {"name": "lsa", "mesh": 1},
+        {"name": "lcca", "mesh": 2},
+    ]
+    tree["scenes"], tree["scene"] = [{"nodes": [0]}], 0
+    path.write_text(json.dumps(tree))
+    found = {surface.name: surface for surface in read_surfaces(path)}
+    assert {name: len(surface.mesh.faces) for name, surface in found.items()} == {
+        "aorta": 2 * COUNT, "lsa": 2 * COUNT, "lsa_1": COUNT, "lcca": COUNT
+    }  # fmt: skip
+    assert found["aorta"].notes == ()
+    np.testing.assert_allclose(found["aorta"].mesh.bounds, SPHERE.bounds + np.array([50, 0, 0]), atol=1e-5)
+    np.testing.assert_allclose(found["lsa"].mesh.bounds, 2 * SPHERE.bounds, atol=1e-5)
+    assert sorted(part.name for part in read_parts(path).parts) == ["aorta", "lcca", "lsa", "lsa"]

@@ -6,6 +6,7 @@ import json
 import re
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
@@ -75,7 +76,7 @@ def _rows_beyond(content: bytes) -> tuple[str, ...]:
 
 
 def read_scene(path: Path) -> list[tuple[str, SurfaceFile]]:
-    """Reads the nodes of a glTF scene by name, in the scene's frame.
+    """Reads the nodes of a glTF scene by name, all primitives of one together, in the scene's frame.
 
     Raises:
         UnreadableFileError: the scene is too large, compressed, or refers to a file out of its folder.
@@ -88,21 +89,31 @@ def read_scene(path: Path) -> list[tuple[str, SurfaceFile]]:
         content = file.read()
     kind = path.suffix[1:].lower()
     scene = trimesh.load_scene(BytesIO(content), file_type=kind, skip_materials=True, resolver=beside)
-    nodes = [(str(node), *scene.graph[node]) for node in scene.graph.nodes_geometry]
+    nodes = [(_name(scene, str(node)), *scene.graph[node]) for node in scene.graph.nodes_geometry]
     meshes = [(name, pose, scene.geometry[key]) for name, pose, key in nodes]
     meshes = [one for one in meshes if isinstance(one[2], trimesh.Trimesh) and len(one[2].faces)]
-    total = sum(len(mesh.faces) for _, _, mesh in meshes)
+    total, taken = sum(len(mesh.faces) for _, _, mesh in meshes), dict.fromkeys(name for name, _, _ in meshes)
     if total > MOST_TRIANGLES:
         raise UnreadableFileError(
-            f"{path.name} has {total} triangles in {len(meshes)} nodes, at most {MOST_TRIANGLES} are read; simplify it."
+            f"{path.name} has {total} triangles in {len(taken)} nodes, at most {MOST_TRIANGLES} are read; simplify it."
         )
-    taken = {name for name, _, _ in meshes}
-    bare = [name for name, _, _ in nodes if name not in taken]
+    bare = list(dict.fromkeys(name for name, _, _ in nodes if name not in taken))
     notes = (f"{len(bare)} nodes without triangles are left out: {', '.join(bare[:4])}",) if bare else ()
+    parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {name: [] for name in taken}
+    for name, pose, mesh in meshes:
+        parts[name].append((trimesh.transform_points(mesh.vertices, pose), mesh.faces))
+    joined = {name: trimesh.util.append_faces(*zip(*own, strict=True)) for name, own in parts.items()}
     return [
-        (name, SurfaceFile(trimesh.transform_points(mesh.vertices, pose), np.asarray(mesh.faces, np.int64), "", notes))
-        for name, pose, mesh in meshes
+        (name, SurfaceFile(vertices.astype(np.float64), faces.astype(np.int64), "", notes))
+        for name, (vertices, faces) in joined.items()
     ]
+
+
+def _name(scene: Any, node: str) -> str:
+    """The name of a node as the file has it; below it trimesh gives each of several primitives one, named by chance."""
+    (_, key), parent = scene.graph[node], scene.graph.transforms.parents[node]
+    several = scene.geometry[key].metadata.get("from_gltf_primitive")
+    return str(parent) if several and node[: -len("_abc123")] == parent else node
 
 
 def referenced_data(path: Path) -> list[Path]:
