@@ -104,7 +104,14 @@ def test_polygons_are_fans_of_triangles(kind: str, tmp_path: Path):
 
 @pytest.mark.parametrize(
     ("whole", "damage"),
-    [("3 1 2 3", "4 1 2 3"), ("3 1 2 3", "3 1 2 4"), ("3 1 2 3", "-3 1 2 3"), ("0 0 7", "0 0"), ("OFF", "OFF BINARY")],
+    [
+        ("3 1 2 3", "4 1 2 3"),
+        ("3 1 2 3", "3 1 2 4"),
+        ("3 1 2 3", "-3 1 2 3"),
+        ("0 0 7", "0 0"),
+        ("OFF", "OFF BINARY"),
+        ("OFF", "4OFF"),
+    ],
 )
 def test_a_damaged_off_is_refused(whole: str, damage: str, tmp_path: Path):
     with pytest.raises(MeshRefusedError, match="expected a triangle mesh in OFF format; export it again"):

@@ -71,7 +71,7 @@ def read_off(content: bytes) -> SurfaceFile:
         Exception: it is no such file, or holds less than it promises.
     """
     rows = [row for line in _lines(content) if (row := line.partition("#")[0].strip())]
-    head = re.match(r"(?:[A-Z4n]*OFF)?\s*(\d+)\s+(\d+)", "\n".join(rows[:2]))
+    head = re.match(r"(?:[A-Z]*OFF)?\s*(\d+)\s+(\d+)", "\n".join(rows[:2]))
     if head is None:
         raise ValueError("it does not begin as an OFF file")
     rows, count, polygons = rows[head.group().count("\n") + 1 :], int(head[1]), int(head[2])
