@@ -87,7 +87,7 @@ def draw_reprojections(folder: Path, guide3d: Path, file: Path) -> None:
             axes.imshow(frame.image("a"), cmap="gray")
             axes.plot(*frame.polyline("a").T, color=TRUE, linewidth=1, label="annotated")
             if data.camera_a is not None:
-                projected = data.camera_a.project(arrays[f"predicted{column}"])
+                projected = data.distort("a", data.camera_a.project(arrays[f"predicted{column}"]))
                 axes.plot(*projected.T, color=PREDICTED, linewidth=1, label="predicted")
             width, height = frame.size_px["a"]
             axes.set(xlim=(0, width - 1), ylim=(height - 1, 0), xticks=[], yticks=[])

@@ -27,7 +27,7 @@ _WORDS = {
     "depth_mm_mean": "tip behind the ostium, mm",
     "force_p95_n_mean": "force, 95th percentile of an episode, N",
     "steps_mean": "steps",
-    "mean_mm_mean": "distance along the wire, mm",
+    "mean_mm_mean": "mean distance at equal arc length, mm",
     "max_mm_mean": "largest distance, mm",
     "tip_mm_mean": "distance of the tips, mm",
     "place_mm_mean": "place of the largest contact, mm off",
@@ -41,7 +41,8 @@ _WORDS = {
     "resultant_error_pct_median": "error of the resultant, median, %",
     "sum_error_pct_median": "error of the sum of normal forces, median, %",
 }
-_SUCCESS = {
+_OF_KIND = {
+    "real_xray": {"mean_mm_mean": "mean distance between both curves, mm"},
     "forces": {"success_pct": "90 % interval holds the resultant, %"},
     "rehearsal": {"success_pct": "arches with nine tenths of the copies reached, %"},
 }
@@ -108,7 +109,7 @@ def _figures(read: Sequence[dict[str, Any]]) -> str:
     """All figures of a claim, then how they were made and what limits them."""
     (result,) = read
     summary, claim = result["summary"], result["declared"]
-    words = _WORDS | _SUCCESS.get(claim["kind"], {})
+    words = _WORDS | _OF_KIND.get(claim["kind"], {})
     rows = [
         (
             words.get(key, f"success, {key[8:-4]}, %"),

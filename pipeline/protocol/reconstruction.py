@@ -19,7 +19,7 @@ def play(claim: Reconstruction, case: dict[str, Any]) -> dict[str, Any]:
     """Reconstructs a case's wire.
 
     Returns:
-        `success` (whether there is a curve), `mean_mm` (distance at equal shares of both lengths), `max_mm` and
+        `success` (whether there is a curve), `mean_mm` (mean distance at equal arc length from the tips), `max_mm` and
         `tip_mm`.
     """
     from guide3d.geometry.metrics import curve_metrics

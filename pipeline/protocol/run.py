@@ -147,7 +147,10 @@ def summary(outcomes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _share(values: Sequence[tuple[str, bool]]) -> dict[str, float]:
     interval = _interval([(name, 100.0 * success) for name, success in values], 1)
-    low, high = (100 * bound for bound in wilson_interval(sum(success for _, success in values), len(values)))
+    # where all cases end alike nothing shows that those of one anatomy differ: each anatomy counts once
+    alike = len({success for _, success in values}) == 1
+    cases = [success for _, success in (dict(values).items() if alike else values)]
+    low, high = (100 * bound for bound in wilson_interval(sum(cases), len(cases)))
     return interval | {"low": round(min(interval["low"], low), 1), "high": round(max(interval["high"], high), 1)}
 
 

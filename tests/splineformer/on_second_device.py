@@ -24,7 +24,7 @@ from tests.splineformer.navigation.drawn_moments import perception_network
 def test_reading_on_another_device(variant: str, tmp_path: Path) -> None:
     images = [image_of(wavy_wire(seed)) for seed in (0, 1)]
     here = perception_network(variant)
-    readings, seen = here(images), attention_map(here.network, images[0])
+    readings, seen = here(images), attention_map(here.predictor, images[0])
     here.predictor.save(tmp_path / "predictor.pt")
     with second_device() as device:
         network = PerceptionNetwork(Predictor.load(tmp_path / "predictor.pt", device=device))
@@ -32,7 +32,7 @@ def test_reading_on_another_device(variant: str, tmp_path: Path) -> None:
             for name in ("tokens", "points", "encoded"):
                 np.testing.assert_allclose(getattr(there, name), getattr(reading, name), atol=1e-4)
         drawn = network.predictor.batch(images)
-        np.testing.assert_allclose(attention_map(network.network, images[0]), seen, atol=1e-4)
+        np.testing.assert_allclose(attention_map(network.predictor, images[0]), seen, atol=1e-4)
     for there, here_too in zip(drawn, here.predictor.batch(images), strict=True):
         assert there.wires == here_too.wires
         assert there.confidence == pytest.approx(here_too.confidence, abs=1e-4)

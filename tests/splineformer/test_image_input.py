@@ -13,6 +13,7 @@ from splineformer.attention import attention_map
 from splineformer.build import SIZES, VARIANTS, size_of
 from splineformer.image_input import picture_of
 from splineformer.map_picture import WHITE, picture_by_reader, reduced
+from splineformer.predictor import Predictor
 from tests.splineformer.curves import image_of, levels, network, wavy_wire
 
 
@@ -89,12 +90,13 @@ def test_attention_map(variant: str) -> None:
     weights, lengths = model.attention(levels(2))
     assert torch.allclose(weights.sum(-1), torch.ones(weights.shape[:3]), atol=1e-5)
     assert (lengths <= weights.shape[2]).all()
-    seen = attention_map(model, image_of(wavy_wire(0)))
+    predictor = Predictor(model, source_px=256)
+    seen = attention_map(predictor, image_of(wavy_wire(0)))
     assert seen.shape == (256, 256)
     assert 0 <= seen.min() < seen.max() <= 1
-    assert attention_map(model, image_of(wavy_wire(0))[:128]).shape == (128, 256)
+    assert attention_map(predictor, image_of(wavy_wire(0))[:128]).shape == (128, 256)
     with pytest.raises(ValueError, match="expected an image of at least 64 x 64 px"):
-        attention_map(model, np.zeros((4, 4)))
+        attention_map(predictor, np.zeros((4, 4)))
 
 
 def test_unknown_variant_and_size() -> None:

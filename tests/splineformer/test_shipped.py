@@ -16,6 +16,7 @@ from guide3d.learning.model_file import read_content, write_content
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from splineformer import shipped
+from splineformer.attention import attention_map
 from splineformer.build import VARIANTS, build, size_of
 from splineformer.comparison.fluoroscopy_figures import curve_figures
 from splineformer.export import export_onnx, onnx_difference
@@ -76,8 +77,11 @@ PLAIN = FluoroscopySettings(clutter=1e-6, contrast=0.0, catheter=0.0, two_device
 def test_a_drawn_wire_is_read() -> None:
     wire = np.column_stack([np.linspace(420, 1060, 200), 500 + 60 * np.sin(np.linspace(0, 3, 200))])
     image = RandomFluoroscopy(PLAIN, seed=1_000_003).along(0, [wire]).image
-    prediction = Predictor.pretrained()(image)
+    predictor = Predictor.pretrained()
+    prediction = predictor(image)
     assert prediction.wires == "one"
+    row, column = np.nonzero(attention_map(predictor, image) > 0.99)
+    assert np.hypot(column[:, None] - wire[:, 0], row[:, None] - wire[:, 1]).min() < 64  # two of the encoder's cells
     figures = curve_figures(prediction.points(), wire[wire[:, 0] <= 1023])
     assert figures["curve_px"] < 10
     assert figures["tip_px"] < 10

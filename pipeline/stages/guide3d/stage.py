@@ -127,4 +127,4 @@ def _reconstructions(settings: Guide3dSettings, context: StageContext, source: S
     ]
 
 
-STAGE = Stage(settings=Guide3dSettings, run=run_guide3d, check=check_guide3d)
+STAGE = Stage(settings=Guide3dSettings, run=run_guide3d, version=2, check=check_guide3d)

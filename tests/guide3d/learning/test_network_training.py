@@ -297,7 +297,7 @@ class _TrueMask:
         return 255 * self.chances(image).astype(np.uint8)
 
 
-def test_shapes_that_are_moved_are_off_by_as_much(data: Dataset) -> None:
+def test_shapes_that_are_moved_are_off_by_as_much(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     name = next(iter(data.acquisitions))
     curves = [data.frames[index].curve_mm for index in data.acquisitions[name]]
     figures, examples = evaluate_shape(_TrueShape([c + np.array([2.0, 0.0, 0.0]) for c in curves]), data, [name])  # type: ignore[arg-type]
@@ -307,6 +307,9 @@ def test_shapes_that_are_moved_are_off_by_as_much(data: Dataset) -> None:
     assert figures["length_error_mm"][0] == pytest.approx(0.0, abs=1e-9)
     assert figures["along_error_mm"] == pytest.approx([2.0] * len(figures["along_mm"]), abs=1e-6)
     assert figures["reprojection_px"][0] > 0.2
+    monkeypatch.setattr(Dataset, "undistort", lambda self, camera, points: points + 50.0)
+    undistorted, _ = evaluate_shape(_TrueShape(curves), data, [name])  # type: ignore[arg-type]
+    assert undistorted["reprojection_px"][0] > 20  # the annotation is undistorted as the camera is
     assert set(examples) == {"frames"} | {f"{what}{k}" for what in ("predicted", "true") for k in range(3)}
     assert set(examples["frames"]) <= set(data.acquisitions[name])
 

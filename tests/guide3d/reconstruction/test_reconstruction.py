@@ -9,7 +9,7 @@ import pytest
 from benchmarks.guide3d.reconstruction import of_pairs
 from guide3d.geometry.camera import write_camera
 from guide3d.geometry.metrics import max_ed, mers, mete
-from guide3d.geometry.polyline import arc_length, at_length, resample
+from guide3d.geometry.polyline import arc_length, at_length, distances_to, resample
 from guide3d.native_library import HOME, library, sources_digest
 from guide3d.reconstruction.evaluation import (
     METRICS,
@@ -43,6 +43,11 @@ def test_exact_annotations_give_the_wire_back(kind: str) -> None:
     errors = [
         (r := of(scene)) and (max_ed(r.curve_mm, scene.curve_mm), mete(r.curve_mm, scene.curve_mm)) for scene in group
     ]
+    for scene in group[:2]:  # the spline is the curve, and not longer
+        result = of(scene)
+        spline = result.spline.sample(4000)
+        assert arc_length(spline)[-1] == pytest.approx(result.length_mm, abs=0.6)  # the points' distance is 0.5 mm
+        assert distances_to(spline, result.curve_mm).max() < 0.01
     assert np.mean(errors, axis=0)[0] < 0.3
     assert np.max(errors, axis=0)[1] < 0.05
 
@@ -62,6 +67,19 @@ def test_clicks_with_noise_give_the_wire_within_its_own_uncertainty() -> None:
     assert np.mean(tips) < 0.4
     assert 0.7 < np.mean(noises) < 1.2
     assert 0.4 < np.median(squares) < 1.6
+
+
+def test_the_standard_deviation_is_that_of_repeated_clicks() -> None:
+    scene = next(scene for scene in EXACT if scene.kind == "shaft")
+    draws = np.random.default_rng(0)
+    repeated = []
+    for _ in range(16):
+        clicks = [points + draws.normal(0.0, 1.0, points.shape) for points in scene.points]
+        repeated.append(reconstruct(*scene.cameras, *clicks))
+    count = min(len(one.curve_mm) for one in repeated)
+    spread = np.sqrt(np.var([one.curve_mm[:count] for one in repeated], axis=0, ddof=1).sum(axis=1))
+    told = np.mean([one.sd_mm[:count] for one in repeated], axis=0)
+    assert 0.6 < np.median(told / spread) < 1.6
 
 
 def test_a_bad_reprojection_is_rejected() -> None:

@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
-from splineformer.image_input import picture_of
-from splineformer.modeling.curve_network import CurveNetwork
+from splineformer.predictor import Predictor
 
 DISCARD = 0.65
 
@@ -38,15 +37,18 @@ def fused(weights: Tensor, discard: float = DISCARD) -> Tensor:
     return torch.where(together < discard * together.max(), 0.0, together).unflatten(0, (side, side))
 
 
-def attention_map(network: CurveNetwork, image: ArrayLike, discard: float = DISCARD) -> NDArray[np.float32]:
+def attention_map(predictor: Predictor, image: ArrayLike, discard: float = DISCARD) -> NDArray[np.float32]:
     """Where the network looks in (h, w) grey levels: (h, w) in 0 to 1, enlarged bilinearly; `discard` as in `fused`.
+
+    It is given what the predictor gives it of the image: grey levels, or the reader's maps, unturned.
 
     Raises:
         ValueError: no image.
     """
+    network = predictor.network
     network.eval()
     shape = np.shape(image)[:2]
-    picture = picture_of(image, network.settings.image_px, max(shape))
+    picture = predictor.picture(image)
     levels = torch.from_numpy(picture.pixels.astype(np.float32))[None, None]
     weights, lengths = network.attention(levels.to(next(network.parameters()).device))
     small = fused(weights[0, :, : int(lengths[0])], discard)

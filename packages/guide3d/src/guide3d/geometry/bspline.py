@@ -63,6 +63,14 @@ class BSplineCurve:
         """Returns (count, d) points at equal steps of the parameter, both ends among them."""
         return self.at(np.linspace(*self.domain, count))
 
+    def until(self, end: float) -> BSplineCurve:
+        """Returns the same curve up to a parameter of its domain."""
+        k, spline = self.degree, self._spline
+        for _ in range(k):
+            spline = spline.insert_knot(end)
+        count = int(np.searchsorted(spline.t, end))
+        return BSplineCurve(np.append(spline.t[:count], np.full(k + 1, end)), spline.c[:count], k)
+
     def to_tck(self, u: ArrayLike | None = None) -> dict[str, Any]:
         """Returns the curve in the public layout: {"tck": {"t", "c", "k"}, "u"}, plain lists, "c" d of n numbers.
 

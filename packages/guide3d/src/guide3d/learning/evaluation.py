@@ -72,7 +72,7 @@ def evaluate_shape(
     by_place = [[float(one[k]) for one in along if len(one) > k] for k in range(max(map(len, along)))]
     by_place = [values for values in by_place if len(values) >= min(_FEWEST, len(errors))]
     pixels = [
-        off_line_px(data.camera_a, points, data.frames[index].polyline(CAMERA))
+        off_line_px(data.camera_a, points, data.undistort(CAMERA, data.frames[index].polyline(CAMERA)))
         for points, index in zip(predicted, targets, strict=True)
         if data.camera_a is not None
     ]

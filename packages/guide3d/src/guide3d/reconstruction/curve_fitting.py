@@ -76,11 +76,20 @@ class FittedCurve:
     noise_px: float
 
     def sample(self, spacing_mm: float) -> tuple[Array, Array]:
-        """Returns points (n, 3) mm at equal arc length from the tip and their covariances (n, 3, 3) mm^2."""
+        """Returns points (n, 3) mm at equal arc length from the tip and their covariances (n, 3, 3) mm^2.
+
+        Along the wire a point at a given arc length varies as the tip does, not as the parameter, which slides.
+        """
         fine = np.linspace(0.0, self.end, max(2, int(4 * self.end / spacing_mm)))
         along = arc_length(self.spline.at(fine))
         u = np.interp(spacing_mm * np.arange(int(along[-1] / spacing_mm + 1e-9) + 1), along, fine)
-        return self.spline.at(u), self.covariance(u)
+        points, covariance = self.spline.at(u), self.covariance(u)
+        tangent = np.gradient(points, axis=0)
+        tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+        along = tangent[:, :, None] * tangent[:, None]
+        across = np.eye(3) - along
+        tip = tangent[0] @ covariance[0] @ tangent[0]
+        return points, across @ covariance @ across + tip * along
 
     def covariance(self, u: ArrayLike) -> Array:
         """Returns the covariance (n, 3, 3) mm^2 of the curve's points at parameters u."""

@@ -132,7 +132,8 @@ def reconstruct(
     fitted = fit_curve(geometry.cameras, used, places, start, tips, chosen.fit)
     curve, covariance = fitted.sample(chosen.spacing_mm)
     covariance = covariance + calibration_covariance(camera_a, camera_b, curve)
-    return _result(geometry, curve, covariance, fitted.spline, match, curves, fitted.noise_px, chosen)
+    spline = fitted.spline.until(fitted.end)
+    return _result(geometry, curve, covariance, spline, match, curves, fitted.noise_px, chosen)
 
 
 def reconstruct_greedy(

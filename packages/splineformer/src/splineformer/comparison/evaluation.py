@@ -275,7 +275,7 @@ def example_arrays(
         for name, predictor in predictors.items():
             prediction = predictor(image)
             control = np.zeros((0, 2)) if prediction.tokens is None else prediction.control_points_px
-            seen = attention_map(predictor.network, image)
+            seen = attention_map(predictor, image)
             arrays[f"control{place}_{name}"] = control
             arrays[f"attention{place}_{name}"] = (255 * seen[::4, ::4]).round().astype(np.uint8)
     return arrays

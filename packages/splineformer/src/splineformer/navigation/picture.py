@@ -30,7 +30,7 @@ def picture_of_moment(image: NDArray[np.uint8], network: PerceptionNetwork, mark
     side = SIDE_PX
     small = cv2.resize(image, (side, side), interpolation=cv2.INTER_AREA)
     plain = np.repeat(cv2.GaussianBlur(small, (0, 0), _SMOOTHED_PX)[:, :, None], 3, axis=2)
-    attention = cv2.resize(attention_map(network.network, image), (side, side), interpolation=cv2.INTER_LINEAR)
+    attention = cv2.resize(attention_map(network.predictor, image), (side, side), interpolation=cv2.INTER_LINEAR)
     weight = _STRENGTH * attention[:, :, None]
     seen = (plain * (1 - weight) + np.array(_ATTENTION) * weight).astype(np.uint8)
     reading = network([image])[0]
