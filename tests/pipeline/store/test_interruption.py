@@ -176,8 +176,8 @@ from pipeline.store.interruption import end_with_parent
 
 def stage():
     with subprocess.Popen(["sleep", "60"]) as process:
-        print(process.pid, flush=True)
-        try:
+        try:  # the parent may be killed as soon as it is printed
+            print(process.pid, flush=True)
             process.wait()
         except BaseException:
             process.terminate()
