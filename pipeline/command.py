@@ -47,6 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if arguments is None:  # this process is the command's own
         os.environ[CALLED] = "1"
+        # a stream that is closed leaves its number to the next file, into which libraries would print
         sys.stdout, sys.stderr = (one or open(os.devnull, "w") for one in (sys.stdout, sys.stderr))  # noqa: SIM115
     if not words or words[0] in ("-h", "--help"):
         say(_HELP)

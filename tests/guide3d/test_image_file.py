@@ -12,9 +12,9 @@ import tifffile
 from PIL import Image
 from scipy import ndimage
 
+from guide3d.dataset.frame import eight_bits
 from guide3d.image_file import (
     ImageError,
-    eight_bits,
     encode_png,
     read_grey_levels,
     read_picture,

@@ -77,14 +77,20 @@ PLAIN = FluoroscopySettings(clutter=1e-6, contrast=0.0, catheter=0.0, two_device
 def test_a_drawn_wire_is_read() -> None:
     wire = np.column_stack([np.linspace(420, 1060, 200), 500 + 60 * np.sin(np.linspace(0, 3, 200))])
     image = RandomFluoroscopy(PLAIN, seed=1_000_003).along(0, [wire]).image
-    predictor = Predictor.pretrained()
-    prediction = predictor(image)
+    prediction = Predictor.pretrained()(image)
     assert prediction.wires == "one"
-    row, column = np.nonzero(attention_map(predictor, image) > 0.99)
-    assert np.hypot(column[:, None] - wire[:, 0], row[:, None] - wire[:, 1]).min() < 64  # two of the encoder's cells
     figures = curve_figures(prediction.points(), wire[wire[:, 0] <= 1023])
     assert figures["curve_px"] < 10
     assert figures["tip_px"] < 10
+
+
+def test_attention_is_of_the_picture_that_the_predictor_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    predictor, seen = Predictor.pretrained(), []
+    attention = predictor.network.attention
+    monkeypatch.setattr(predictor.network, "attention", lambda levels: seen.append(levels) or attention(levels))
+    image = image_of(wavy_wire(0))
+    assert attention_map(predictor, image).shape == image.shape
+    np.testing.assert_array_equal(seen[0][0, 0], predictor.picture(image).pixels)
 
 
 def test_the_benchmark_of_real_images_stays_near_its_figures(capsys: pytest.CaptureFixture[str]) -> None:

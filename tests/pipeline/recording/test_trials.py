@@ -220,7 +220,7 @@ def test_a_log_keeps_the_catheter_and_not_its_name_alone(tmp_path: Path) -> None
     assert len(replay(tmp_path / "0.mcap")) == 3
 
 
-def test_a_log_is_filmed(tmp_path: Path) -> None:
+def test_a_log_is_filmed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     environment = NavigateEnv("type_1", "bca", observation="tip", max_steps=6, catheter="vertebral", image_size=40)
     record_episode(environment, lambda *_: np.full(4, 0.9), tmp_path / "0.mcap", seed=1, operator="test")
     with EpisodeReader(tmp_path / "0.mcap") as log:
@@ -231,7 +231,9 @@ def test_a_log_is_filmed(tmp_path: Path) -> None:
     with Image.open(tmp_path / "0.gif") as film:
         assert film.n_frames == 4
         assert film.size[1] == 400
+    capsys.readouterr()
     assert main(["film", str(tmp_path / "0.mcap"), str(tmp_path / "0.mp4")]) != 0
+    assert "let it end in .gif" in capsys.readouterr().err
     assert not (tmp_path / "0.mp4").exists()
 
 

@@ -54,7 +54,10 @@ def run(main: Callable[[], int]) -> NoReturn:
 
 
 def read_by_nobody() -> None:
-    """Opens what the program was started without, standard output or errors, so that what is written there is lost."""
+    """Opens what the program was started without, standard output or errors, so that what is written there is lost.
+
+    A stream that is closed would leave its number to the next file, into which libraries would print.
+    """
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - for as long as the program runs

@@ -50,7 +50,7 @@ class _Page(NamedTuple):
 
     number: int
     white_is_zero: bool
-    is_unlike: bool  # OpenCV refuses how its samples are laid out, or takes them for others
+    is_misread: bool  # OpenCV refuses how its samples are laid out, or takes them for others
     packed: list[tuple[int, int]]  # first byte and bytes of what zlib has packed
     unpacked_bytes: int  # of the whole page at most
 
@@ -97,25 +97,6 @@ def tiff_pages(path: Path, most: int | None = None) -> Generator[GreyLevels, Non
         yield _page(path, data, page, colours=True)
     notes = [f"{path.name}: {others} pages of another size were left out"] if others else []
     return len(pages), notes
-
-
-def eight_bits(levels: GreyLevels) -> NDArray[np.uint8]:
-    """Grey levels as uint8: integers by their upper eight bits, real numbers as parts of 1, 255 or 65535.
-
-    Raises:
-        ImageError: real numbers beyond that, or 12 bits in 16, which would be black.
-    """
-    if levels.dtype == np.uint8:
-        return levels.astype(np.uint8)
-    if levels.dtype == np.uint16:
-        if 0 < (highest := int(levels.max())) < 1 << 12:
-            raise ImageError(f"its 16-bit values end at {highest} of 65535: scale them to 16 bits, or save 8 bits")
-        return (levels // 256).astype(np.uint8)
-    low, high = float(levels.min()), float(levels.max())
-    top = next((top for top in (1.0, 255.0, 65535.0) if high <= top), 0.0)
-    if low < 0 or not top:
-        raise ImageError(f"expected grey values from 0 to 1, 255 or 65535, found {low:g} to {high:g}")
-    return np.rint(levels * (255.0 / top)).astype(np.uint8)
 
 
 def shown_range(levels: NDArray[np.generic]) -> tuple[float, float]:
@@ -255,7 +236,7 @@ def _by_opencv(data: bytes, way: int, page: int) -> Any:
     return images[0] if images else None
 
 
-def _usual(path: Path, data: bytes, number: int) -> bytes:
+def _as_plain_tiff(path: Path, data: bytes, number: int) -> bytes:
     """A page of a TIFF as a TIFF that OpenCV reads: grey or colours alone, in one plane, real numbers of 32 bits."""
     import tifffile
 
@@ -311,7 +292,7 @@ def _pages(path: Path, data: bytes) -> tuple[bytes, list[_Page], int]:
             layers = max(page.imagedepth for page in whole)
             packed = [list(zip(page.dataoffsets, page.databytecounts, strict=False)) if page.compression in _DEFLATE
                       else [] for page in whole]  # fmt: skip
-            pages = [_Page(page.index, page.photometric == 0, _is_unlike(page), parts, page.nbytes + _PADDING)
+            pages = [_Page(page.index, page.photometric == 0, _is_misread(page), parts, page.nbytes + _PADDING)
                      for page, size, parts in zip(whole, sizes, packed, strict=True) if size == sizes[0]]  # fmt: skip
     except Exception:  # a damaged file raises a dozen kinds
         raise ImageError(f"image {path} cannot be read: it is damaged, or no image") from None
@@ -323,7 +304,7 @@ def _pages(path: Path, data: bytes) -> tuple[bytes, list[_Page], int]:
     return stream.getvalue(), pages, len(whole) - len(pages)
 
 
-def _is_unlike(page: Any) -> bool:
+def _is_misread(page: Any) -> bool:
     """Whether OpenCV refuses how tifffile's page is laid out, or reads other samples than it has."""
     if page.dtype == np.float16:
         return True
@@ -351,8 +332,8 @@ def _page(path: Path, data: bytes, page: _Page, colours: bool) -> GreyLevels:
     # OpenCV stops before the checksums
     if not all(_is_whole(data[first : first + count], page.unpacked_bytes) for first, count in page.packed):
         raise ImageError(f"image {path} cannot be read: it is damaged")
-    if page.is_unlike:
-        levels = _decoded(path, _usual(path, data, page.number), colours)
+    if page.is_misread:
+        levels = _decoded(path, _as_plain_tiff(path, data, page.number), colours)
     else:
         levels = _decoded(path, data, colours, page.number)
     if not page.white_is_zero or levels.dtype == np.uint8:  # of 8 bits, OpenCV has inverted it already

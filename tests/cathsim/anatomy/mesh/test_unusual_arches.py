@@ -22,7 +22,7 @@ from cathsim.anatomy.vessel_tree import nearest_on_branch
 from tests.cathsim.anatomy.generator.drawn_arch import BOW, LIMB, WIDTH, arch_mesh, arch_tree
 from tests.cathsim.anatomy.lumen_report import check_lumen
 
-DESCENDING, ASCENDING, ARCH = 0.13, 0.015, 0.04  # m: lengths of the limbs, radius of the arch
+DESCENDING, ASCENDING, ARCH = 0.13, 0.05, 0.04  # m: lengths of the limbs, radius of the arch
 
 
 def smooth(points: np.ndarray, step: float = 1e-3) -> np.ndarray:
@@ -61,8 +61,11 @@ def imported_in_metres(tree: VesselTree, path: Path) -> Phantom:
     return import_mesh(path, unit="m", resolution=2e-3, cache_dir=path.parent / "cache")
 
 
-def test_a_stump_that_is_wider_than_the_aorta_is_no_end_of_it_and_does_not_turn_it(tmp_path: Path) -> None:
-    root = aorta(0.0112, 0.0135, bulge=0.008)
+@pytest.mark.parametrize("ascending", [ASCENDING, 0.015])
+def test_a_stump_that_is_wider_than_the_aorta_is_no_end_of_it_and_does_not_turn_it(
+    ascending: float, tmp_path: Path
+) -> None:
+    root = aorta(0.0112, 0.0135, bulge=0.008, limbs=(DESCENDING, ascending))
     stump = branch("lsa", root, 0.3, 0.0168, beyond=0.018)
     others = [branch(name, root, share, 0.0045, beyond=0.045) for name, share in (("lcca", 0.56), ("bca", 0.72))]
     phantom = imported_in_metres(VesselTree((root, stump, *others)), tmp_path / "aneurysm.stl")

@@ -13,7 +13,7 @@ from guide3d.dataset.annotation_files import Annotation, Views
 from guide3d.dataset.true_curves import VIEWS, TrueCurve
 from guide3d.geometry.bspline import BSplineCurve, fit_bspline
 from guide3d.geometry.polyline import Array, arc_length, at_length, checked, resample
-from guide3d.image_file import ImageError, eight_bits, read_grey_levels
+from guide3d.image_file import GreyLevels, ImageError, read_grey_levels
 
 _PIECE_PX = 32.0  # longer pieces are cut, so that the window around each stays small
 
@@ -189,3 +189,22 @@ class Frame:
         if camera not in VIEWS:
             raise ValueError(f"expected camera 'a' or 'b', got {camera!r}")
         return a if camera == "a" else b
+
+
+def eight_bits(levels: GreyLevels) -> NDArray[np.uint8]:
+    """Grey levels as uint8: integers by their upper eight bits, real numbers as parts of 1, 255 or 65535.
+
+    Raises:
+        ImageError: real numbers beyond that, or 12 bits in 16, which would be black.
+    """
+    if levels.dtype == np.uint8:
+        return levels.astype(np.uint8)
+    if levels.dtype == np.uint16:
+        if 0 < (highest := int(levels.max())) < 1 << 12:
+            raise ImageError(f"its 16-bit values end at {highest} of 65535: scale them to 16 bits, or save 8 bits")
+        return (levels // 256).astype(np.uint8)
+    low, high = float(levels.min()), float(levels.max())
+    top = next((top for top in (1.0, 255.0, 65535.0) if high <= top), 0.0)
+    if low < 0 or not top:
+        raise ImageError(f"expected grey values from 0 to 1, 255 or 65535, found {low:g} to {high:g}")
+    return np.rint(levels * (255.0 / top)).astype(np.uint8)

@@ -84,7 +84,7 @@ class FittedCurve:
         along = arc_length(self.spline.at(fine))
         u = np.interp(spacing_mm * np.arange(int(along[-1] / spacing_mm + 1e-9) + 1), along, fine)
         points, covariance = self.spline.at(u), self.covariance(u)
-        tangent = np.gradient(points, axis=0)
+        tangent = self.spline.at(u + 1e-3) - self.spline.at(u - 1e-3)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
         along = tangent[:, :, None] * tangent[:, None]
         across = np.eye(3) - along

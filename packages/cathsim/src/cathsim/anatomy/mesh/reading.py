@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.cavity import find_cavity
-from cathsim.anatomy.mesh.files.scenes import read_mesh, read_scene
+from cathsim.anatomy.mesh.files.obj_off import read_obj, read_off
+from cathsim.anatomy.mesh.files.scenes import read_ply, read_scene
 from cathsim.anatomy.mesh.files.stl import read_stl
 from cathsim.anatomy.mesh.files.surface import MOST_BYTES, MOST_TRIANGLES, SurfaceFile
 from cathsim.anatomy.mesh.files.vtk_legacy import read_legacy_vtk
@@ -34,11 +35,15 @@ _CONVERTERS = {
     **dict.fromkeys((".3ds", ".wrl", ".x3d"), "MeshLab (export PLY)"),
     **dict.fromkeys((".hdr", ".img", ".gipl", ".mgh", ".mgz", ".vti"), "3D Slicer (save as NRRD)"),
 }
-_OWN: dict[str, Callable[[bytes], list[tuple[str, SurfaceFile]]]] = {
+_READERS: dict[str, Callable[[bytes], list[tuple[str, SurfaceFile]]]] = {
     ".stl": read_stl,
+    ".obj": read_obj,
+    ".ply": lambda content: [("", read_ply(content))],
+    ".off": lambda content: [("", read_off(content))],
     ".vtp": lambda content: [("", read_vtp(content))],
     ".vtk": lambda content: [("", read_legacy_vtk(content))],
 }
+_OWN_WORDS = (".stl", ".vtp", ".vtk")  # the readers of these say what is wrong
 MOST_FACES = 400_000  # above this a mesh is thinned out
 _STRAY, _MOST_STRAY = 0.5, 10.0  # % of vertices at either side, and how many times further than the others they may lie
 _MOST_LOST = 0.2  # of a surface's faces that may be missing
@@ -159,17 +164,15 @@ def read_surfaces(path: Path) -> list[NamedSurface]:
     try:
         if suffix in SCENES:
             raw_surfaces = read_scene(path)
-        elif suffix in _OWN:
-            with open_regular(path, MOST_BYTES) as file:
-                raw_surfaces = _OWN[suffix](file.read())
         else:
-            raw_surfaces = read_mesh(path)
+            with open_regular(path, MOST_BYTES) as file:
+                raw_surfaces = _READERS[suffix](file.read())
     except (MemoryError, MeshRefusedError):
         raise
     except UnreadableFileError as error:
         raise MeshRefusedError(str(error)) from None
     except Exception as error:  # the readers of several formats raise what they like on damaged files
-        own = type(error) is ValueError and (suffix in _OWN or str(error).startswith("it promises"))
+        own = type(error) is ValueError and (suffix in _OWN_WORDS or str(error).startswith("it promises"))
         raise MeshRefusedError(
             f"{path.name} cannot be read as a mesh: {f'{error}; export it again' if own else _expected(path)}."
         ) from error

@@ -11,7 +11,6 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from cathsim.anatomy.mesh.files.obj_off import read_obj, read_off
 from cathsim.anatomy.mesh.files.surface import (
     MOST_BYTES,
     MOST_NODES,
@@ -36,18 +35,12 @@ _TYPES = {
 _END = b"end_header\n"
 
 
-def read_mesh(path: Path) -> list[tuple[str, SurfaceFile]]:
-    """Reads an OBJ, PLY or OFF file without its materials and textures; OBJ objects or groups of vessels apart.
+def read_ply(content: bytes) -> SurfaceFile:
+    """Reads a PLY file without its materials and textures.
 
     Raises:
-        Exception: whatever its reader raises on a damaged file.
+        Exception: whatever trimesh raises on a damaged file.
     """
-    with open_regular(path, MOST_BYTES) as file:
-        content = file.read()
-    if path.suffix.lower() == ".obj":
-        return read_obj(content)
-    if path.suffix.lower() == ".off":
-        return [("", read_off(content))]
     import trimesh
 
     try:
@@ -55,10 +48,10 @@ def read_mesh(path: Path) -> list[tuple[str, SurfaceFile]]:
             BytesIO(content), file_type="ply", force="mesh", process=False, skip_materials=True, resolver={}
         )
     except ValueError:
-        return [("", read_polygons(content))]
+        return read_polygons(content)
     vertices, faces = (np.asarray(getattr(loaded, key, np.zeros((0, 3)))) for key in ("vertices", "faces"))
     notes = _rows_beyond(content)
-    return [("", SurfaceFile(vertices.astype(np.float64), faces.astype(np.int64), space_of_comment(content), notes))]
+    return SurfaceFile(vertices.astype(np.float64), faces.astype(np.int64), space_of_comment(content), notes)
 
 
 def _rows_beyond(content: bytes) -> tuple[str, ...]:
