@@ -170,11 +170,16 @@ def recover(
 
     Raises:
         EpisodeReadError: the source is no episode log, is too new, or holds no intact step.
-        EpisodeWriteError: the destination exists or cannot be written.
+        EpisodeWriteError: the destination exists, also where the source's writer has finished it meanwhile, or cannot
+            be written.
     """
     source, destination = Path(source), Path(destination)
-    if destination.exists() and (not overwrite or destination.samefile(source)):
-        raise EpisodeWriteError(f"{destination} exists already: name another file to recover {source} into")
+
+    def require_free() -> None:
+        if destination.exists() and (not overwrite or not source.exists() or destination.samefile(source)):
+            raise EpisodeWriteError(f"{destination} exists already: name another file to recover {source} into")
+
+    require_free()
     with mapped(source) as (fd, data), closing(scan.likely_records(data)) as likely:
         try:
             findings = _examine(data, likely)
@@ -196,6 +201,9 @@ def recover(
                     raise EpisodeReadError(f"{source} cannot be recovered: it holds no intact step")
                 outcome = _outcome(findings.outcome, steps)
                 out.add_metadata(OUTCOME_METADATA, seal_outcome(outcome))
+                require_free()
+        except EpisodeWriteError:
+            raise
         except OSError as error:
             raise EpisodeWriteError(
                 f"cannot write {destination}: {error.strerror}; {source} is unharmed: free space and try again"

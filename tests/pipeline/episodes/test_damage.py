@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError, EpisodeWriter
+from pipeline.episodes import EpisodeOutcome, EpisodeReader, EpisodeReadError, EpisodeWriteError, EpisodeWriter
 from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.container import McapFile
-from pipeline.episodes.records import seal_episode
+from pipeline.episodes.records import seal_episode, seal_outcome
 from pipeline.episodes.recovery import recover
 from tests.pipeline.episodes.forged_logs import sealed
 
@@ -283,6 +283,25 @@ def test_unwritable_folder_is_said(episode, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(EpisodeWriteError, match=r"cannot make .*file: File exists; choose another folder"):
         EpisodeWriter(tmp_path / "file" / "episode.mcap", episode.info)
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_log_that_is_finished_during_its_recovery_stays(episode, tmp_path, monkeypatch, overwrite):
+    path = tmp_path / "episode.mcap"
+    log = episode.writer(path)
+    episode.record_steps(log, 0, 14)
+
+    def finished_meanwhile(outcome: EpisodeOutcome) -> dict[str, str]:
+        episode.record_steps(log, 14)
+        log.finish(episode.outcome)
+        return seal_outcome(outcome)
+
+    monkeypatch.setattr("pipeline.episodes.recovery.seal_outcome", finished_meanwhile)
+    with pytest.raises(EpisodeWriteError, match="exists already"):
+        recover(log.partial, path, overwrite=overwrite)
+    assert list(tmp_path.iterdir()) == [path]
+    with EpisodeReader(path) as reader:
+        assert (len(reader), reader.outcome) == (23, episode.outcome)
 
 
 def test_failed_recovery_leaves_nothing(episode, tmp_path, monkeypatch):
