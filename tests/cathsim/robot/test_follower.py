@@ -85,6 +85,14 @@ def test_environment_is_fed_stroke_by_stroke(make_env: MakeEnv) -> None:
     assert simulation.insertion < start + 0.1, "slower than the direct drive's 0.12 m"
 
 
+def test_robot_and_wire_have_the_same_time_at_any_pace(make_env: MakeEnv) -> None:
+    for pace in ("arch_variety", Pace(interval=0.012)):
+        env = make_env(drive="robot", observation="feeder", pace=pace)
+        env.reset(seed=0)
+        env.step(np.array([1.0, 0.0]))
+        assert env.robot.data.time == pytest.approx(env.simulation.data.time)
+
+
 def test_direct_drive_has_no_robot_and_others_are_refused(make_env: MakeEnv) -> None:
     env = make_env()
     assert env.robot is None

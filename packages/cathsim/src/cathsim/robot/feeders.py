@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -43,9 +44,11 @@ class Feeders:
         self.devices = 2 if self._pair else 1
         self.robots: tuple[FollowerRobot, ...] = ()
         if drive == "robot":
-            from cathsim.robot.follower import FollowerRobot
+            from cathsim.robot.follower import FollowerRobot, RobotSettings
 
-            self.robots = tuple(FollowerRobot() for _ in range(self.devices))
+            interval = simulation.pace.interval
+            timestep = interval / math.ceil(interval / RobotSettings().timestep - 1e-9)  # which divides it
+            self.robots = tuple(FollowerRobot(RobotSettings(timestep=timestep)) for _ in range(self.devices))
         self.shape = (self._motors + 1,) if self._motors else (2 * self.devices,)
 
     def reset(self) -> None:
