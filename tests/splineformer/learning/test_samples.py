@@ -239,9 +239,12 @@ def test_kept_pictures_are_read_again(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="another seed, source or settings"):
         draw_pool(RandomFluoroscopy(SMALL, seed=5), range(3, 33), picture, "quarters", tmp_path)
     file = next(tmp_path.glob("pool_*.npz"))
-    file.write_bytes(file.read_bytes()[:100])
-    with pytest.raises(ValueError, match="is damaged"):
-        draw_pool(images, range(3, 33), picture, "quarters", tmp_path)
+    whole = file.read_bytes()
+    way = whole.rindex(b"PK\x01\x02") + 10  # of compression
+    for damaged in (whole[:100], whole[:way] + b"c" + whole[way + 1 :]):
+        file.write_bytes(damaged)
+        with pytest.raises(ValueError, match="is damaged"):
+            draw_pool(images, range(3, 33), picture, "quarters", tmp_path)
 
 
 def test_parts_of_which_nothing_is_kept_are_left_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

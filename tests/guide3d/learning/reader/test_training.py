@@ -79,9 +79,13 @@ def test_curves_of_a_data_set_are_courses(tmp_path: Path) -> None:
 def test_bad_commands_are_refused_in_one_sentence(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     np.savez_compressed(tmp_path / "whole.npz", ct=np.random.default_rng(0).random((40, 40)))
     np.save(tmp_path / "one.npy", np.zeros((4, 4)))
-    (tmp_path / "torn.npz").write_bytes((tmp_path / "whole.npz").read_bytes()[:-40])
+    whole = (tmp_path / "whole.npz").read_bytes()
+    (tmp_path / "torn.npz").write_bytes(whole[:-40])
+    way = whole.rindex(b"PK\x01\x02") + 10  # of compression
+    (tmp_path / "odd.npz").write_bytes(whole[:way] + b"c" + whole[way + 1 :])
+    broken = ("one.npy", "torn.npz", "odd.npz")
     for option, value, told in (
-        *(("--backgrounds", str(tmp_path / name), "is no .npz of arrays") for name in ("one.npy", "torn.npz")),
+        *(("--backgrounds", str(tmp_path / name), "is no .npz of arrays") for name in broken),
         ("--images", "0", "--images: expected at least 1 to evaluate with, got 0"),
         ("--settings", '{"fluoroscopy": {}}', "the fields of the random images are given by --fluoroscopy"),
     ):
