@@ -82,8 +82,14 @@ def test_two_devices_agree_with_the_gymnasium_environment(
     motion: Callable[[int], list[float]],
 ) -> None:
     arguments = {"catheter": catheter, "start_jitter": 0.0}
-    other = make_env(accuracy="accurate", observation="devices", **arguments)
-    env = make_composer(numerics=numerics, **arguments)
+    infos: list[dict[str, Any]] = []
+
+    def reward(info: dict[str, Any]) -> float:
+        infos.append(info)
+        return 0.0
+
+    other = make_env(accuracy="accurate", observation="devices", reward=reward, **arguments)
+    env = make_composer(numerics=numerics, reward=reward, **arguments)
     other.reset(seed=0)
     env.reset()
     apart = []
@@ -94,6 +100,10 @@ def test_two_devices_agree_with_the_gymnasium_environment(
     assert np.median(apart) < 1e-3
     assert max(apart) < 4e-3
     assert np.allclose(seen["devices"], observation[:, :2], atol=3e-4)
+    mine, theirs = infos[-2:]
+    assert theirs.keys() - mine.keys() == {"feeder_forces"}
+    for key in ("insertion", "rotation", "catheter_insertion", "catheter_rotation", "lead"):
+        assert mine[key] == pytest.approx(theirs[key], abs=3e-4), key
 
 
 def test_where_the_drive_is_stuck_the_feeders_slip(make_composer: MakeComposer) -> None:

@@ -236,6 +236,8 @@ class NavigateTask(composer.Task):
             "success_lumen": arrival.success_lumen and not invalid,
             "invalid": invalid,
         }
+        if self.devices is not None:
+            info |= self.devices.info(insertion)
         progress = before - self._remaining
         self._reward = self.task.reward_of(info, progress, moved, self._action, success=self.success)
 
@@ -278,7 +280,7 @@ def load(
         seed: of the starts; the same seed gives the same episodes to the same actions.
         visual: with the lumen's surface and a camera for `environment.physics.render(camera_id="frontal")`.
         task: the task, a `NavigationTask` or of a subclass.
-        task_fields: fields of the task, over its own.
+        task_fields: fields of the task, over its own; a function as `reward` gets no `feeder_forces`.
 
     Returns:
         The environment. It does not compile its model again at a reset; should the state become invalid, the episode

@@ -9,7 +9,7 @@ from cathsim.contact.sdf import Vessel
 from cathsim.devices.arena import ROTATE, max_insertion
 from cathsim.devices.hubs import Hubs, Move
 from cathsim.devices.pair import DevicePair
-from cathsim.devices.rod import DEVICES, Rod, device_tables
+from cathsim.devices.rod import CATHETER, DEVICES, Rod, device_tables
 from cathsim.devices.simulation import covered_model
 from cathsim.presets import Accuracy
 
@@ -65,6 +65,17 @@ class TwoDevices:
         """Brings the model to a share (0 to 1) of the control step."""
         assert self._rod is not None
         self._rod.update(physics.data.ptr, share)
+
+    def info(self, chain: float) -> dict[str, float]:
+        """What `info` of `NavigateEnv` says of both devices, less forces, at the chain's insertion (m)."""
+        hubs, places = self.hubs, self.hubs.insertions(chain)
+        return {
+            "insertion": places[hubs.only],
+            "rotation": hubs.angles[hubs.only],
+            "catheter_insertion": places[CATHETER],
+            "catheter_rotation": hubs.angles[CATHETER] if self.pair.catheter else 0.0,
+            "lead": hubs.lead,
+        }
 
     def state(self, chain: float) -> np.ndarray:
         """Insertion (m) and angle of the hub (rad), wire first, where the chain's insertion (m) is given. Shape (2, 2).
