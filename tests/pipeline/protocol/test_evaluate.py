@@ -338,7 +338,9 @@ def test_the_board_says_what_its_rows_do(path: Path) -> None:
     row = json.loads(path.read_text(encoding="utf-8"))
     reached = f"{sum(case['success'] for case in row['cases'])} of {len(row['cases'])}"
     page = (PROJECT_ROOT / "docs" / "results" / "board.md").read_text(encoding="utf-8")
+    share = row["summary"]["success_pct"]
     assert reached in page
+    assert f"{share['low']:.0f} to {share['high']:.0f}" in page
     assert f"results/board/{path.name}" in page
     assert not row["made_by"]["changes"]
 
