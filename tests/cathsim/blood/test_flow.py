@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from cathsim import Phantom, Simulation, load_guidewire
+from cathsim.anatomy.generator.random_tree import RandomTree, build_random_tree
 from cathsim.blood.drag import Drag
 from cathsim.blood.field import BloodField, blood_field
-from cathsim.blood.flow import FLOWS, BloodFlow, outlet_shares
+from cathsim.blood.flow import FLOWS, BloodFlow, descending_shares, outlet_shares
 from cathsim.blood.picture import picture
 from cathsim.blood.womersley import velocity_profile, womersley_number
 from cathsim.contact.native import address, library
@@ -82,6 +83,15 @@ def test_shares_follow_murray_and_what_is_given(type_1: Phantom) -> None:
         outlet_shares(type_1.tree, {"bca": 0.2})
     with pytest.raises(ValueError, match="must sum to 1, got 0"):
         outlet_shares(type_1.tree, dict.fromkeys(shares, 0.1))
+
+
+def test_both_iliac_arteries_carry_what_the_descending_aorta_does() -> None:
+    tree = build_random_tree(RandomTree(5))
+    (other,) = (branch for branch in tree if branch.name.startswith("iliac"))
+    cubes = np.array([tree.root.radius[0], other.radius[-1]]) ** 3
+    shares = descending_shares(tree, 0.7, {})
+    assert np.allclose([shares["aorta"], shares[other.name]], 0.7 * cubes / cubes.sum())
+    assert descending_shares(tree, 0.7, {other.name: 0.2}) == pytest.approx({"aorta": 0.5})
 
 
 def test_peak_velocity_is_that_of_the_root_over_the_beat(pulsatile: BloodField) -> None:

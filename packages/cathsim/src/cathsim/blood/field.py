@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cathsim.blood.flow import BloodFlow, outlet_shares
+from cathsim.blood.flow import BloodFlow, descending_shares, outlet_shares
 from cathsim.blood.womersley import profile_table
 from cathsim.contact.native import BloodStruct, address, library
 
@@ -46,7 +46,7 @@ class BloodField:
         self.phantom, self.flow, tree = phantom, flow, phantom.tree
         flow_shares = dict(flow.shares)
         if flow.descending_share is not None:
-            flow_shares.setdefault(tree.root.name, flow.descending_share)
+            flow_shares |= descending_shares(tree, flow.descending_share, flow_shares)
         self.shares = outlet_shares(tree, flow_shares)
         self._carried = {branch.name: self._through(branch.name) for branch in tree}
         inlet = float(tree.root.radius[-1])

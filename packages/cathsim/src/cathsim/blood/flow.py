@@ -26,8 +26,9 @@ class BloodFlow:
         heart_rate: Hz.
         waveform: "pulsatile" or "steady".
         profile: "womersley" or "poiseuille" (which "steady" always has).
-        descending_share: share of the flow at the root that goes down the descending aorta; None: by Murray's law, like
-            the others, which gives the wide aorta more (89 % in Type I).
+        descending_share: share of the flow at the root that goes down the descending aorta, and where iliac arteries
+            leave it is divided between its ends; None: by Murray's law, like the others, which gives the wide aorta
+            more (89 % in Type I).
         shares: shares that leave through further open ends, by branch; ends that are not named divide the rest among
             themselves by the cube of their radius (Murray's law).
         phase: of the heartbeat at time zero, 0 to 1; 0 is the opening of the aortic valve.
@@ -71,6 +72,19 @@ def blood_flow(name: str) -> BloodFlow:
     if name not in FLOWS:
         raise ValueError(f"unknown blood '{name}'; there are {', '.join(FLOWS)}, a BloodFlow, and None")
     return FLOWS[name]
+
+
+def descending_shares(tree: VesselTree, share: float, given: Mapping[str, float]) -> dict[str, float]:
+    """A share of the flow divided, by Murray's law, among the open ends of the root and of iliac arteries.
+
+    Args:
+        given: shares that are known, by branch; those of such ends are part of the share, and not returned.
+    """
+    parts, ways = outlet_shares(tree), {branch.name: tree.ancestry(branch.name)[1:] for branch in tree}
+    below = [name for name in parts if not ways[name] or ways[name][0].startswith("iliac")]
+    rest = max(share - sum(given.get(name, 0.0) for name in below), 0.0)
+    free = {name: parts[name] for name in below if name not in given}
+    return {name: rest * part / sum(free.values()) for name, part in free.items()}
 
 
 def outlet_shares(tree: VesselTree, given: Mapping[str, float] | None = None) -> dict[str, float]:
