@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from cathsim import load_phantom
 from cathsim.anatomy import Phantom
@@ -92,12 +93,10 @@ def test_a_seed_draws_the_published_target(environment: DualDeviceNavEnv) -> Non
     assert environment.task.target == "rcca@80"
 
 
-def test_the_view_is_turned_and_tilted() -> None:
-    left, back, up = (in_view(axis, (20.0, 5.0)) for axis in np.eye(3))
-    turn, tilt = math.radians(20), math.radians(5)
-    assert left == pytest.approx([math.cos(turn), math.sin(tilt) * math.sin(turn)])
-    assert back == pytest.approx([math.sin(turn), -math.sin(tilt) * math.cos(turn)])
-    assert up == pytest.approx([0, math.cos(tilt)])
+def test_the_view_is_tilted_and_turned_as_published() -> None:
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    published = Rotation.from_euler("xz", [-5, -20], degrees=True).apply(points)  # about the fixed axes, x first
+    assert np.allclose(in_view(points, (20.0, 5.0)), published[:, [0, 2]])
 
 
 def test_files_that_are_missing_are_told_with_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

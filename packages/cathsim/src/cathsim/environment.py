@@ -169,7 +169,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             less than its action says, or not at all while the clamp goes back; see `info["driven"]`.
         pace: "usual", "arch_variety" (7.5 steps a second, 35 mm/s and 180 degrees/s at 1), or a `Pace`: duration of a
             step and what actions of 1 move in it.
-        view: of `tracking`, degrees about the superior axis and then about the picture's horizontal one.
+        view: of `tracking`, degrees about the superior axis, and before that about the axis to the left.
         registration_noise: of the roadmap, m an axis, drawn once an episode.
         scan: None, or a `Scan` that roadmap and history show instead of the vessel itself.
         contact_info: with `contacts`, `contact_points` and `contact_forces` in `info`: 24 kB a step.

@@ -1,7 +1,8 @@
 """Tracked points of the wire in one view, with the target and the last action: an observation without images.
 
 Source: three points 2 mm apart, of this step and of the one before, in a parallel projection turned by 25 degrees, are
-what the task ArchVariety observes (Karstensen et al. 2024, arXiv 2410.01956, and the training published with it).
+what the task ArchVariety observes (Karstensen et al. 2024, arXiv 2410.01956, and the training published with it; the
+order of both turns: eve/util/coordtransform.py of lkarstensen/stEVE).
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from cathsim.simulation import Simulation
 
 POINTS, MOMENTS = 3, 2
 SPACING = 2e-3  # m between the points, in the view
-VIEW = (25.0, 0.0)  # degrees of the view about the superior axis and then about its own horizontal one
+# degrees: the vessels are turned by the second about the axis to the left, then by the first about the superior one
+VIEW = (25.0, 0.0)
 MARGIN = 0.1  # of the centrelines' extent, on either side
 
 Array = NDArray[np.float64]
@@ -30,9 +32,9 @@ Array = NDArray[np.float64]
 def in_view(points: Array, view: tuple[float, float] = VIEW) -> Array:
     """Points (..., 3) m, world frame, in a view: (..., 2) m to the right of the picture and up."""
     turn, tilt = map(math.radians, view)
-    across = math.cos(turn) * points[..., 0] + math.sin(turn) * points[..., 1]
-    depth = math.cos(turn) * points[..., 1] - math.sin(turn) * points[..., 0]
-    return np.stack((across, math.cos(tilt) * points[..., 2] - math.sin(tilt) * depth), axis=-1)
+    x, y, z = np.moveaxis(points, -1, 0)
+    depth = math.cos(tilt) * y + math.sin(tilt) * z
+    return np.stack((math.cos(turn) * x + math.sin(turn) * depth, math.cos(tilt) * z - math.sin(tilt) * y), axis=-1)
 
 
 @kept_with_owner
