@@ -114,6 +114,7 @@ def test_many_anatomies_and_vectors_are_described(type_1: Phantom, own_arch: Pha
         one, other = env.reset(seed=0, options={"case": case}), again.reset(seed=0, options={"case": case})
         assert np.array_equal(one[0]["roadmap"], other[0]["roadmap"])
         assert one[1]["phantom"] == other[1]["phantom"]
+    assert made_again(gymnasium.make(MANY, **{**arguments, "phantoms": range(2)})).unwrapped.phantoms == (0, 1)
     vector = gymnasium.make_vec(ENVIRONMENT, 2, phantom=own_arch, accuracy="fast")
     twin = gymnasium.make_vec(EnvSpec.from_json(vector.spec.to_json()))
     assert twin.num_envs == 2

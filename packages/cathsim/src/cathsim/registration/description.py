@@ -40,7 +40,7 @@ def to_spec(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, Mapping):
         return {str(key): to_spec(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
+    if isinstance(value, list | tuple | range):
         return [to_spec(one) for one in value]
     if inspect.isfunction(value):
         if "<" in value.__qualname__ or value.__module__ == "__main__":
