@@ -26,11 +26,19 @@ def _fields(kind: Any, *names: str) -> tuple[tuple[str, Any], ...]:
     return tuple((name, kind) for name in names)
 
 
+# mj_step1 without mj_factorM: only the mass with the implicit damping and stiffness is ever solved with.
+_FIRST_HALF = (
+    *("mj_checkPos", "mj_checkVel", "mj_fwdKinematics", "mj_crb", "mj_collision", "mj_makeConstraint", "mj_island"),
+    *("mj_projectConstraint", "mj_transmission", "mj_effBuild", "mj_fwdVelocity"),
+)
+
+
 class Engine(ctypes.Structure):
     """MuJoCo functions that the native code calls (struct Engine of step.h)."""
 
     _fields_ = (
-        *_fields(ctypes.c_void_p, "first_half", "forward", "second_half", "kinematics", "contact_force"),
+        ("first_half", ctypes.c_void_p * len(_FIRST_HALF)),
+        *_fields(ctypes.c_void_p, "forward", "second_half", "kinematics", "contact_force"),
         *_fields(ctypes.c_void_p, "check_acceleration", "integrate"),
     )
 
@@ -209,6 +217,10 @@ def layout_expected(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, int
 @functools.cache
 def engine() -> Engine:
     """Addresses of MuJoCo's functions for the native code."""
-    halves = "mj_step1", "mj_forwardSkip", "mj_step2"
-    names = (*halves, "mj_kinematics", "mj_contactForce", "mj_checkAcc", "mj_integratePos")
-    return Engine(*(ctypes.cast(getattr(mujoco_library(), name), ctypes.c_void_p).value for name in names))
+    names = (
+        *_FIRST_HALF,
+        *("mj_forwardSkip", "mj_step2", "mj_kinematics", "mj_contactForce", "mj_checkAcc", "mj_integratePos"),
+    )
+    addresses = [ctypes.cast(getattr(mujoco_library(), name), ctypes.c_void_p).value for name in names]
+    first = len(_FIRST_HALF)
+    return Engine((ctypes.c_void_p * first)(*addresses[:first]), *addresses[first:])

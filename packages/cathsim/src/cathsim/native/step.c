@@ -214,7 +214,7 @@ static void step_engine(const Simulation* s, const Engine* engine, const mjModel
       model->geom_solref[mjNREF * g + 1] = -model->geom_solimp[mjNIMP * g] / h;
     }
   }
-  engine->first_half(model, d);
+  for (int i = 0; i < FIRST_HALF; i++) engine->first_half[i](model, d);
   if (s->breath_rate > 0) move_walls(s);
   if (s->wall_stiffness > 0) {
     const double compliance = 1 / (3 * h * h * s->wall_stiffness);

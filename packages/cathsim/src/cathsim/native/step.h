@@ -6,10 +6,12 @@
 #include "rod.h"
 #include "vessel.h"
 
+#define FIRST_HALF 11 /* functions */
+
 /* MuJoCo's functions; their addresses come from the running library, so nothing is linked against it. */
 typedef struct {
-  void (*first_half)(const mjModel* m, mjData* d);  /* mj_step1, mj_forwardSkip and mj_step2 */
-  void (*forward)(const mjModel* m, mjData* d, int skip_stage, int skip_sensors);
+  void (*first_half[FIRST_HALF])(const mjModel* m, mjData* d); /* mj_step1 without the factor of the mass alone */
+  void (*forward)(const mjModel* m, mjData* d, int skip_stage, int skip_sensors); /* mj_forwardSkip and mj_step2 */
   void (*second_half)(const mjModel* m, mjData* d);
   void (*kinematics)(const mjModel* m, mjData* d);
   void (*contact_force)(const mjModel* m, const mjData* d, int id, mjtNum result[6]);
