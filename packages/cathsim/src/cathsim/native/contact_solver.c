@@ -1,6 +1,6 @@
-/* A wire has some 60 degrees of freedom and touches the wall in a few places. MuJoCo's convex problem (Todorov 2014, "Convex
- * and analytically-invertible dynamics with contacts and constraints in generalized coordinates") is solved here in the
- * space of the contacts instead of that of the joints:
+/* A wire has some 60 degrees of freedom and touches the wall in a few places, a long one that is buckled in forty. MuJoCo's
+ * convex problem (Todorov 2014, "Convex and analytically-invertible dynamics with contacts and constraints in generalized
+ * coordinates") is solved here in the space of the contacts instead of that of the joints:
  *
  *   least over y of  y'A y / 2 + s(z0 + A y),   A = J H^-1 J',   z0 = J a0 - aref,
  *
@@ -8,6 +8,8 @@
  * contacts and s MuJoCo's cost of the contacts, whose negative gradient are the forces. Newton's method makes the iterates of
  * the joints' space at the cost of the contacts' size; at the end y are the forces. */
 #include "contact_solver.h"
+
+#include "wide.h"
 
 #include <math.h>
 #include <string.h>
@@ -77,7 +79,7 @@ static inline int pivot(double* row, int n) {
 }
 
 /* Factors a symmetric matrix, of which the upper triangle is given, as U'U in place; returns whether it is positive. */
-static int factorise(double* a, int n) {
+WIDE static int factorise(double* a, int n) {
   for (int j = 0; j < n; j += 2) {
     double *row = a + j * n, *next = row + n;
     if (!pivot(row + j, n - j)) return 0;
@@ -151,7 +153,7 @@ static double evaluate(Problem* p, const double* z, int second) {
   return cost;
 }
 
-static void times(const double* a, const double* x, double* result, int n) {
+WIDE static void times(const double* a, const double* x, double* result, int n) {
   memset(result, 0, sizeof(double) * n);
   for (int i = 0; i < n; i++) add(result, x[i], a + i * n, n); /* symmetric */
 }
@@ -174,7 +176,7 @@ static void scatter(const Problem* p, double factor, const double* x, double* y)
 }
 
 /* Newton's direction (I + S A)^-1 r with S = G G': r - G (I + G'A G)^-1 G' A r; `workspace`: two matrices, a vector. */
-static int direction(const Problem* p, const double* r, const double* ar, double* result, double* workspace) {
+WIDE static int direction(const Problem* p, const double* r, const double* ar, double* result, double* workspace) {
   const int n = p->rows, columns = p->columns;
   double *ga = workspace, *inner = ga + columns * n, *right = inner + columns * columns;
   memcpy(result, r, sizeof(double) * n);
@@ -221,7 +223,7 @@ static double line_search(Problem* p, const double* dz, double slope, double ben
 
 /* Rows x = D^-1/2 L'^-1 J', where L'DL is the mass with the implicit damping and stiffness, as MuJoCo has factored it; `scale`
  * is D^-1/2. Their products are A. */
-static void project(const mjModel* m, const mjData* d, const double* scale, double* reached, double* A) {
+WIDE static void project(const mjModel* m, const mjData* d, const double* scale, double* reached, double* A) {
   const int nv = m->nv, n = d->nefc;
   int count[SOLVER_ROWS]; /* what a contact does not move comes last */
   for (int i = 0; i < n; i++) {
@@ -266,7 +268,7 @@ static void begin(Problem* p, const double* z0, double* y, double* ay, double* w
   memcpy(p->z, z0, sizeof(double) * n);
 }
 
-void contact_solve(const mjModel* m, mjData* d, double* workspace) {
+WIDE void contact_solve(const mjModel* m, mjData* d, double* workspace) {
   const int nv = m->nv, n = d->nefc;
   double *reached = workspace, *acceleration = reached + nv * SOLVER_ROWS, *scale = acceleration + nv, *A = scale + nv;
   double *z0 = A + n * n, *z = z0 + n, *y = z + n, *ay = y + n, *r = ay + n, *ar = r + n, *dy = ar + n, *dz = dy + n;

@@ -4,7 +4,7 @@
 
 #include <mujoco/mujoco.h>
 
-#define SOLVER_ROWS 120 /* contact rows above which MuJoCo's own solver is left to it: with convex hulls, say */
+#define SOLVER_ROWS 256 /* contact rows above which MuJoCo's own solver is left to it: with convex hulls, say */
 
 /* Numbers that `contact_solve` needs as workspace, with so many degrees of freedom. */
 int cathsim_solver_workspace(int nv);

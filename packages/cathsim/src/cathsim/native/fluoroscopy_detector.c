@@ -1,16 +1,10 @@
 /* A detector's image: the wire's transmission drawn along a polyline, and counting, blur and display of the photons. */
+#include "wide.h"
+
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
-
-/* Compiled for the wide registers of newer processors, too, and chosen when the library is loaded. Contraction is off,
- * so that both give the same bits. */
-#if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__)
-#define WIDE __attribute__((target_clones("avx2", "default")))
-#else
-#define WIDE
-#endif
 
 typedef struct {
   int left, top, width, height; /* window of the image, px */
