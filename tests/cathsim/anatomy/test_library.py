@@ -86,7 +86,10 @@ def read_again(folder):
 
 
 def test_what_the_cache_returns_is_what_was_built(built, copied):
-    built, _ = built
+    built, folder = built
+    plain = copied / "plain"
+    plain.touch()
+    assert PhantomCache(folder).path(built.hash).stat().st_mode == plain.stat().st_mode  # other users may read it
     read = read_again(copied)
     assert read is not built
     assert read.hash == built.hash
@@ -102,12 +105,13 @@ def test_what_the_cache_returns_is_what_was_built(built, copied):
         assert np.array_equal(read.entries[name].direction, entry.direction)
 
 
-@pytest.mark.parametrize("damage", ["flip", "text"])
+@pytest.mark.parametrize("damage", ["flip", "header", "text"])
 def test_a_damaged_cache_file_is_rebuilt_with_a_warning(built, copied, caplog, damage):
     path = PhantomCache(copied).path(built[0].hash)
     content = bytearray(path.read_bytes())
-    content[content.index(b"distance.npy") + 4000] ^= 0x10
-    path.write_bytes(content if damage == "flip" else b"not a phantom")
+    array = content.index(b"distance.npy")
+    content[content.index(b"}", array) if damage == "header" else array + 4000] ^= 0x10
+    path.write_bytes(b"not a phantom" if damage == "text" else content)
     with caplog.at_level(logging.WARNING):
         again = read_again(copied)
     assert "is damaged" in caplog.text

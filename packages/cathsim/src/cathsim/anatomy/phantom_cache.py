@@ -13,12 +13,10 @@ import json
 import logging
 import os
 import tempfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +32,6 @@ from cathsim.lattice.node_blocks import EDGE, NodeBlocks
 
 logger = logging.getLogger(__name__)
 LAYOUT = 3  # of the files; raise it whenever they are written in another way
-DAMAGE = (BadZipFile, OSError, ValueError, KeyError, TypeError, EOFError, IndexError, NotImplementedError, zlib.error)
 
 
 def default_cache_directory() -> Path:
@@ -60,6 +57,8 @@ def write_archive(path: Path, arrays: dict[str, NDArray], what: str, *, compress
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".building-", suffix=".npz", delete=False) as file:
             temporary = file.name
             save(file, **arrays)
+        os.umask(mask := os.umask(0))
+        os.chmod(temporary, 0o666 & ~mask)  # a temporary file is private, and a cache can be shared
         os.replace(temporary, path)
         temporary = None
     except OSError as error:
@@ -96,7 +95,7 @@ class PhantomCache:
                     raise ValueError("it holds another phantom")
                 grid = SignedDistanceGrid(_unpack(file, meta), np.array(meta["origin"]), meta["spacing"])
                 points, radius = file["points"], file["radius"]
-        except DAMAGE as error:
+        except Exception as error:  # a damaged archive raises a dozen kinds
             logger.warning("cached phantom %s is damaged (%s) and is built again.", path, error)
             return None
         branches, start = [], 0
@@ -193,7 +192,7 @@ class _FieldFiles:
                 farthest = float(file["farthest"])
                 cores = np.full((int(field_blocks.sum()), *marched.shape[1:]), farthest, dtype=np.float32)
                 cores[marched[field_blocks]] = file["geodesic"]
-        except DAMAGE as error:
+        except Exception as error:  # a damaged archive raises a dozen kinds
             logger.warning("geodesic field %s in %s is damaged (%s) and is computed again.", target, path, error)
             return None
         occupied = np.array(grid.blocks.stored)

@@ -20,7 +20,7 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
-from cathsim.anatomy.phantom_cache import DAMAGE, default_cache_directory, write_archive
+from cathsim.anatomy.phantom_cache import default_cache_directory, write_archive
 from cathsim.anatomy.surface import MAXIMUM_WALL, wall_surface
 from cathsim.validation import Count, Unit, settings
 
@@ -179,7 +179,7 @@ def _read(path: Path) -> list[Hull] | None:
             start = end
         if not hulls:
             raise ValueError("it is empty")
-    except DAMAGE as error:
+    except Exception as error:  # a damaged archive raises a dozen kinds
         logger.warning("cached hulls %s are damaged (%s) and are built again.", path, error)
         return None
     return hulls
