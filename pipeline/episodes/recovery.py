@@ -206,7 +206,8 @@ def recover(
             raise
         except OSError as error:
             raise EpisodeWriteError(
-                f"cannot write {destination}: {error.strerror}; {source} is unharmed: free space and try again"
+                f"cannot write {destination}: {error.strerror}; {source} is unharmed: free space, or name another "
+                "file, and try again"
             ) from error
     return RecoveryReport(
         destination=destination,

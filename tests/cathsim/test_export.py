@@ -102,6 +102,15 @@ def test_export_refuses(bend: Phantom, prisms: list[Hull], tmp_path: Path) -> No
     assert (project / "model.xml").read_text() == "mine"
 
 
+def test_a_folder_that_cannot_be_made_is_told_before_the_wall_is_cut(
+    bend: Phantom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr("cathsim.export.hull_vessel")
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match="file"):
+        export_mjcf(tmp_path / "file" / "new", bend, load_guidewire("default"))
+
+
 def test_command_line(
     bend: Phantom,
     prisms: list[Hull],

@@ -308,6 +308,6 @@ def test_failed_recovery_leaves_nothing(episode, tmp_path, monkeypatch):
     source = episode.write(tmp_path / "episode.mcap")
 
     monkeypatch.setattr(os, "pwrite", no_space)
-    with pytest.raises(EpisodeWriteError, match="is unharmed: free space and try again"):
+    with pytest.raises(EpisodeWriteError, match="is unharmed: free space, or name another file, and try again"):
         recover(source, tmp_path / "saved.mcap")
     assert list(tmp_path.iterdir()) == [source]

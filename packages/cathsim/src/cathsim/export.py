@@ -74,30 +74,31 @@ def export_mjcf(
     folder = Path(folder)
     if folder.exists() and not (folder.is_dir() and _holds_an_export_alone(folder)):
         raise ValueError(f"{folder} is there and is no earlier export: name a new or an empty folder")
-    vessel = dataclasses.replace(
-        hull_vessel(phantom, entry_name(entry), decomposition(contact)), sheath_length=wire.length + 0.02
-    )
-    spec = model_spec(vessel, wire, numerics)
-    spec.delete(spec.geom(GEOM_NAME))
-    spec.nuser_geom = 0
-    spec.modelname = f"{phantom.name}_guidewire"
-    # the first integrator that older versions know, too
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.stat.center, spec.stat.extent = phantom.bounds.mean(axis=0), 0.3
-    spec.visual.map.znear = 0.01
-    spec.visual.headlight.ambient = [0.4, 0.4, 0.4]
-    spec.add_mesh(name=LUMEN, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
-    spec.worldbody.add_geom(
-        name=LUMEN,
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname=LUMEN,
-        rgba=LUMEN_COLOUR,
-        contype=0,
-        conaffinity=0,
-        group=VISIBLE,
-    )
     folder.parent.mkdir(parents=True, exist_ok=True)
+    # made before the wall is cut, which takes minutes
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".exporting-") as made:
+        vessel = dataclasses.replace(
+            hull_vessel(phantom, entry_name(entry), decomposition(contact)), sheath_length=wire.length + 0.02
+        )
+        spec = model_spec(vessel, wire, numerics)
+        spec.delete(spec.geom(GEOM_NAME))
+        spec.nuser_geom = 0
+        spec.modelname = f"{phantom.name}_guidewire"
+        # the first integrator that older versions know, too
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.stat.center, spec.stat.extent = phantom.bounds.mean(axis=0), 0.3
+        spec.visual.map.znear = 0.01
+        spec.visual.headlight.ambient = [0.4, 0.4, 0.4]
+        spec.add_mesh(name=LUMEN, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
+        spec.worldbody.add_geom(
+            name=LUMEN,
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=LUMEN,
+            rgba=LUMEN_COLOUR,
+            contype=0,
+            conaffinity=0,
+            group=VISIBLE,
+        )
         finished = Path(made) / "export"
         (finished / MESHES).mkdir(parents=True)
         surfaces = {f"hull{i}": trimesh.Trimesh(h.vertices, h.faces, process=False) for i, h in enumerate(vessel.hulls)}
