@@ -6,68 +6,56 @@ import copy
 import dataclasses
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
-from annotated_types import Interval
 
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.entry import EntryLike, entry_name
 from cathsim.anatomy.point_target import TargetLike
-from cathsim.blood.flow import BloodFlow, blood_flow
-from cathsim.contact.breathing import Breathing
-from cathsim.contact.hulls import Decomposition, decomposition
-from cathsim.devices.catheter import Catheter
-from cathsim.devices.choice import resolve_catheter, resolve_wire, simulation_of
+from cathsim.devices.choice import simulation_of
 from cathsim.devices.simulation import DualSimulation
-from cathsim.guidewire import Guidewire
 from cathsim.navigation import Arrival, Goal, NavigationTask, navigation_task, require_reach, straight_distance
-from cathsim.observations.fluoroscopes import wire_radius_of
-from cathsim.observations.scan import Scan
 from cathsim.observations.sensors import Sensors
 from cathsim.observations.tracking import VIEW
-from cathsim.presets import Accuracy
-from cathsim.presets import accuracy as preset
 from cathsim.registration.description import Specified, from_spec, resolve_argument
 from cathsim.registration.usage import Usage, exclusive
 from cathsim.robot.feeders import ROTATION_STEP as ROTATION_STEP
 from cathsim.robot.feeders import TRANSLATION_STEP as TRANSLATION_STEP
 from cathsim.robot.feeders import Feeders
-from cathsim.robot.pace import Pace, named_pace
 from cathsim.simulation import CONTROL_STEP
-from cathsim.validation import Count, Listed, quantity
+from cathsim.validation import Count, quantity
 from cathsim.viewing.display import MODES, Display, modes_here
 
 if TYPE_CHECKING:
+    from cathsim.blood.flow import BloodFlow
+    from cathsim.contact.breathing import Breathing
+    from cathsim.contact.hulls import Decomposition
+    from cathsim.devices.catheter import Catheter
     from cathsim.fluoroscopy import BiplaneFluoroscope
+    from cathsim.guidewire import Guidewire
+    from cathsim.observations.scan import Scan
+    from cathsim.presets import Accuracy
     from cathsim.robot.follower import FollowerRobot
+    from cathsim.robot.pace import Pace
 
 ACTIONS = ("feeder", "tip_motors")
-_Degrees = Annotated[float, Interval(ge=-360, le=360)]
 
 
 class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     """A guidewire is fed through an introducer sheath into an aorta; its tip is to reach a target in a branch.
 
-    With `catheter`, the wire lies in a catheter, and the tip is that of the device that is further in.
-
-    One step lasts 0.1 s of simulated time, or as `pace` says, the feeder moving at constant speed.
+    With `catheter`, the wire lies in a catheter, and the tip is that of the device that is further in. One step lasts
+    0.1 s of simulated time, or as `pace` says, the feeder moving at constant speed.
 
     ## Actions
-    `actions="feeder"`: `Box(-1, 1, (2,))`
+    `actions="feeder"`: `Box(-1, 1, (2,))`, or (4,) of a wire in a catheter, whose feeder the last two move
 
     | index | action | at 1 |
     |---|---|---|
-    | 0 | translation of the feeder; positive inserts | 2 mm |
-    | 1 | rotation of the feeder about the direction of insertion | 15 degrees |
-
-    A wire in a catheter: `Box(-1, 1, (4,))`; a catheter alone has two actions, as the bare wire.
-
-    | index | action | at 1 |
-    |---|---|---|
-    | 0, 1 | translation and rotation of the wire's feeder | 2 mm, 15 degrees |
-    | 2, 3 | translation and rotation of the catheter's feeder | 2 mm, 15 degrees |
+    | 0, 2 | translation of the feeder; positive inserts | 2 mm |
+    | 1, 3 | rotation of the feeder about the direction of insertion | 15 degrees |
 
     `actions="tip_motors"`: `Box(-1, 1, (21,))`, the order of the thesis
 
@@ -79,53 +67,38 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     ## Observations
     `observation` is one name, which gives a `Box`, or several, which give a `Dict`.
 
-    | name | what | shape (default wire) | unit |
+    | name | what | shape; of two devices | unit |
     |---|---|---|---|
-    | internal | joints, centre-of-mass inertia and velocity of bodies, actuator and external forces | (784,) | SI |
-    | joints | joint positions, then velocities | (112,), thesis wire (336,) | m, rad, m/s, rad/s |
-    | image | frontal fluoroscopic image | (1, size, size) uint8 | grey |
-    | mask | pixels of the wire | (1, size, size) uint8 | 0 or 255 |
+    | internal | joints, centre-of-mass inertia and velocity of bodies, actuator, external forces | (28 links,) | SI |
+    | joints | joint positions, then velocities | (4 links,) | m, rad, m/s, rad/s |
+    | image, mask | frontal fluoroscopic image; pixels of the devices | (1, size, size) uint8 | grey; 0 or 255 |
     | sequential | the last three images, oldest first | (3, size, size) uint8 | grey |
-    | shape | ends of the links from tip to feeder | (29, 3) | m, world |
-    | tip | position of the tip | (3,) | m, world |
-    | feeder | insertion, cosine and sine of the rotation | (3,) | m, 1 |
+    | shape | ends of the links from tip to feeder | (links + 1, 3) | m, world |
+    | tip, goal | position of the tip; of the target | (3,) | m, world |
+    | feeder | insertion, cosine and sine of the rotation; of two the wire's first, then its lead | (3,); (7,) | m, 1 |
     | force | resultant contact force | (3,) | N, world |
-    | roadmap | the way to the target, walls, wire and force in the tip's frame (`Roadmap.read`) | (64,) | about 1 |
-    | history | what was tried lately and how long without progress (`History.read`) | (11,) | about 1 |
-    | tracking | points of the wire in one view, the target, the last action (`Tracking.read`) | (16,) | about 1 |
-    | goal | position of the target | (3,) | m, world |
+    | roadmap | way to the target, walls, devices, force in the tip's frame (`Roadmap.read`) | (64,); (71,) | about 1 |
+    | history | what was tried lately and how long without progress (`History.read`) | (11,); (18,) | about 1 |
+    | tracking | points of the wire in one view, target, last action (`Tracking.read`) | (16,); (18,) | about 1 |
     | goal_image | the target's dot in the frontal view | (1, size, size) uint8 | 0 to 255 |
-
-    With a catheter, `internal`, `joints` and `shape` are those of the chain in which both devices lie, whose links are
-    finer over the catheter's shape; `links` is their number. Other sizes change with two devices, and `devices` is new:
-
-    | name | what | shape | unit |
-    |---|---|---|---|
-    | internal, joints, shape | as above | (28 links,), (4 links,), (links + 1, 3) | as above |
-    | feeder | insertion, cosine and sine of the rotation: wire, catheter; lead of the wire's tip | (7,) | m, 1 |
     | devices | insertion, angles of hub and tip, feeder's force, hub's torque: wire, catheter | (2, 5) | SI, rad |
-    | roadmap, history, tracking | followed by what concerns the catheter | (71,), (18,), (18,) | about 1 |
+
+    `links` is the number of the wire's, 28 of the default one and 84 of the thesis's, and with a catheter, which gives
+    `devices`, that of the chain in which both lie, whose links are finer over the catheter's shape.
 
     With `cameras`, for each of them (a and b): `image_a`, a noisy X-ray image, and `mask_a`, (1, size, size) uint8.
 
-    With `channels_last=True`, images and masks have the shape (size, size, 1) instead, `sequential` (size, size, 3), as
-    `ResizeObservation` and other wrappers for images need them.
-
     ## Reward
-    "distance" (the thesis's): -|tip - target| in metres; "geodesic": 100 per metre of decrease of the distance along
-    the lumen, less 0.02 a step. Both: 10 on reaching the target. Or what a function gives for the step's `info`, in
-    which there are also `progress` m along the lumen, `moved` m of the tip and `action`: reward=lambda info:
-    100 * info["progress"] - info["force"]. All less `force_penalty` per newton of contact force above `force_threshold`
-    and `path_penalty` per metre that the tip moves.
+    That of `NavigationTask`: "distance" (the thesis's), "geodesic", or what a function gives for the step's `info`:
+    reward=lambda info: 100 * info["progress"] - info["force"].
 
     ## Start
-    The wire lies in the sheath, its tip 5 mm inside the vessel, advanced by up to `start_jitter` and turned by up to
-    `start_rotation`; a catheter's tip lies there, too, turned by up to `start_rotation` by its own.
+    The wire lies in the sheath, its tip 5 mm inside the vessel, as a catheter's is, advanced by up to `start_jitter`;
+    each device is turned by up to `start_rotation`.
 
     ## Endings
     Terminated when the tip is in the target's branch within `success_radius` of the target along the lumen, or with
-    `success="straight"` within it in a straight line; truncated after `max_steps`, or when the
-    simulation becomes invalid (`info["invalid"]`).
+    `success="straight"` in a straight line; truncated after `max_steps`, or when the state is `info["invalid"]`.
 
     ## Info
     `tip` (3,) m, `distance` m to the target in a straight line, `branch` in which the tip is ("aorta" before every
@@ -135,19 +108,16 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
     `catheter_insertion` m, `catheter_rotation` rad of its hub, `lead` m of the wire's tip before the catheter's,
     `feeder_forces` (2,) N, and with the robot `catheter_driven`; `insertion`, `rotation` and `driven` are the wire's,
     or those of a catheter alone.
-    With `contact_info=True` also `contacts`, the number k of contacts of that moment, and `contact_points` (512, 3) m
-    and `contact_forces` (512, 3) N, whose first k rows are those contacts and whose other rows are zero. Every key has
-    the same type and shape in every step; `env.simulation.contacts()` gives the k contacts alone.
+    With `contact_info=True` also `contacts`, the number k of contacts of that moment, `contact_points` (512, 3) m and
+    `contact_forces` (512, 3) N, zero behind the first k rows; `env.simulation.contacts()` gives the k contacts alone.
 
-    ## Arguments
     Args:
         phantom: a name of `cathsim.anatomy.PHANTOMS`, "random" (with `phantom_seed`), the path of a mesh (STL, OBJ,
             PLY), or a `Phantom`.
         target: "bca" (the default), "lcca", "lsa", or another of the phantom's targets: "rcca", "rsa", and 10 mm before
             the open ends "rcca_end", "rsa_end", "lcca_end", "lsa_end"; or a point in the lumen, (3,) m, world frame.
-        entry: "descending" (femoral access), "ascending", the open end of a branch, such as "lsa_end" (from the left
-            arm); or a point in the lumen, (3,) m, world frame, where the sheath ends, along the centreline towards the
-            target.
+        entry: "descending" (femoral access), "ascending", a branch's open end such as "lsa_end" (from the left arm); or
+            a point in the lumen, (3,) m, where the sheath ends, along the centreline towards the target.
         wire: a preset's name, the path of a YAML file or a `Guidewire`; for far targets a longer one,
             load_guidewire("default").scaled(0.36). None: a catheter alone.
         catheter: None, or a preset's name ("vertebral", "simmons2_6f"), the path of a YAML file or a `Catheter`.
@@ -155,7 +125,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         accuracy: "accurate", "fast" (about twice as fast, deeper contacts), "reference", or an `Accuracy`.
         actions: "feeder" or "tip_motors".
         image_size: side of the images, px (the thesis uses 80 and 128; the public biplane data set has 1,024).
-        channels_last: images of shape (size, size, channels) instead of (channels, size, size).
+        channels_last: images of shape (size, size, channels), as `ResizeObservation` needs them.
         cameras: None, "guide3d", "clinical", or a `BiplaneFluoroscope`: two C-arms beside the frontal view.
         render_mode: "rgb_array" (a 3-D view, needs EGL or OSMesa), "fluoroscopy" (the frontal image) or "human" (a
             window that shows every step at the speed of the simulated time; the extra `human` brings pygame for it).
@@ -167,17 +137,14 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             images stay where the scan has them. An episode begins anywhere in a breath.
         drive: "direct", or "robot": a follower robot feeds each device stroke by stroke, so that a step may move it
             less than its action says, or not at all while the clamp goes back; see `info["driven"]`.
-        pace: "usual", "arch_variety" (7.5 steps a second, 35 mm/s and 180 degrees/s at 1), or a `Pace`: duration of a
-            step and what actions of 1 move in it.
+        pace: "usual", "arch_variety" (7.5 steps a second, 35 mm/s and 180 degrees/s at 1), or a `Pace`.
         view: of `tracking`, degrees about the superior axis, and before that about the axis to the left.
         registration_noise: of the roadmap, m an axis, drawn once an episode.
         scan: None, or a `Scan` that roadmap and history show instead of the vessel itself.
         contact_info: with `contacts`, `contact_points` and `contact_forces` in `info`: 24 kB a step.
         observe_every: steps between two observations; in between, `step` returns the last one, for policies that hold
             an action for so many steps. At the reset and the episode's end there is always one, the same as with 1.
-        task: the task, a `NavigationTask` or of a subclass with a reward of its own; its fields as further keywords
-            replace the task's: success_radius, success, max_steps, start_jitter, start_rotation, reward, force_penalty,
-            force_threshold, path_penalty.
+        task: a `NavigationTask` or of a subclass with a reward of its own; further keywords replace its fields.
     """
 
     metadata = {"render_modes": list(MODES), "render_fps": round(1 / CONTROL_STEP)}  # noqa: RUF012
@@ -221,33 +188,23 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         episode_task.goal(self.phantom)  # refuses an unknown target before anything is built
         self.simulation = simulation_of(
             self.phantom,
-            resolve_wire(wire),
-            resolve_catheter(catheter),
-            resolve_argument("accuracy", accuracy, Accuracy, preset),
+            wire,
+            catheter,
+            accuracy,
             torsion=torsion,
             entry=entry_name(entry, episode_task.target),
-            contact=contact
-            if isinstance(contact, str)
-            else resolve_argument("contact", contact, Decomposition, decomposition),
+            contact=contact,
             tip_motors=actions == "tip_motors",
-            blood=None if blood is None else resolve_argument("blood", blood, BloodFlow, blood_flow),
+            blood=blood,
             wall_stiffness=wall_stiffness,
-            pace=resolve_argument("pace", pace, Pace, named_pace),
-            breathing=None if breathing is None else resolve_argument("breathing", breathing, Breathing),
+            pace=pace,
+            breathing=breathing,
         )
         self.render_mode, self._contact_info = render_mode, contact_info
-        fps = 1 / self.simulation.pace.interval
-        self.metadata = {**self.metadata, "render_modes": modes_here(), "render_fps": fps}
+        self.metadata = {**self.metadata, "render_modes": modes_here(), "render_fps": 1 / self.simulation.pace.interval}
         self.usage = Usage()
         self._observe_every, self._observed = quantity("observe_every", observe_every, Count), None
         self.feeders = Feeders(self.simulation, drive)
-        biplane = None
-        if cameras is not None:
-            from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
-
-            material = wire_material(wire if isinstance(wire, str) else "default", wire_radius_of(self.simulation))
-            pair = partial(BiplaneFluoroscope.of, self.phantom, size=image_size, material=material)
-            biplane = resolve_argument("cameras", cameras, BiplaneFluoroscope, pair)
         self._task = episode_task
         self.sensors = Sensors(
             self.simulation,
@@ -257,9 +214,10 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             image_size=image_size,
             channels_last=channels_last,
             registration_noise=registration_noise,
-            biplane=biplane,
-            scan=None if scan is None else resolve_argument("scan", scan, Scan),
-            view=quantity("view", view, Annotated[tuple[_Degrees, _Degrees], Listed]),
+            cameras=cameras,
+            wire=wire if isinstance(wire, str) else "default",
+            scan=scan,
+            view=view,
         )
         self.fluoroscope, self.biplane = self.sensors.fluoroscope, self.sensors.biplane
         self.roadmap, self.history = self.sensors.roadmap, self.sensors.history
@@ -294,16 +252,10 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         return self._goal.arrival(tip, share)
 
     def _set_task(self, task: NavigationTask) -> None:
-        goal = Goal(task, self.phantom)
+        goal = Goal(task, self.phantom, reads_way=self.sensors.reads_way)
         require_reach(task, self.simulation)
-        self._task, self._goal, self._remaining = task, goal, 0.0
+        self._task, self._goal = task, goal
         self.roadmap.aim(task.target)
-        self._hold_field()
-
-    def _hold_field(self) -> None:
-        # so that a point's field stays with the phantom while this environment reads it
-        read = self._task.reads_progress or self.sensors.reads_way
-        self._field = self.phantom.geodesic_field(self._task.target) if read else None
 
     @exclusive
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -334,11 +286,10 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.sensors.begin(self.np_random)
         self.steps, self.ended = 0, False
         tip, inside = self.simulation.tip, self.simulation.tip_in_vessel
-        if self.task.reads_progress:
-            self._remaining = self.task.remaining(self.phantom, inside)
+        self._goal.progress(inside)
         self._display.show(self._goal.position)
         self._observed = self.observe()
-        return self._observed, self._info(tip, self._goal.arrival(inside), success=False, invalid=False)
+        return self._observed, self._info(tip, self.arrival(inside), success=False, invalid=False)
 
     @exclusive
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -389,7 +340,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             "steps": self.steps,
             "ended": self.ended,
             "target": self.task.target,
-            "remaining": self._remaining,
+            "remaining": self._goal.remaining,
             "sensors": self.sensors.state(),
             "robots": self.feeders.state(),
             "observed": copy.deepcopy(self._observed),
@@ -403,18 +354,16 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         self.simulation.restore(state["simulation"])
         self.simulation.restore_forces(state["forces"])
         self.np_random.bit_generator.state = state["generator"]
-        self.steps, self.ended, self._remaining = state["steps"], state["ended"], state["remaining"]
+        self.steps, self.ended, self._goal.remaining = state["steps"], state["ended"], state["remaining"]
         self.sensors.restore(state["sensors"])
         self.feeders.restore(state["robots"])
         self._observed = copy.deepcopy(state["observed"])
         return self._observed
 
     def _reward(self, before_step: np.ndarray, action: np.ndarray, info: dict[str, Any]) -> float:
-        task, before = self.task, self._remaining
-        if task.reads_progress:
-            self._remaining = task.remaining(self.phantom, self.simulation.tip_in_vessel)
+        progress = self._goal.progress(self.simulation.tip_in_vessel)
         moved = straight_distance(info["tip"], before_step)
-        return task.reward_of(info, before - self._remaining, moved, action, success=info["success"])
+        return self.task.reward_of(info, progress, moved, action, success=info["success"])
 
     def _remaining_from(self, place: np.ndarray) -> float:
         return self.task.remaining(self.phantom, place)
@@ -426,19 +375,8 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     def _info(self, tip: np.ndarray, arrival: Arrival, *, success: bool, invalid: bool) -> dict[str, Any]:
         simulation = self.simulation
-        info: dict[str, Any] = {
-            "tip": tip,
-            "distance": arrival.distance,
-            "branch": arrival.place.branch,
-            "depth": arrival.place.depth,
-            "insertion": simulation.insertion,
-            "rotation": simulation.rotation,
-            "force": float(simulation.summary.force_max),
-            "force_vector": simulation.force(),
-            "success": success,
-            "success_lumen": arrival.success_lumen and not invalid,
-            "invalid": invalid,
-        }
+        fed, force = (simulation.insertion, simulation.rotation), float(simulation.summary.force_max)
+        info = arrival.info(tip, fed, force, simulation.force(), success=success, invalid=invalid)
         if isinstance(simulation, DualSimulation):
             info["catheter_insertion"], info["catheter_rotation"] = simulation.catheter_place()
             info["lead"], info["feeder_forces"] = simulation.device_lead, simulation.feeder_forces()
@@ -456,13 +394,6 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
             self._display.show(self._goal.position)
             return None
         return self._display.picture(self._goal.position)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_field": None}  # the phantom has it
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._hold_field()
 
     def close(self) -> None:
         """Frees the renderer and closes the window."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -201,13 +201,49 @@ class Arrival(NamedTuple):
     success_lumen: bool
     success: bool
 
+    def info(
+        self, tip: np.ndarray, fed: Sequence[float], force: float, vector: np.ndarray, *, success: bool, invalid: bool
+    ) -> dict[str, Any]:
+        """What every step's `info` holds, as `NavigateEnv` describes it; `fed` are insertion (m) and rotation (rad)."""
+        return {
+            "tip": tip,
+            "distance": self.distance,
+            "branch": self.place.branch,
+            "depth": self.place.depth,
+            "insertion": fed[0],
+            "rotation": fed[1],
+            "force": force,
+            "force_vector": vector,
+            "success": success,
+            "success_lumen": self.success_lumen and not invalid,
+            "invalid": invalid,
+        }
+
 
 class Goal:
-    """The target of a task in a phantom."""
+    """The target of a task in a phantom.
 
-    def __init__(self, task: NavigationTask, phantom: Phantom) -> None:
-        self.position = task.goal(phantom)
-        self._task, self._depths = task, phantom.depths
+    Attributes:
+        position: m, shape (3,).
+        remaining: the way along the lumen that was left at the last call of `progress`, m.
+    """
+
+    def __init__(self, task: NavigationTask, phantom: Phantom, *, reads_way: bool = False) -> None:
+        self.position, self.remaining = task.goal(phantom), 0.0
+        self._task, self._phantom, self._depths = task, phantom, phantom.depths
+        self._reads_way = reads_way or task.reads_progress
+        self._hold_field()
+
+    def _hold_field(self) -> None:
+        # so that a point's field stays with the phantom while it is read
+        self._field = self._phantom.geodesic_field(self._task.target) if self._reads_way else None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_field": None}  # the phantom has it
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._hold_field()
 
     @cached_property
     def _place(self) -> Place:
@@ -220,6 +256,13 @@ class Goal:
         near = distance <= radius
         inside = near and self._depths.way(place, self._place) <= radius
         return Arrival(place, distance, inside, inside if self._task.success == "lumen" else near)
+
+    def progress(self, tip: np.ndarray) -> float:
+        """By how much the way from the tip (3,) m is shorter than at the last call, m; 0 where the task reads none."""
+        before = self.remaining
+        if self._task.reads_progress:
+            self.remaining = self._task.remaining(self._phantom, tip)
+        return before - self.remaining
 
 
 def reward_name(reward: str | OwnReward) -> str:

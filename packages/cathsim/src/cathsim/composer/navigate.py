@@ -88,7 +88,6 @@ class NavigateTask(composer.Task):
         self._actions = len(self.guidewire.motors) + 1 if tip_motors else 4 if pair and pair.both else 2
         self.steps = self._substep = 0
         self.force = np.zeros(3)
-        self._remaining = 0.0
         self._tip_before = np.zeros(3)
         self._action = np.zeros(self._actions)
         self._reward = 0.0
@@ -162,9 +161,8 @@ class NavigateTask(composer.Task):
         physics.forward()
         self.steps, self.success = 0, False
         self.force[:] = 0.0
-        if self.task.reads_progress:
-            self._remaining = self.task.remaining(self.phantom, self._tip(physics))
         self._tip_before = self._tip(physics)
+        self._goal.progress(self._tip_before)
 
     def before_step(self, physics: mjcf.Physics, action: np.ndarray, random_state: np.random.RandomState) -> None:
         """Hands the action to the feeder and the motors.
@@ -214,31 +212,17 @@ class NavigateTask(composer.Task):
             mujoco.mj_resetData(model, data)  # the episode ends here; so that its last observation is at least finite
         mujoco.mj_kinematics(model, data)  # poses of the state that the step has reached
         self.steps += 1
-        tip, before, moved_from = self._tip(physics), self._remaining, self._tip_before
+        tip, moved_from = self._tip(physics), self._tip_before
         self._tip_before = tip
         arrival = self._goal.arrival(tip)
         self.success = arrival.success and not invalid
-        if self.task.reads_progress:
-            self._remaining = self.task.remaining(self.phantom, tip)
+        progress = self._goal.progress(tip)
         force = float(np.linalg.norm(self.force))
         moved = float(np.linalg.norm(tip - moved_from))
-        insertion, rotation = (float(value) for value in np.asarray(physics.bind(self.feeder.joints).qpos))
-        info = {
-            "tip": tip,
-            "distance": arrival.distance,
-            "branch": arrival.place.branch,
-            "depth": arrival.place.depth,
-            "insertion": insertion,
-            "rotation": rotation,
-            "force": force,
-            "force_vector": self.force.copy(),
-            "success": self.success,
-            "success_lumen": arrival.success_lumen and not invalid,
-            "invalid": invalid,
-        }
+        fed = np.asarray(physics.bind(self.feeder.joints).qpos).tolist()
+        info = arrival.info(tip, fed, force, self.force.copy(), success=self.success, invalid=invalid)
         if self.devices is not None:
-            info |= self.devices.info(insertion)
-        progress = before - self._remaining
+            info |= self.devices.info(fed[0])
         self._reward = self.task.reward_of(info, progress, moved, self._action, success=self.success)
 
     def _tip(self, physics: mjcf.Physics) -> np.ndarray:

@@ -5,13 +5,18 @@ from __future__ import annotations
 from typing import Any, get_args
 
 from cathsim.anatomy import Phantom
+from cathsim.blood.flow import BloodFlow, blood_flow
+from cathsim.contact.breathing import Breathing
+from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.devices.catheter import Catheter
 from cathsim.devices.pair import DevicePair, Torsion
 from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire, load_guidewire
 from cathsim.presets import Accuracy
+from cathsim.presets import accuracy as preset
 from cathsim.registration.description import resolve_argument
+from cathsim.robot.pace import Pace, named_pace
 from cathsim.simulation import Simulation
 
 TORSIONS: tuple[str, ...] = get_args(Torsion)
@@ -42,24 +47,40 @@ def device_pair(wire: Guidewire | None, catheter: Catheter | None, torsion: str 
 
 def simulation_of(
     phantom: Phantom,
-    wire: Guidewire | None,
-    catheter: Catheter | None,
-    numerics: Accuracy,
+    wire: Any,
+    catheter: Any,
+    accuracy: Any,
     *,
     torsion: str = "elastic",
+    contact: Any = "sdf",
+    blood: Any = None,
+    pace: Any = "usual",
+    breathing: Any = None,
     **arguments: Any,
 ) -> Simulation:
     """The simulation of a bare wire, of a wire in a catheter, or of a catheter alone.
 
     Args:
+        wire, catheter, accuracy, contact, blood, pace, breathing: names, objects or their descriptions, as of
+            `NavigateEnv`.
         torsion: of devices with a catheter, "elastic" or "rigid"; the bare wire's is rigid.
         arguments: of `Simulation`.
 
     Raises:
-        ValueError: neither device, devices that do not fit, or an unknown torsion.
+        ValueError: an argument is none of these, neither device, devices that do not fit, or an unknown torsion.
     """
-    pair = device_pair(wire, catheter, torsion)
+    guidewire, outer = resolve_wire(wire), resolve_catheter(catheter)
+    numerics = resolve_argument("accuracy", accuracy, Accuracy, preset)
+    if not isinstance(contact, str):
+        contact = resolve_argument("contact", contact, Decomposition, decomposition)
+    arguments |= {
+        "contact": contact,
+        "blood": None if blood is None else resolve_argument("blood", blood, BloodFlow, blood_flow),
+        "pace": resolve_argument("pace", pace, Pace, named_pace),
+        "breathing": None if breathing is None else resolve_argument("breathing", breathing, Breathing),
+    }
+    pair = device_pair(guidewire, outer, torsion)
     if pair is not None:
         return DualSimulation(phantom, pair, numerics, **arguments)
-    assert wire is not None
-    return Simulation(phantom, wire, numerics, **arguments)
+    assert guidewire is not None
+    return Simulation(phantom, guidewire, numerics, **arguments)

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any
 
 import gymnasium
 import numpy as np
+from annotated_types import Interval
 
 from cathsim.anatomy.point_target import TargetLike
-from cathsim.observations.fluoroscopes import BiplaneView, Fluoroscope
+from cathsim.observations.fluoroscopes import BiplaneView, Fluoroscope, wire_radius_of
 from cathsim.observations.observables import channels_behind, make_observable
 from cathsim.observations.progress_history import History
 from cathsim.observations.roadmap import Roadmap
 from cathsim.observations.scan import Scan
-from cathsim.observations.tracking import VIEW, Tracking
+from cathsim.observations.tracking import Tracking
+from cathsim.registration.description import resolve_argument
 from cathsim.simulation import Simulation
+from cathsim.validation import Listed, quantity
 
 if TYPE_CHECKING:
     from cathsim.fluoroscopy import BiplaneFluoroscope
+
+_Degrees = Annotated[float, Interval(ge=-360, le=360)]
 
 
 class Sensors:
@@ -32,7 +38,8 @@ class Sensors:
         observation: one name, or several.
         remaining: gives the way from a place (3,) m to the target of the moment, m.
         channels_last: whether images have their channels behind height and width.
-        biplane: the C-arms that see the simulation, or None.
+        cameras: the C-arms that see the simulation, by name or as a `BiplaneFluoroscope`, or None.
+        wire: name of the wire's preset, of whose material it is in their images.
         scan: what roadmap and history show of the vessel; None: the vessel itself.
         view: of `tracking`, as its `VIEW`.
 
@@ -50,9 +57,10 @@ class Sensors:
         image_size: int,
         channels_last: bool,
         registration_noise: float,
-        biplane: BiplaneFluoroscope | None,
-        scan: Scan | None = None,
-        view: tuple[float, float] = VIEW,
+        cameras: str | BiplaneFluoroscope | None,
+        wire: str,
+        scan: Scan | None,
+        view: tuple[float, float],
     ) -> None:
         self._simulation, self._remaining = simulation, remaining
         selection: Any = observation
@@ -62,10 +70,18 @@ class Sensors:
             raise ValueError(f"observation must name at least one observable, got {observation!r}")
         self.reads_way = "history" in names
         self.fluoroscope = Fluoroscope(simulation, image_size)
-        self.biplane = None if biplane is None else BiplaneView(simulation, biplane)
-        self.roadmap = Roadmap(simulation, target, registration_noise, scan)
+        self.biplane: BiplaneView | None = None
+        if cameras is not None:
+            from cathsim.fluoroscopy import BiplaneFluoroscope, wire_material
+
+            material = wire_material(wire, wire_radius_of(simulation))
+            pair = partial(BiplaneFluoroscope.of, simulation.phantom, size=image_size, material=material)
+            self.biplane = BiplaneView(simulation, resolve_argument("cameras", cameras, BiplaneFluoroscope, pair))
+        shown = None if scan is None else resolve_argument("scan", scan, Scan)
+        self.roadmap = Roadmap(simulation, target, registration_noise, shown)
         # its way through the geodesic field costs something: only where it is wanted
         self.history = History(simulation, self.way_left) if self.reads_way else None
+        view = quantity("view", view, Annotated[tuple[_Degrees, _Degrees], Listed])
         self.tracking = Tracking(simulation, self.roadmap, view) if "tracking" in names else None
         parts = self.fluoroscope, self.biplane, self.roadmap, self.history, self.tracking
         made = {name: make_observable(name, simulation, *parts) for name in names}
