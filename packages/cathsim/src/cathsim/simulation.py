@@ -13,14 +13,14 @@ from cathsim.anatomy import Phantom
 from cathsim.anatomy.entry import EntryLike, entry_name
 from cathsim.blood.flow import BloodFlow
 from cathsim.contact.breathing import Breathing
-from cathsim.contact.compliance import checked_wall_stiffness, stiffest_wall
+from cathsim.contact.compliance import checked_wall_stiffness
 from cathsim.contact.measured import Contacts, MeasuredContacts
 from cathsim.contact.native import StepSummary, address, engine, library
-from cathsim.contact.sdf import SHEATH_RADIUS, Vessel
+from cathsim.contact.sdf import Vessel
+from cathsim.contact.sdf import vessel_of as vessel_of
 from cathsim.devices.active_chain import ActiveChain, ActiveChains, chain_models, pass_on
 from cathsim.devices.arena import max_insertion
-from cathsim.guidewire import TIP_SITE, Guidewire
-from cathsim.lifetime_cache import kept_with_owner
+from cathsim.guidewire import Guidewire
 from cathsim.presets import Accuracy, dividing
 from cathsim.robot.pace import CONTROL_STEP as CONTROL_STEP
 from cathsim.robot.pace import PACES, Pace
@@ -33,19 +33,6 @@ if TYPE_CHECKING:
 LEAD_ADVANCE, LEAD_ROTATION = 0.004, 0.4
 SETTLE_STEPS = 3
 NO_STATE = "the state is no state of this simulation: take one that its own state() gave"
-
-
-@kept_with_owner
-def vessel_of(phantom: Phantom, entry: str, sheath_radius: float = SHEATH_RADIUS, sheath_flare: float = 0.0) -> Vessel:
-    """The native vessel of a phantom with a sheath of an inner radius (m), wider at its mouth (m), at an entry.
-
-    Raises:
-        ValueError: the phantom has no such entry.
-    """
-    site = phantom.entry(entry)
-    return Vessel(
-        phantom.grid, site.position, site.direction, sheath_radius, sheath_flare=sheath_flare, sheath_amid=site.amid
-    )
 
 
 class Simulation:
@@ -91,7 +78,7 @@ class Simulation:
         self.phantom, self.wire, self.numerics, self.entry, self.pace = phantom, wire, numerics, entry_name(entry), pace
         self._most_lead = max(LEAD_ADVANCE, 1.5 * pace.translation), max(LEAD_ROTATION, 1.5 * pace.rotation)
         self.wall_stiffness = None if wall_stiffness is None else checked_wall_stiffness(wall_stiffness, numerics)
-        self.contact, self._measured = contact, measure_penetration
+        self.contact = contact
         self.vessel = self._make_vessel()
         self.tip_motors = tip_motors
         self.substeps = round(pace.interval / numerics.timestep)
@@ -120,38 +107,18 @@ class Simulation:
             *(address(array) for array in (self._from, self._to)),
             *self.measured.arguments(),
         )
-        self._index = 0
-        self._chain = self._chain_at(0)
         self.reset()
 
-    def _keywords(self) -> dict[str, Any]:
-        """The keyword arguments that this simulation was made with."""
-        return {
-            "entry": self.entry,
-            "contact": self.contact,
-            "tip_motors": self.tip_motors,
-            "blood": self.blood,
-            "measure_penetration": self._measured,
-            "wall_stiffness": self.wall_stiffness,
-            "pace": self.pace,
-            "breathing": self.breathing,
-        }
-
-    def stepped_by(self, numerics: Accuracy) -> Simulation:
-        """Another simulation of the same devices in the same vessel, with another time stepping, at its start.
-
-        A wall that is too stiff for the timestep is taken as stiff as it can be; penetration is not measured.
-        """
-        keywords = self._keywords() | {"measure_penetration": False}
-        if self.wall_stiffness is not None:
-            keywords["wall_stiffness"] = min(self.wall_stiffness, stiffest_wall(numerics))
-        phantom, devices, _ = self._positional()
-        return type(self)(phantom, devices, numerics, **keywords)
+    def arguments(self) -> tuple[tuple[Phantom, Any, Accuracy], dict[str, Any]]:
+        """The arguments by position and the keyword arguments that this simulation was made with."""
+        names = "entry", "contact", "tip_motors", "blood", "wall_stiffness", "pace", "breathing"
+        keywords = {name: getattr(self, name) for name in names}
+        return (self.phantom, self.wire, self.numerics), keywords | {"measure_penetration": self.depth_samples > 0}
 
     def __getstate__(self) -> dict[str, Any]:
         # models and native structs are made again; MuJoCo's data go along, so that every value in them stays
         return {
-            "arguments": (self._positional(), self._keywords()),
+            "arguments": self.arguments(),
             "state": self.state(),
             "data": self.data,
             "forces": self.force_state(),
@@ -165,10 +132,6 @@ class Simulation:
         mujoco.mj_copyData(self.data, self.model, state["data"])
         self.depths[:] = state["depths"]
         self.restore_forces(state["forces"])
-
-    def _positional(self) -> tuple[Any, Any, Any]:
-        """The arguments by position that this simulation was made with."""
-        return self.phantom, self.wire, self.numerics
 
     def _make_vessel(self) -> Vessel:
         if self.contact == "sdf":
@@ -191,14 +154,8 @@ class Simulation:
         )
 
     def _chain_settings(self) -> dict[str, Any]:
-        return {
-            "vessel": self.vessel,
-            "numerics": self.numerics,
-            "depth_samples": self.depth_samples,
-            "drag": self.drag,
-            "wall_stiffness": self.wall_stiffness,
-            "breathing": self.breathing,
-        }
+        names = "vessel", "numerics", "depth_samples", "drag", "wall_stiffness", "breathing"
+        return {name: getattr(self, name) for name in names}
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -223,8 +180,7 @@ class Simulation:
             rotation: of its proximal end, rad.
             time: at which it then is, s: where in a breath.
         """
-        if not 0 <= insertion <= self.max_insertion:
-            raise ValueError(f"insertion must lie in 0 to {self.max_insertion:.3f} m, got {insertion}")
+        self._check_insertion(insertion)
         if not math.isfinite(rotation):
             raise ValueError(f"rotation must be a finite number (rad), got {rotation}")
         self._index = self.chains.index_for(insertion)
@@ -241,15 +197,14 @@ class Simulation:
         self.data.time = time
         self.measured.clear()
 
+    def _check_insertion(self, insertion: float) -> None:
+        if not 0 <= insertion <= self.max_insertion:
+            raise ValueError(f"insertion must lie in 0 to {self.max_insertion:.3f} m, got {insertion}")
+
     def _change_chain(self, index: int) -> None:
         """Goes on with more or fewer links, in the same state."""
-        old, new = self._chain, self._chain_at(index)
-        mujoco.mj_resetData(new.model, new.data)
-        new.data.qpos[:] = pass_on(old.data.qpos, new.model.nq, bend=True)
-        new.data.qvel[:] = pass_on(old.data.qvel, new.model.nv, bend=False)
-        new.data.qacc_warmstart[:] = pass_on(old.data.qacc_warmstart, new.model.nv, bend=False)
-        new.data.time, new.struct.depth = old.data.time, old.struct.depth
-        self._index, self._chain = index, new
+        old, self._index, self._chain = self._chain, index, self._chain_at(index)
+        self._chain.go_on_from(old)
 
     def advance(self, translation: float, rotation: float, motors: np.ndarray | None = None) -> None:
         """One control step, the feeder moving at constant speed.
@@ -328,12 +283,7 @@ class Simulation:
 
     def tip_velocity(self) -> np.ndarray:
         """Velocity of the tip, m/s, world frame. Shape (3,)."""
-        velocity = np.empty(6)
-        mujoco.mj_comPos(self.model, self.data)
-        mujoco.mj_comVel(self.model, self.data)
-        site = self.model.site(TIP_SITE).id
-        mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 0)
-        return velocity[3:]
+        return self._chain.tip_velocity()
 
     def lead(self) -> np.ndarray:
         """How far the feeder's drive is ahead of the wire, -1 to 1 of what it may be: advance, rotation. Shape (2,)."""
@@ -351,8 +301,7 @@ class Simulation:
         """
         if np.shape(positions) != (self.nq,):
             raise ValueError(f"joint positions must have shape ({self.nq},), got {np.shape(positions)}")
-        if not 0 <= positions[0] <= self.max_insertion:
-            raise ValueError(f"insertion must lie in 0 to {self.max_insertion:.3f} m, got {positions[0]}")
+        self._check_insertion(float(positions[0]))
         size = 3 * self.nq + len(self._to) + 3
         state = self.state()
         state[:size] = 0.0
@@ -368,13 +317,10 @@ class Simulation:
 
     def wire_points(self) -> np.ndarray:
         """Ends of the links from the tip to the proximal end, m, those in the sheath included. Shape (links + 1, 3)."""
-        active, count = self.active_links, len(self.wire.links)
-        points = np.empty((count + 1, 3))
-        points[0] = self._chain.tip
-        points[1 : active + 1] = self._chain.nodes[::-1]
-        if active < count:
-            behind = np.cumsum(self.wire.links[count - active - 1 :: -1])
-            points[active + 1 :] = points[active] - behind[:, None] * self.vessel.direction
+        points, waiting = self.inserted_points(), len(self.wire.links) - self.active_links
+        if waiting:
+            behind = np.cumsum(self.wire.links[waiting - 1 :: -1])
+            points = np.concatenate((points, points[-1] - behind[:, None] * self.vessel.direction))
         return points
 
     def inserted_points(self) -> np.ndarray:

@@ -16,6 +16,7 @@ from cathsim.anatomy.entry import EntryLike, entry_name
 from cathsim.anatomy.point_target import TargetLike
 from cathsim.composer.entities import Feeder, GuidewireEntity, VesselArena, model_parts
 from cathsim.composer.two_devices import TwoDevices
+from cathsim.contact.sdf import vessel_of
 from cathsim.devices.catheter import Catheter
 from cathsim.devices.choice import device_pair, resolve_catheter, resolve_wire
 from cathsim.environment import ACTIONS, ROTATION_STEP, TRANSLATION_STEP
@@ -24,7 +25,7 @@ from cathsim.navigation import Goal, NavigationTask, navigation_task, require_le
 from cathsim.observations.fluoroscopes import camera, outside_sheath
 from cathsim.presets import Accuracy, accuracy
 from cathsim.registration.description import resolve_argument
-from cathsim.simulation import CONTROL_STEP, SETTLE_STEPS, vessel_of
+from cathsim.simulation import CONTROL_STEP, SETTLE_STEPS
 
 STEPPING = Accuracy(timestep=0.0025, refinement=1, mass_scale=10.0)
 

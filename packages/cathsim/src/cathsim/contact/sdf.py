@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import weakref
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -12,6 +13,10 @@ import numpy as np
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.contact.native import address, library
 from cathsim.lattice.node_blocks import LatticeStruct
+from cathsim.lifetime_cache import kept_with_owner
+
+if TYPE_CHECKING:
+    from cathsim.anatomy import Phantom
 
 MAGIC = 1129469011.0
 GEOM_NAME, SHEATH_NAME = "vessel", "sheath"
@@ -111,3 +116,16 @@ class Vessel:
             self.number, len(points), address(points), address(distances), address(gradients)
         )
         return distances, gradients
+
+
+@kept_with_owner
+def vessel_of(phantom: Phantom, entry: str, sheath_radius: float = SHEATH_RADIUS, sheath_flare: float = 0.0) -> Vessel:
+    """The native vessel of a phantom with a sheath of an inner radius (m), wider at its mouth (m), at an entry.
+
+    Raises:
+        ValueError: the phantom has no such entry.
+    """
+    site = phantom.entry(entry)
+    return Vessel(
+        phantom.grid, site.position, site.direction, sheath_radius, sheath_flare=sheath_flare, sheath_amid=site.amid
+    )

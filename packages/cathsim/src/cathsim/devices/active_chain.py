@@ -158,7 +158,25 @@ class ActiveChain:
         )
         self.struct.breath[:] = breathing.farthest.tolist() if breathing else [0.0] * 3
         self.reference = ctypes.byref(self.struct)
-        self.tip = self.data.site_xpos[self.model.site(TIP_SITE).id]
+        self._tip_site = self.model.site(TIP_SITE).id
+        self.tip = self.data.site_xpos[self._tip_site]
         # links 1, 2, … follow the feeder's body in the order of the chain
         feeder = self.model.body(FEEDER).id
         self.nodes = self.data.xpos[feeder : feeder + links]
+
+    def go_on_from(self, other: ActiveChain) -> None:
+        """Takes over the state of another chain of the same wire."""
+        old, new = other.data, self.data
+        mujoco.mj_resetData(self.model, new)
+        new.qpos[:] = pass_on(old.qpos, self.model.nq, bend=True)
+        new.qvel[:] = pass_on(old.qvel, self.model.nv, bend=False)
+        new.qacc_warmstart[:] = pass_on(old.qacc_warmstart, self.model.nv, bend=False)
+        new.time, self.struct.depth = old.time, other.struct.depth
+
+    def tip_velocity(self) -> np.ndarray:
+        """Velocity of the tip, m/s, world frame. Shape (3,)."""
+        velocity = np.empty(6)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_comVel(self.model, self.data)
+        mujoco.mj_objectVelocity(self.model, self.data, mujoco.mjtObj.mjOBJ_SITE, self._tip_site, velocity, 0)
+        return velocity[3:]

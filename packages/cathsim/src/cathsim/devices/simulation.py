@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy import Phantom
 from cathsim.contact.compliance import soften_contacts
-from cathsim.contact.sdf import Vessel
+from cathsim.contact.sdf import Vessel, vessel_of
 from cathsim.devices.active_chain import ActiveChain
 from cathsim.devices.arena import FEEDER, FEEDER_DAMPING, FEEDER_STIFFNESS, compiled_model, max_insertion
 from cathsim.devices.hubs import DEVICE_NAMES, Hubs
@@ -22,7 +22,7 @@ from cathsim.guidewire import Guidewire
 from cathsim.lifetime_cache import kept_with_owner
 from cathsim.presets import Accuracy, dividing
 from cathsim.robot.pace import PACES, Pace
-from cathsim.simulation import NO_STATE, Simulation, not_finite, vessel_of
+from cathsim.simulation import NO_STATE, Simulation, not_finite
 
 _ONE_DEVICE = (
     "the pair has one device, which translation and rotation move, or insertion and rotation place: leave catheter out"
@@ -104,8 +104,9 @@ class DualSimulation(Simulation):
         self._hubs = Hubs(pair, max_insertion(chain))
         super().__init__(phantom, chain, numerics, pace=pace, **settings)
 
-    def _positional(self) -> tuple[Any, Any, Any]:
-        return self.phantom, self.pair, self.numerics
+    def arguments(self) -> tuple[tuple[Phantom, Any, Accuracy], dict[str, Any]]:
+        """As of `Simulation`, with the devices as a pair."""
+        return (self.phantom, self.pair, self.numerics), super().arguments()[1]
 
     def _make_vessel(self) -> Vessel:
         return vessel_of(self.phantom, self.entry, self.pair.sheath_radius, self.pair.sheath_flare)

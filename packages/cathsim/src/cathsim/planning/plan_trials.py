@@ -12,6 +12,7 @@ from typing import Annotated, TypeVar
 import numpy as np
 from annotated_types import Interval
 
+from cathsim.contact.compliance import stiffest_wall
 from cathsim.devices.simulation import DualSimulation
 from cathsim.environment import NavigateEnv
 from cathsim.planning.manoeuvres import Ending, Manoeuvre
@@ -84,8 +85,8 @@ class PlanTrials:
         real = environment.simulation
         self.settings, self._environment, self._pace = settings, environment, real.pace
         count = threads or os.cpu_count() or 1
-        self._copies = [real.stepped_by(numerics) for _ in range(count)]
-        self.confirming = real.stepped_by(real.numerics) if settings.confirm else None
+        self._copies = [_stepped_by(real, numerics) for _ in range(count)]
+        self.confirming = _stepped_by(real, real.numerics) if settings.confirm else None
         self._pool = ThreadPoolExecutor(count, "expert") if count > 1 else None
         self.rollouts = 0
         self._steps: Counter[int] = Counter()  # of each copy, which one thread at a time steps
@@ -201,3 +202,14 @@ class PlanTrials:
 
     def _remaining(self, copy: Simulation) -> float:
         return self._environment.task.remaining(self._environment.phantom, copy.tip_in_vessel)
+
+
+def _stepped_by(real: Simulation, numerics: Accuracy) -> Simulation:
+    """Another simulation of the same devices in the same vessel, with another time stepping, at its start.
+
+    A wall that is too stiff for the timestep is taken as stiff as it can be; penetration is not measured.
+    """
+    (phantom, devices, _), keywords = real.arguments()
+    if real.wall_stiffness is not None:
+        keywords["wall_stiffness"] = min(real.wall_stiffness, stiffest_wall(numerics))
+    return type(real)(phantom, devices, numerics, **keywords | {"measure_penetration": False})
