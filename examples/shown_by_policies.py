@@ -23,8 +23,8 @@ import enn
 from cathsim.anatomy.point_target import Point, as_target, points_beyond_root
 from cathsim.anatomy.vessel_tree import set_back
 from cathsim.arch_variety import ArchVarietyEnv
+from cathsim.dual_device_nav import LONG_CATHETER, LONG_WIRE
 from cathsim.many_anatomies import SHELF, NavigateManyEnv
-from cathsim.random_trees import LONG_CATHETER, LONG_WIRE
 from enn.reinforcement.evaluation import EpisodeOutcome, EvaluationResult
 from enn.reinforcement.rehearsal import REHEARSAL, demonstrated, rehearse
 from enn.trajectory import Trajectory

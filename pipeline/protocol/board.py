@@ -56,8 +56,7 @@ def boards() -> dict[str, Board]:
     from cathsim.anatomy.generator.variety_arch import ARCH_TYPES
     from cathsim.arch_variety import TEST_SEEDS, ArchVarietyEnv
     from cathsim.dual_device_nav import TEST_SEEDS as DUAL_SEEDS
-    from cathsim.dual_device_nav import DualDeviceNavEnv
-    from cathsim.random_trees import RandomTreesEnv
+    from cathsim.dual_device_nav import DualDeviceNavEnv, RandomTreesEnv
 
     arches = TEST_SEEDS[_FIRST : _FIRST + _ARCHES]
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from enn.devices import device_of, on_cpu
 from enn.encoder import EncoderSettings, fit_encoder, scripted_samples
 from enn.fitting import EpisodeFitSettings
 from enn.force.prediction import DESK_FORCE, ForcePredictor, fit_force
@@ -21,6 +20,7 @@ from enn.imitation.images.lumen_segmentation import fit_segmenter
 from enn.imitation.images.perception import ImagePerception, load_image_policy
 from enn.imitation.path_following import PathFollower, PathFollowerSettings, fit_path_follower
 from enn.imitation.sequence_cloning import clone_sequences
+from enn.networks.devices import device_of, on_cpu
 from enn.networks.encoder_network import Encoder
 from enn.policy import Policy
 from enn.reinforcement.training import DESK_PPO, THESIS_SAC, Training, TrainingSettings

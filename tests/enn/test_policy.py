@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import enn
-from enn.devices import bfloat16_on_processor
+from enn.networks.devices import bfloat16_on_processor
 from enn.networks.network import NetworkSettings, build_network
 from enn.networks.normalisation import fit_normalisation
 from enn.policy import Policy

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from cathsim.dual_device_nav import RandomTreesEnv
 from cathsim.environment import NavigateEnv
 from cathsim.observations.roadmap import PATH_ARCS, RAYS, WIRE_ARCS
 from cathsim.observations.tracking import POINTS, SPACING, in_view, viewed_range
-from cathsim.random_trees import RandomTreesEnv
 from tests.cathsim.makers import MakeEnv
 
 FORWARD = np.array([1.0, 0.2])

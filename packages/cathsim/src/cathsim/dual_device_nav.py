@@ -1,20 +1,25 @@
-"""The environment of DualDeviceNav: a wire in a microcatheter, from the groin to a point of a carotid or vertebral."""
+"""DualDeviceNav: a wire in a microcatheter, from the groin to carotids and vertebrals, also in drawn trees."""
 
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cathsim.anatomy import load_phantom
+from cathsim.anatomy.generator.recipe import TREE
+from cathsim.anatomy.point_target import Point, as_target
 from cathsim.anatomy.published.dual_device_nav import published_folder, target_points
-from cathsim.arch_variety import ArchVarietyTask
+from cathsim.arch_variety import TRAINING_SEEDS, ArchVarietyTask
 from cathsim.devices.device_file import PRESETS
 from cathsim.devices.shelf import load_catheter
 from cathsim.environment import NavigateEnv
-from cathsim.guidewire import load_guidewire
+from cathsim.guidewire import Guidewire, load_guidewire
+from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.navigation import NavigationTask
 from cathsim.registration.usage import exclusive
 from cathsim.validation import Count, settings
@@ -98,3 +103,64 @@ class ThreadedDualDeviceNavVectorEnv(ThreadedVectorEnv):
     """A `ThreadedVectorEnv` of `DualDeviceNavEnv`; arguments are those of both."""
 
     _make = DualDeviceNavEnv
+
+
+LENGTH = 1.05  # m of both devices: some vessels end farther from the groin than the published devices reach
+LONG_WIRE = replace(WIRE.scaled(1.0), working_length=LENGTH)
+LONG_CATHETER = replace(CATHETER, length=LENGTH)
+GOALS = (
+    "lcca",
+    "rcca",
+    *(f"{vessel}_{side}" for vessel in ("internal_carotid", "vertebral") for side in ("left", "right")),
+)
+
+
+class RandomTreesEnv(NavigateManyEnv):
+    """DualDeviceNav in a tree of vessels that each episode draws, from the groin to both carotids and vertebrals.
+
+    The target is a random point on the centrelines of `GOALS`, each as likely, and reached within 5 mm. All else is as
+    of `DualDeviceNavEnv`, but for devices of 1.05 m; `info` also holds `case`, `phantom` (its name tells the seed) and
+    `target`.
+
+    Args:
+        seeds: of the trees.
+        wires: as of `NavigateManyEnv`.
+        resolution: m between the nodes of the trees' grids.
+        task: its fields as further keywords replace its own.
+        arguments: of `NavigateEnv`, for every episode.
+
+    Raises:
+        ValueError: a seed that there is not.
+    """
+
+    def __init__(
+        self,
+        seeds: Sequence[int] = TRAINING_SEEDS,
+        *,
+        wires: Sequence[str | Guidewire | None] = (LONG_WIRE,),
+        resolution: float = 1e-3,
+        task: NavigationTask | None = None,
+        **arguments: Any,
+    ) -> None:
+        for name in ("phantoms", "targets"):
+            if name in arguments:
+                raise ValueError(f"RandomTrees draws its {name}: leave {name} out")
+        own = {"catheter": LONG_CATHETER, "observation": "tracking", "pace": "arch_variety", "view": VIEW}
+        task = DualDeviceNavTask() if task is None else task
+        trees = [(TREE, seed) for seed in seeds]
+        super().__init__(trees, (PLACEHOLDER,), wires, resolution=resolution, **{**own, "task": task, **arguments})
+
+    def _drawn_target(self) -> Point:
+        tree = self.phantom.tree
+        beyond = [tree[name].arc > tree.ostium_arc(name) for name in GOALS]
+        points = np.concatenate([tree[name].points[out] for name, out in zip(GOALS, beyond, strict=True)])
+        points = points[self.phantom.grid.sample(points) > 0]
+        drawn = as_target(points[int(self.np_random.integers(len(points)))])
+        assert not isinstance(drawn, str)
+        return drawn
+
+
+class ThreadedRandomTreesVectorEnv(ThreadedVectorEnv):
+    """A `ThreadedVectorEnv` of `RandomTreesEnv`; arguments are those of both."""
+
+    _make = RandomTreesEnv

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from enn.devices import device_of
 from enn.exploration import FEEDER_SCALES, Samples, scripted_samples
+from enn.networks.devices import device_of
 from enn.networks.encoder_network import POINT_SCALE, Encoder, EncoderSettings
 from enn.reinforcement.encoded import EncodedEnvs
 

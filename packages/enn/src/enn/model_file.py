@@ -22,7 +22,7 @@ import torch
 from torch import nn
 
 from enn.bounded_content import built_from, load_content, tensors
-from enn.devices import on_cpu
+from enn.networks.devices import on_cpu
 
 Network = TypeVar("Network", bound=nn.Module)
 LARGEST_BYTES = 4 << 30

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.lattice.linked_parts import linked_parts
 from cathsim.lattice.node_blocks import STRIDES, NodeBlocks
 
 _BATCH = 2**20  # nodes handled at once, so that memory stays bounded
@@ -76,3 +75,16 @@ class NodeSetStruct(ctypes.Structure):
     def of(cls, nodes: NodeSet) -> NodeSetStruct:
         """The struct of a set, which must outlive its use."""
         return cls(len(nodes), nodes.numbers.nodes.ctypes.data, nodes.positions.ctypes.data)
+
+
+def linked_parts(first: NDArray[np.integer], second: NDArray[np.integer], count: int) -> NDArray[np.int32]:
+    """Number (count,) of the part that each of so many things belongs to, from 0 on.
+
+    Args:
+        first, second: numbers (m,) of the things that are linked to each other.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    links = coo_matrix((np.ones(len(first), dtype=np.int8), (first, second)), shape=(count, count))
+    return np.asarray(connected_components(links, directed=False)[1], dtype=np.int32)

@@ -31,8 +31,8 @@ _ENTRIES: dict[str, tuple[str, str | None, dict[str, Any]]] = {
         {},
     ),
     RANDOM_TREES: (
-        "cathsim.random_trees:RandomTreesEnv",
-        "cathsim.random_trees:ThreadedRandomTreesVectorEnv",
+        "cathsim.dual_device_nav:RandomTreesEnv",
+        "cathsim.dual_device_nav:ThreadedRandomTreesVectorEnv",
         {},
     ),
     COPIES: ("cathsim.rehearsal.environment:NavigateCopiesEnv", None, {}),

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from enn.devices import device_of, seeded
 from enn.force.prediction import ForceNetwork, ForcePredictor
 from enn.force.samples import ForceSamples
+from enn.networks.devices import device_of, seeded
 
 
 def evaluate_predictor(

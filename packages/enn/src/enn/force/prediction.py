@@ -12,10 +12,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from enn.devices import bfloat16_on_processor, device_of, seeded
 from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, digest_of, fit
 from enn.force.samples import ForceSamples
 from enn.model_file import FittedNetwork
+from enn.networks.devices import bfloat16_on_processor, device_of, seeded
 from enn.networks.image_network import ImageNetwork, ImageSettings
 from enn.networks.normalisation import standardised
 from enn.setting_kinds import PixelsOrNone, Units, UnitsOrNone, Weight, settings

@@ -13,9 +13,9 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from enn.devices import bfloat16_on_processor, seeded
 from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, digest_of, fit
 from enn.imitation.cloned_policy import ClonedPolicy, CloningNetwork, CloningNetworkSettings
+from enn.networks.devices import bfloat16_on_processor, seeded
 from enn.networks.image_network import shifted
 from enn.networks.normalisation import standardised
 from enn.setting_kinds import PixelsOrNone, Weight, settings

@@ -10,8 +10,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from enn.devices import device_of
 from enn.model_file import FittedNetwork
+from enn.networks.devices import device_of
 from enn.networks.image_network import ImageNetwork, ImageSettings
 from enn.setting_kinds import Pixels, Units, UnitsOrNone, settings
 

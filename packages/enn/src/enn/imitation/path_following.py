@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor, nn
 
 from enn.bounded_content import built_from
-from enn.devices import device_of, seeded
 from enn.fitting import EpisodeFitProgress, EpisodeFitSettings, FitReport, fit
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
+from enn.networks.devices import device_of, seeded
 from enn.setting_kinds import Count, Units, settings
 from enn.trajectory import Trajectory, episode_numbers
 

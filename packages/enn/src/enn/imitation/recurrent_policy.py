@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from enn.bounded_content import built_from
-from enn.devices import device_of
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
+from enn.networks.devices import device_of
 from enn.setting_kinds import Count, Units, UnitsOrNone, settings
 
 FORMAT = "enn-recurrent-policy-1"

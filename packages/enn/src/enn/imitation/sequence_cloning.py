@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from enn.devices import seeded
 from enn.imitation.recurrent_policy import RecurrentPolicy
+from enn.networks.devices import seeded
 from enn.setting_kinds import Count, CountOrNone, LearningRate, Weight, settings
 
 _SPREAD = 0.05  # added to each feature's standard deviation: what hardly varies must not become noise

@@ -11,7 +11,7 @@ import torch
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn, VecEnvWrapper
 
-from enn.devices import device_of
+from enn.networks.devices import device_of
 from enn.networks.features import require_keys
 
 if TYPE_CHECKING:

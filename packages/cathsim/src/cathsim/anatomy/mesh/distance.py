@@ -15,7 +15,7 @@ from cathsim.anatomy.mesh.cavity import Cavity, largest_part
 from cathsim.anatomy.mesh.ends import VesselEnd
 from cathsim.anatomy.mesh.lattice import dilated, short_distance
 from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
-from cathsim.lattice.linked_parts import linked_parts
+from cathsim.lattice.node_set import linked_parts
 from cathsim.presets import WIRE_RADIUS
 
 EXACT = 3e-3  # m from the wall within which distances are to triangles, not to points on them

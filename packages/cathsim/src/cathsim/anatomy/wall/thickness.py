@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.lattice.linked_parts import linked_parts
-from cathsim.lattice.node_set import NodeSet
+from cathsim.lattice.node_set import NodeSet, linked_parts
 from cathsim.presets import WIRE_RADIUS
 
 THINNEST = 3e-3  # m between two lumens: the wall of an aorta, about 2 mm, and that of a branch, about 1 mm

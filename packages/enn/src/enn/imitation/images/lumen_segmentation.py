@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from enn.devices import device_of
 from enn.imitation.images.wire_segmentation import fitted
+from enn.networks.devices import device_of
 
 WORKING_SIZE = 96  # px: images are brought to this side
 _SHIFT = 6  # px, of the augmentation

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from enn.devices import bfloat16_on_processor, device_of
 from enn.fitting import CHANNELS_FIRST, CHANNELS_LAST
 from enn.imitation.perturbed_controller import PerturbedController
+from enn.networks.devices import bfloat16_on_processor, device_of
 from enn.policy import Policy
 
 _BATCH, _LEARNING_RATE = 8, 5e-3  # images an update; of Adam at its largest: it rises first and falls to nothing

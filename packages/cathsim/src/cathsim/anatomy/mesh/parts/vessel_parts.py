@@ -24,7 +24,7 @@ from cathsim.anatomy.mesh.reading import (
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import ACCESS, AORTA, SUPRA_AORTIC, is_other, not_taken, of_one_name, vessel_name
 from cathsim.guarded_reading import UnreadableFileError, call_in_child
-from cathsim.lattice.linked_parts import linked_parts
+from cathsim.lattice.node_set import linked_parts
 
 Result = TypeVar("Result")
 

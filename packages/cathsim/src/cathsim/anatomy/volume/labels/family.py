@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.vessel_names import AORTA, PARENTS
 from cathsim.anatomy.volume.labels.parts import bridge, clean_parts, distances, led_on
 from cathsim.anatomy.volume.lumen.lattice import neighbours
-from cathsim.lattice.linked_parts import linked_parts
+from cathsim.lattice.node_set import linked_parts
 
 _LEAST_SHARE = 0.3  # of a vessel's largest contact: one smaller than this is no take-off
 # of a vessel's radius, and of its section: one that touches its parent by less, and has less of it there, is led on to

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import PARENTS
-from cathsim.lattice.linked_parts import linked_parts
+from cathsim.lattice.node_set import linked_parts
 
 _LONGEST_GAP = 6e-3  # m between a vessel and its parent, or two parts of one, that is closed
 _SPECK = 0.02  # of a vessel: a part of this size is noise

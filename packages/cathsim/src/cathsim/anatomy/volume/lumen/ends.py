@@ -12,7 +12,7 @@ from cathsim.anatomy.cross_section import plane_coordinates
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.lumen.paths import VesselPaths
 from cathsim.anatomy.volume.lumen.union import FlatEnd
-from cathsim.lattice.linked_parts import linked_parts
+from cathsim.lattice.node_set import linked_parts
 
 _FULL = 0.8  # of the usual depth, at which a vessel has its full width
 _LOOK_BACK = (1.0, 6e-3)  # radii and m of the way before a place that say what is usual: more would cut tapering aortas

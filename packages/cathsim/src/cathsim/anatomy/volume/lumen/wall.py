@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.lumen import OUTSIDE
 from cathsim.anatomy.volume.lumen.lattice import BlockLattice, Nodes
-from cathsim.lattice.linked_parts import linked_parts
+from cathsim.lattice.node_set import linked_parts
 
 _STEPS = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 _FLAT, _ROUND = 1.0, 2.5  # spacings from the wall up to, and from which on, distances are to planes, and to points

@@ -7,7 +7,7 @@ import pytest
 
 import enn
 from cathsim import load_guidewire
-from cathsim.random_trees import GOALS, LENGTH, RandomTreesEnv
+from cathsim.dual_device_nav import GOALS, LENGTH, RandomTreesEnv
 from cathsim.registration import COPIES
 
 
