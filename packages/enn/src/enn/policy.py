@@ -18,6 +18,7 @@ from torch import Tensor
 from enn.bounded_content import built_from
 from enn.model_file import UNFIT, another_architecture, read_model, write_model
 from enn.networks.network import NetworkSettings, action_distribution, actor_features, build_network
+from enn.networks.observation_spaces import require_keys
 
 if TYPE_CHECKING:
     from enn.encoder import Encoder
@@ -144,12 +145,7 @@ class Policy:
             return self._tensor("the observation", observations, space)
         if not isinstance(observations, Mapping):
             raise ValueError(f"the policy sees {', '.join(self.keys)} by name, got one array {np.shape(observations)}")
-        missing = [key for key in self.keys if key not in observations]
-        if missing:
-            raise ValueError(
-                f"the policy sees {', '.join(self.keys)}, but {', '.join(missing)} is missing: make the environment "
-                "with these observations"
-            )
+        require_keys(self.keys, observations)
         return {key: self._tensor(f"'{key}'", observations[key], space[key]) for key in self.keys}
 
     def _tensor(self, name: str, values: NDArray[Any], space: gymnasium.Space[Any]) -> Tensor:

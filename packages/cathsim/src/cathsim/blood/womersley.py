@@ -28,11 +28,11 @@ def ejection(phase: ArrayLike) -> Array:
     return forward - BACKFLOW * back
 
 
-def heartbeat_coefficients(count: int = HARMONICS) -> ComplexArray:
-    """Fourier coefficients (count + 1,) of `ejection`, the mean first: flow = Re(sum of c_k exp(2 pi i k phase))."""
+def heartbeat_coefficients() -> ComplexArray:
+    """Fourier coefficients (n + 1,) of `ejection`, the mean first: flow = Re(sum of c_k exp(2 pi i k phase))."""
     samples = 1024
     spectrum = np.fft.rfft(ejection(np.arange(samples) / samples)) / samples
-    coefficients = spectrum[: count + 1].copy()
+    coefficients = spectrum[: HARMONICS + 1].copy()
     coefficients[1:] *= 2.0
     return coefficients
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -188,13 +189,8 @@ def contact_forces(
     rotation: float | None = None,
     *,
     catheter: tuple[float, float] | None = None,
-    entry: str = "descending",
     members: int = MEMBERS,
-    uncertainty: Uncertainty | None = None,
-    seed: int = 0,
-    accuracy: str | Accuracy = "accurate",
-    friction: float | None = None,
-    workers: int = 1,
+    **settings: Any,
 ) -> ContactForces:
     """Contact forces of a device that rests in a vessel, from its shape.
 
@@ -210,28 +206,13 @@ def contact_forces(
         insertion: of the feeder, m; None: from the curve's length.
         rotation: of the feeder, rad; None: searched.
         catheter: insertion (m) and rotation (rad) of a catheter over the wire; both feeders are needed then.
-        entry: name of the phantom's entry.
         members: of the ensemble; 1: the nominal case alone, without intervals.
-        uncertainty: what the ensemble varies.
-        seed: of the ensemble.
-        accuracy: "accurate", "fast", "reference", or an `Accuracy`.
-        friction: nominal coefficient; None: the device's, 0.1 at least.
-        workers: threads among which the members are divided.
+        settings: entry, uncertainty, seed, accuracy, friction and workers, as of `ContactForceEstimator`.
 
     Raises:
         ValueError: a curve, feeder, entry or device that cannot be, in one sentence; the device does not come to rest.
     """
-    estimator = ContactForceEstimator(
-        phantom,
-        device,
-        entry=entry,
-        members=members,
-        uncertainty=uncertainty,
-        seed=seed,
-        accuracy=accuracy,
-        friction=friction,
-        workers=workers,
-    )
+    estimator = ContactForceEstimator(phantom, device, members=members, **settings)
     return estimator.update(curve, insertion, rotation, catheter=catheter)
 
 

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from enn.model_file import FittedNetwork
 from enn.networks.devices import device_of
 from enn.networks.image_network import ImageNetwork, ImageSettings
+from enn.networks.observation_spaces import require_keys
 from enn.setting_kinds import Pixels, Units, UnitsOrNone, settings
 
 KEYS = ("image", "mask", "sequential")
@@ -100,7 +101,7 @@ class ClonedPolicy(FittedNetwork[CloningNetwork]):
         Raises:
             ValueError: as `act_batch`.
         """
-        self._require(observation)
+        require_keys(self.keys, observation)
         return self.act_batch({key: observation[key][None] for key in self.keys}, deterministic, generator)[0]
 
     def act_batch(
@@ -141,16 +142,8 @@ class ClonedPolicy(FittedNetwork[CloningNetwork]):
 
         return control
 
-    def _require(self, observations: Mapping[str, NDArray[Any]]) -> None:
-        missing = [key for key in self.keys if key not in observations]
-        if missing:
-            raise ValueError(
-                f"the policy sees {', '.join(self.keys)}, but {', '.join(missing)} is missing: make the environment "
-                "with these observations"
-            )
-
     def _images(self, observations: Mapping[str, NDArray[Any]]) -> Tensor:
-        self._require(observations)
+        require_keys(self.keys, observations)
         images = np.concatenate([observations[key] for key in self.keys], axis=1)
         if images.shape[1:] != tuple(self.network.settings.shape):
             raise ValueError(

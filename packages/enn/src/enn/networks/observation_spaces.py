@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -66,3 +66,17 @@ def kept_space(space: gymnasium.Space[Any], keys: Sequence[str]) -> gymnasium.Sp
     if keys and isinstance(space, gymnasium.spaces.Dict):
         return gymnasium.spaces.Dict([(key, space[key]) for key in select_keys(space, keys)])
     return space
+
+
+def require_keys(keys: Sequence[str], observations: Mapping[str, Any]) -> None:
+    """Refuses observations among which one of a policy's is missing.
+
+    Raises:
+        ValueError: says which.
+    """
+    missing = [key for key in keys if key not in observations]
+    if missing:
+        raise ValueError(
+            f"the policy sees {', '.join(keys)}, but {', '.join(missing)} is missing: make the environment with these "
+            "observations"
+        )

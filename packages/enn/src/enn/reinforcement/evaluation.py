@@ -32,44 +32,26 @@ class EpisodeOutcome:
     force_max: float  # largest contact force, N
 
 
+def _mean_of(name: str, doc: str) -> Any:
+    return property(lambda result: float(np.mean([getattr(one, name) for one in result.outcomes])), doc=doc)
+
+
 @dataclass(frozen=True)
 class EvaluationResult:
     """What a policy reached over episodes."""
 
     outcomes: tuple[EpisodeOutcome, ...]
 
-    @property
-    def success(self) -> float:
-        """Share of the episodes that reached the target."""
-        return self._mean("success")
-
-    @property
-    def steps(self) -> float:
-        """Mean length of an episode, in environment steps."""
-        return self._mean("steps")
-
-    @property
-    def reward(self) -> float:
-        """Mean sum of an episode's rewards."""
-        return self._mean("reward")
-
-    @property
-    def path_mm(self) -> float:
-        """Mean path length of the tip, mm."""
-        return self._mean("path_mm")
-
-    @property
-    def force_mean(self) -> float:
-        """Mean contact force over the episodes, N."""
-        return self._mean("force_mean")
+    success = _mean_of("success", "Share of the episodes that reached the target.")
+    steps = _mean_of("steps", "Mean length of an episode, in environment steps.")
+    reward = _mean_of("reward", "Mean sum of an episode's rewards.")
+    path_mm = _mean_of("path_mm", "Mean path length of the tip, mm.")
+    force_mean = _mean_of("force_mean", "Mean contact force over the episodes, N.")
 
     @property
     def force_max(self) -> float:
         """Largest contact force of any episode, N."""
         return max(outcome.force_max for outcome in self.outcomes)
-
-    def _mean(self, name: str) -> float:
-        return float(np.mean([getattr(outcome, name) for outcome in self.outcomes]))
 
 
 def run_episodes(

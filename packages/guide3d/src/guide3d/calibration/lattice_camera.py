@@ -102,8 +102,6 @@ def recognise_lattice(
     width: int,
     height: int,
     in_field: np.ndarray | None = None,
-    prior: IntrinsicPrior | None = None,
-    seed: int = 0,
 ) -> LatticeFit:
     """Tell which disc is which bead, up to symmetry.
 
@@ -111,9 +109,6 @@ def recognise_lattice(
         pixels: (m, 2) undistorted px of discs, clutter allowed.
         width, height: Of the image, px.
         in_field: (h, w) bool in undistorted pixels, where a bead could be seen; None for the whole image.
-        prior: Rough knowledge of the detector; None guesses a focal length of 4.7 times the image's longer side, which
-            may be a quarter off.
-        seed: Of the draw, when there are too many triples to try.
 
     Raises:
         ValueError: Fewer than twelve discs, or no lattice that explains twelve of them.
@@ -121,13 +116,14 @@ def recognise_lattice(
     pixels = np.asarray(pixels, float).reshape(-1, 2)
     if len(pixels) < _LEAST_BEADS:
         raise ValueError(f"expected {_LEAST_BEADS} beads of the cube or more in the image, found {len(pixels)}")
-    prior = prior or IntrinsicPrior(4.7 * max(width, height), centre_sd=0.2 * max(width, height))
+    # the focal length may be a quarter off
+    prior = IntrinsicPrior(4.7 * max(width, height), centre_sd=0.2 * max(width, height))
     K = np.array([[prior.focal_px, 0, (width - 1) / 2], [0, prior.focal_px, (height - 1) / 2], [0, 0, 1.0]])
     field = np.ones((height, width), bool) if in_field is None else np.asarray(in_field, bool)
     search = _Search(lattice, pixels, K, field)
     best: tuple[float, LatticeFit] | None = None
     enough = max(_LEAST_BEADS, 0.9 * len(pixels))
-    for hypotheses in search.rounds(np.random.default_rng(seed)):
+    for hypotheses in search.rounds(np.random.default_rng(0)):
         for R, t, window in hypotheses:
             grown = _grown(lattice, pixels, Camera(K, R, t, width, height), window, field, prior)
             if grown is not None and (best is None or grown[0] > best[0]):

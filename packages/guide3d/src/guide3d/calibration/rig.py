@@ -77,7 +77,6 @@ def calibrate_rig(
     sightings: Sequence[Sighting],
     sizes: Mapping[str, tuple[int, int]],
     swirl: str = "auto",
-    seed: int = 0,
 ) -> RigCalibration:
     """Calibrate all detectors of a rig at once: cameras with covariances, and all residuals.
 
@@ -106,7 +105,7 @@ def calibrate_rig(
             )
         width, height = sizes[seen.detector]
         try:
-            camera, agree = ransac_camera(points_mm[seen.numbers], seen.pixels, width, height, 4.0, seed=seed)
+            camera, agree = ransac_camera(points_mm[seen.numbers], seen.pixels, width, height, 4.0)
         except ValueError as error:
             raise ValueError(f"{seen.pose}, detector {seen.detector}: {error}") from None
         own = points_mm[seen.numbers]

@@ -245,14 +245,12 @@ def _parts(path: Path) -> dict[str, np.ndarray]:
             return {name: data[name] for name in ("size", "fit", "raw_px", "ideal_px", "method")}
 
 
-def leave_out_errors(
-    holes: SheetHoles, method: str = "local weighted mean", neighbours: int = 25, spans: int = 24
-) -> np.ndarray:
+def leave_out_errors(holes: SheetHoles, method: str = "local weighted mean", spans: int = 24) -> np.ndarray:
     """How far (n,) px `Distortion.from_holes` puts holes that it was not fitted to from where they should be.
 
     A thirteenth of the holes at a time, no two of them near each other; in the undistorted frame.
     """
-    whole = Distortion.from_holes(holes, method, neighbours, spans)
+    whole = Distortion.from_holes(holes, method, spans=spans)
     fold = (holes.indices[:, 0] + 3 * holes.indices[:, 1]) % _FOLDS
     errors = np.zeros(len(holes))
     for number in range(_FOLDS):

@@ -28,6 +28,7 @@ from enn.imitation.images.wire_segmentation import WireSegmenter
 from enn.imitation.images.wire_tracing import without_wire
 from enn.imitation.recurrent_policy import Observation, RecurrentController, RecurrentPolicy
 from enn.model_file import UNFIT, another_architecture
+from enn.networks.observation_spaces import require_keys
 
 IMAGE_KEYS = ("image", "mask", "goal_image")  # observations of a policy that observes the wire's mask
 XRAY_KEYS = ("image", "plain", "contrast", "goal_image")  # ... and of one that finds wire and lumen itself
@@ -119,12 +120,7 @@ class ImagePerception:
         Raises:
             ValueError: an image is missing, or there are images of more or fewer cameras.
         """
-        missing = [key for key in self.keys if key not in observation]
-        if missing:
-            raise ValueError(
-                f"the policy sees {', '.join(self.keys)}, but {', '.join(missing)} is missing: make the environment "
-                "with these observations"
-            )
+        require_keys(self.keys, observation)
         if len(observation["image"]) != len(self.cameras):
             raise ValueError(
                 f"the policy sees the views {', '.join(self.cameras)}, got {len(observation['image'])} of them: make "
