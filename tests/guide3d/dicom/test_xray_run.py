@@ -1,4 +1,4 @@
-"""X-ray runs and folders of frames: pixels, order and geometry as written; damaged files; no word of the patient."""
+"""X-ray runs: pixels, order and geometry as written; damaged files; no word of the patient."""
 
 import importlib.util
 import logging
@@ -17,7 +17,6 @@ from pydicom.pixels import apply_voi, apply_windowing
 from pydicom.sequence import Sequence
 from pydicom.uid import ExplicitVRBigEndian, ImplicitVRLittleEndian, JPEGBaseline8Bit, JPEGLosslessSV1, RLELossless
 
-from guide3d.dicom.__main__ import main
 from guide3d.dicom.run_folder import read_xray
 from guide3d.dicom.xray_run import XrayRun
 from guide3d.opencv import cv2
@@ -28,12 +27,23 @@ from tests.guide3d.dicom.written_xray import ENHANCED_XA, PATIENT, enhanced_grou
 LOSSLESS = importlib.util.find_spec("libjpeg") is not None
 
 
+def run_of(folder: Path, frames: np.ndarray, bits: int = 8, **changed: Any) -> XrayRun:
+    """A run that was written and read."""
+    return read_xray(write(xray_dataset(frames, bits, **changed), folder / "run.dcm"))
+
+
+def require(run: XrayRun, **expected: Any) -> None:
+    """Fails where an attribute of a run is another one."""
+    for name, value in expected.items():
+        np.testing.assert_allclose(getattr(run, name), np.broadcast_to(value, np.shape(getattr(run, name))), rtol=1e-12)
+
+
 @pytest.mark.parametrize("bits", [8, 10, 16])
 @pytest.mark.parametrize("count", [1, 3])
 def test_frames_come_back_as_stored(bits: int, count: int, tmp_path: Path) -> None:
     frames = frames_of(count, 23, 33, bits)
     changed = {"NumberOfFrames": None} if count == 1 else {}
-    run = read_xray(write(xray_dataset(frames, bits, **changed), tmp_path / "run.dcm"))
+    run = run_of(tmp_path, frames, bits, **changed)
     assert np.array_equal(run.frames, frames)
     assert run.frames.dtype == frames.dtype
     # without a window grey values are shown as those of other images, by their content if there are more than 255
@@ -62,23 +72,13 @@ def test_windows_are_those_of_pydicom(window: dict[str, Any], inverse: bool, tmp
     assert np.array_equal(run.images(), np.rint(255 * (1 - expected if inverse else expected)).astype(np.uint8))
 
 
-def test_a_table_of_grey_values_goes_before_the_window(tmp_path: Path) -> None:
-    table = np.linspace(0, 4095, 600).astype(np.uint16)
-    dataset = xray_dataset(frames_of(1, bits=10), 10, WindowCenter="9", WindowWidth="2")
-    dataset.VOILUTSequence = [item(LUTDescriptor=[600, 100, 12], LUTData=table.tobytes())]
-    run = read_xray(write(dataset, tmp_path / "run.dcm"))
-    expected = apply_voi(frames_of(1, bits=10), dataset) / 4095
-    assert np.array_equal(run.images(), np.rint(255 * expected).astype(np.uint8))
-    assert run.images().min() == 0
-
-
 @pytest.mark.parametrize("big", [False, True])
 @pytest.mark.parametrize(("bits", "kind"), [(16, "OW"), (16, "US"), (12, "OW"), (8, "OW"), (8, "US"), (8, "packed")])
-def test_tables_of_grey_values_in_both_byte_orders(bits: int, kind: str, big: bool, tmp_path: Path) -> None:
+def test_tables_of_grey_values_go_before_the_window(bits: int, kind: str, big: bool, tmp_path: Path) -> None:
     frames = frames_of(1, bits=10)
     table = np.linspace(0, 2**bits - 1, 600).astype(np.uint16)
     words = table.astype(np.uint8).view("<u2") if kind == "packed" else table
-    dataset = xray_dataset(frames, 10)
+    dataset = xray_dataset(frames, 10, WindowCenter="9", WindowWidth="2")
     entries = item(LUTDescriptor=[600, 100, bits])
     if kind == "US":
         entries.add_new("LUTData", "US", words.tolist())
@@ -106,7 +106,7 @@ def test_tables_of_grey_values_in_both_byte_orders(bits: int, kind: str, big: bo
     ],
 )
 def test_times(timing: dict[str, Any], expected: list[float] | None, tmp_path: Path) -> None:
-    run = read_xray(write(xray_dataset(frames_of(3), **timing), tmp_path / "run.dcm"))
+    run = run_of(tmp_path, frames_of(3), **timing)
     assert (run.times_ms is None) if expected is None else np.allclose(run.times_ms, expected)
 
 
@@ -118,17 +118,13 @@ def test_geometry_of_a_run_that_stands_still(tmp_path: Path) -> None:
         "PatientOrientation": ["L", "F"],
         "DetectorPrimaryAngle": "1.5",
     }
-    run = read_xray(write(xray_dataset(frames_of(3), **more), tmp_path / "run.dcm"))
-    assert (run.primary_deg == 30).all()
-    assert (run.secondary_deg == -20).all()
-    assert (run.source_detector_mm == 1100).all()
-    assert (run.source_isocentre_mm == 750).all()
-    assert (run.pixel_mm == [0.2, 0.4]).all()  # x, y; DICOM has rows first
+    run = run_of(tmp_path, frames_of(3), **more)
+    require(run, primary_deg=30, secondary_deg=-20, source_detector_mm=1100, source_isocentre_mm=750, beam_tilt_deg=1.5)
+    require(run, pixel_mm=[0.2, 0.4])  # x, y; DICOM has rows first
     assert (run.field_of_view_mm, run.field_of_view_shape) == ((229.0,), "ROUND")
     assert run.table_mm.shape == (3, 3)
     assert (run.table_mm[:, 0] == 110).all()
     assert run.orientation == ("L", "F")
-    assert run.beam_tilt_deg == 1.5
     assert not run.moves
     assert not run.warnings
 
@@ -136,19 +132,15 @@ def test_geometry_of_a_run_that_stands_still(tmp_path: Path) -> None:
 def test_one_increment_is_a_step_and_one_a_frame_are_offsets(tmp_path: Path) -> None:
     turning = {"PositionerPrimaryAngleIncrement": "1.5", "PositionerSecondaryAngleIncrement": ["0", "2", "5"],
                "TableLateralIncrement": ["0", "1", "4"]}  # fmt: skip
-    run = read_xray(write(xray_dataset(frames_of(3), **turning), tmp_path / "run.dcm"))
-    assert np.allclose(run.primary_deg, [30, 31.5, 33])
-    assert np.allclose(run.secondary_deg, [-20, -18, -15])
+    run = run_of(tmp_path, frames_of(3), **turning)
+    require(run, primary_deg=[30, 31.5, 33], secondary_deg=[-20, -18, -15])
     assert np.allclose(run.table_mm[:, 2], [0, 1, 4])
     assert run.moves
-    single = xray_dataset(frames_of(1), PositionerPrimaryAngleIncrement="2", TableLateralIncrement="3")
-    alone = read_xray(write(single, tmp_path / "single.dcm"))
-    assert np.allclose(alone.primary_deg, 30)
+    alone = run_of(tmp_path, frames_of(1), PositionerPrimaryAngleIncrement="2", TableLateralIncrement="3")
+    require(alone, primary_deg=30)
     assert np.allclose(alone.table_mm[:, 2], 0)
-    dataset = xray_dataset(frames_of(3), PositionerPrimaryAngleIncrement=["1", "2"])
-    wrong = write(dataset, tmp_path / "wrong.dcm")
     with pytest.raises(ValueError, match=r"PositionerPrimaryAngleIncrement should have one value or one .* found 2"):
-        read_xray(wrong)
+        run_of(tmp_path, frames_of(3), PositionerPrimaryAngleIncrement=["1", "2"])
 
 
 def test_distances_and_spacing_follow_from_what_else_is_there(tmp_path: Path) -> None:
@@ -159,23 +151,16 @@ def test_distances_and_spacing_follow_from_what_else_is_there(tmp_path: Path) ->
         "FieldOfViewDimensions": ["160", "120"],
         "BurnedInAnnotation": "YES",
     }
-    run = read_xray(write(xray_dataset(frames_of(1, 24, 32), **less), tmp_path / "run.dcm"))
-    assert np.allclose(run.source_isocentre_mm, 1100 / 1.5)
-    assert np.allclose(run.pixel_mm, 5.0)
+    run = run_of(tmp_path, frames_of(1, 24, 32), **less)
+    require(run, source_isocentre_mm=1100 / 1.5, pixel_mm=5.0)
     assert all(word in " ".join(run.warnings) for word in ("magnification", "field of view", "name the patient"))
 
 
 def test_enhanced_runs_say_it_frame_by_frame(tmp_path: Path) -> None:
     frames = frames_of(3)
-    dataset = xray_dataset(frames, kind=ENHANCED_XA, **enhanced_groups([0.0, 10.0, 20.0]))
-    run = read_xray(write(dataset, tmp_path / "run.dcm"))
-    assert np.allclose(run.primary_deg, [0, 10, 20])
-    assert np.allclose(run.secondary_deg, 0)
-    assert np.allclose(run.source_detector_mm, 1100)
-    assert np.allclose(run.source_isocentre_mm, 750)
-    assert np.allclose(run.pixel_mm, 0.3)
-    assert np.allclose(run.table_mm, [5, 1, 2])
-    assert np.allclose(run.times_ms, [0, 50, 100])
+    run = run_of(tmp_path, frames, kind=ENHANCED_XA, **enhanced_groups([0.0, 10.0, 20.0]))
+    require(run, primary_deg=[0, 10, 20], secondary_deg=0, source_detector_mm=1100, source_isocentre_mm=750)
+    require(run, pixel_mm=0.3, table_mm=[5, 1, 2], times_ms=[0, 50, 100])
     assert run.moves
     for k in range(3):  # each frame has its own window
         window = {"WindowCenter": 100 + 20 * k, "WindowWidth": 100, "BitsStored": 8, "PixelRepresentation": 0}
@@ -305,7 +290,7 @@ def test_files_without_a_preamble_are_read(meta: bool, implicit: bool, tmp_path:
     ],
 )
 def test_what_contradicts_an_x_ray_run_is_said(changed: dict, said: str, last_ms: float | None, tmp_path: Path) -> None:
-    run = read_xray(write(xray_dataset(frames_of(3), **changed), tmp_path / "run.dcm"))
+    run = run_of(tmp_path, frames_of(3), **changed)
     assert len(run.warnings) == 1
     assert run.warnings[0].startswith(said)
     assert run.times_ms is None if last_ms is None else run.times_ms[-1] == pytest.approx(last_ms)
@@ -314,12 +299,12 @@ def test_what_contradicts_an_x_ray_run_is_said(changed: dict, said: str, last_ms
 def test_a_mask_is_not_subtracted_and_that_is_said(tmp_path: Path) -> None:
     frames = frames_of(3)
     mask = Sequence([item(MaskOperation="AVG_SUB", MaskFrameNumbers=[1, 2], ApplicableFrameRange=[1, 3])])
-    run = read_xray(write(xray_dataset(frames, MaskSubtractionSequence=mask), tmp_path / "run.dcm"))
+    run = run_of(tmp_path, frames, MaskSubtractionSequence=mask)
     assert np.array_equal(run.frames, frames)
     assert ["subtract a mask (frames 1, 2)" in said for said in run.warnings] == [True]
     unmasked = Sequence([item(MaskOperation="NONE")])
     for changed, notes in (({"MaskSubtractionSequence": unmasked}, 0), ({"RecommendedViewingMode": "SUB"}, 1)):
-        assert len(read_xray(write(xray_dataset(frames, **changed), tmp_path / "run.dcm")).warnings) == notes
+        assert len(run_of(tmp_path, frames, **changed).warnings) == notes
 
 
 def test_damaged_files_are_refused_or_read_and_never_quote_the_patient(
@@ -375,122 +360,25 @@ def test_what_is_read_holds_no_attribute_of_the_patient(tmp_path: Path) -> None:
     assert not [element.keyword for element in Header(path).dataset if element.tag.group == 0x0010]
 
 
+def pydicom_file(name: str) -> str:
+    """A file that comes with pydicom."""
+    path = get_testdata_file(name, download=False)
+    return path or pytest.skip(f"pydicom is installed without {name}")
+
+
 @pytest.mark.parametrize(
     ("name", "said"), [("no_meta.dcm", "found something else"), ("DICOMDIR", "found Media Storage Directory Storage")]
 )
 def test_files_of_pydicom_are_refused_by_name(name: str, said: str) -> None:
-    path = get_testdata_file(name, download=False)
-    if path is None:
-        pytest.skip(f"pydicom is installed without {name}")
     with pytest.raises(ValueError, match=said):
-        read_xray(path)
+        read_xray(pydicom_file(name))
 
 
 @pytest.mark.parametrize("name", ["MR_small.dcm", "MR_small_RLE.dcm", "MR_small_bigendian.dcm"])
 def test_pixels_of_pydicoms_files_are_decoded_as_an_x_ray_run(name: str, tmp_path: Path) -> None:
-    source = get_testdata_file(name, download=False)
-    if source is None:
-        pytest.skip(f"pydicom is installed without {name}")
-    dataset = pydicom.dcmread(source)
+    dataset = pydicom.dcmread(pydicom_file(name))
     dataset.SOPClassUID = "1.2.840.10008.5.1.4.1.1.12.1"
     dataset.file_meta.MediaStorageSOPClassUID = dataset.SOPClassUID
     dataset.PixelRepresentation = 0  # its values are positive
     pydicom.dcmwrite(tmp_path / "run.dcm", dataset)
-    run = read_xray(tmp_path / "run.dcm")
-    assert np.array_equal(run.frames[0], pydicom.dcmread(source).pixel_array)
-
-
-FRAMES = frames_of(12)
-CT = "1.2.840.10008.5.1.4.1.1.2"
-
-
-def write_frames(folder: Path, changes: list[dict[str, Any]], series: str = "1.2.3", number: str = "3") -> None:
-    """One file a frame, named by its place in `changes`."""
-    folder.mkdir(exist_ok=True)
-    for place, changed in enumerate(changes):
-        frame = FRAMES[place % len(FRAMES)][None]
-        values = {"NumberOfFrames": None, "SeriesInstanceUID": series, "SeriesNumber": number, **changed}
-        write(xray_dataset(frame, **values), folder / f"IM{number}_{place}")
-
-
-def places_of(run: XrayRun) -> list[int]:
-    """Which of the written frames each frame is."""
-    return [int(np.flatnonzero((frame == FRAMES).all(axis=(1, 2)))[0]) for frame in run.frames]
-
-
-def test_instance_numbers_give_the_order(tmp_path: Path) -> None:
-    numbers = np.random.default_rng(0).permutation(12).tolist()
-    changes = [
-        {"InstanceNumber": str(n + 1), "AcquisitionDate": "20260102", "AcquisitionTime": f"1201{n:02d}.5",
-         "PositionerPrimaryAngle": str(10 + n)}
-        for n in numbers
-    ]  # fmt: skip
-    write_frames(tmp_path / "run", changes)
-    (tmp_path / "run" / ".hidden").write_bytes(b"x")
-    (tmp_path / "run" / "DICOMDIR").write_bytes(b"x")
-    run = read_xray(tmp_path / "run")
-    assert places_of(run) == np.argsort(numbers).tolist()
-    assert np.allclose(run.times_ms, 1000.0 * np.arange(12))
-    assert np.allclose(run.primary_deg, 10 + np.arange(12))
-    assert run.pixel_mm.shape == (12, 2)
-    assert run.moves
-    assert not run.warnings
-    assert main([str(tmp_path / "run"), "--output", str(tmp_path / "out"), "--frame", "3"]) == 0
-    assert (tmp_path / "out" / "a" / "003.png").is_file()
-
-
-@pytest.mark.parametrize(
-    ("changes", "places", "said"),
-    [
-        ([{"AcquisitionTime": t} for t in ("120003", "120001", "120002.5")], [1, 2, 0], ["ordered by time"]),
-        ([{"ContentTime": t, "InstanceNumber": "1"} for t in ("", "120001")], [0, 1], ["ordered by name"]),
-        ([{"AcquisitionDateTime": f"2026010212000{t}", "InstanceNumber": "1"} for t in (2, 1)], [1, 0], ["by time"]),
-        ([{}] * 12, list(range(12)), ["ordered by name"]),
-        (
-            [{"InstanceNumber": n, "AcquisitionTime": t} for n, t in (("1", "120002"), ("2", "120001"))],
-            [0, 1],
-            ["another order by time"],
-        ),
-        ([{"InstanceNumber": n} for n in ("1", "2", "5")], [0, 1, 2], ["2 instance numbers"]),
-        ([{"InstanceNumber": "7"}], [0], []),
-        ([{"InstanceNumber": n, "FrameTime": "0.05"} for n in ("1", "2")], [0, 1], ["FrameTime is 0.05 ms, which"]),
-    ],
-)
-def test_other_orders_are_said(
-    changes: list[dict[str, Any]], places: list[int], said: list[str], tmp_path: Path
-) -> None:
-    write_frames(tmp_path, changes)
-    run = read_xray(tmp_path)
-    assert places_of(run) == places
-    assert len(run.warnings) == len(said)
-    assert all(part in whole for part, whole in zip(said, run.warnings, strict=True))
-
-
-def test_what_is_no_x_ray_is_left_out_and_said(tmp_path: Path) -> None:
-    write_frames(tmp_path, [{"InstanceNumber": str(k)} for k in range(3)])
-    (tmp_path / "notes.txt").write_text("x")
-    write(xray_dataset(FRAMES[:1], kind=CT), tmp_path / "ct.dcm")
-    run = read_xray(tmp_path)
-    assert len(run) == 3
-    assert run.warnings == ("2 files that are no X-ray images were left out: ct.dcm, notes.txt",)
-
-
-def test_what_does_not_go_together_is_refused_by_name(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="holds no X-ray files"):
-        read_xray(tmp_path)
-    write_frames(tmp_path / "series", [{}] * 5)
-    write_frames(tmp_path / "series", [{}] * 2, "1.2.4", "8")
-    said = (
-        r"holds 2 series: number 3 with 5 files \(IM3_0, IM3_1, IM3_2, and 2 more\); "
-        r"number 8 with 2 files \(IM8_0, IM8_1\)"
-    )
-    with pytest.raises(ValueError, match=said):
-        read_xray(tmp_path / "series")
-    write_frames(tmp_path / "sizes", [{"InstanceNumber": "1"}])
-    write(xray_dataset(FRAMES[:1, :16, :20], SeriesInstanceUID="1.2.3"), tmp_path / "sizes" / "small")
-    with pytest.raises(ValueError, match=r"several sizes or bits \(20 x 16 px, 32 x 24 px\)"):
-        read_xray(tmp_path / "sizes")
-    write_frames(tmp_path / "runs", [{}])
-    write(xray_dataset(FRAMES, SeriesInstanceUID="1.2.3"), tmp_path / "runs" / "run.dcm")
-    with pytest.raises(ValueError, match=r"files of several frames \(run.dcm\): give one of them"):
-        read_xray(tmp_path / "runs")
+    assert np.array_equal(read_xray(tmp_path / "run.dcm").frames[0], pydicom.dcmread(pydicom_file(name)).pixel_array)
