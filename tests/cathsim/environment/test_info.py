@@ -9,7 +9,7 @@ import pytest
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as RecordStatisticsOfVector
 
 from cathsim import ENVIRONMENT
-from cathsim.contact.measured import MAX_CONTACTS
+from cathsim.contact.native import MAX_CONTACTS
 from cathsim.registration import MANY
 
 FORWARD = np.array([1.0, 0.3], np.float32)

@@ -14,8 +14,7 @@ from cathsim.anatomy.entry import EntryLike, entry_name
 from cathsim.blood.flow import BloodFlow
 from cathsim.contact.breathing import Breathing
 from cathsim.contact.compliance import checked_wall_stiffness
-from cathsim.contact.measured import Contacts, MeasuredContacts
-from cathsim.contact.native import StepSummary, address, engine, library
+from cathsim.contact.native import Contacts, MeasuredContacts, StepSummary, address, engine, library
 from cathsim.contact.sdf import Vessel
 from cathsim.contact.sdf import vessel_of as vessel_of
 from cathsim.devices.active_chain import ActiveChain, ActiveChains, chain_models, pass_on

@@ -14,8 +14,7 @@ from dm_control.composer.define import observable
 from dm_control.composer.observation.observable import MJCFFeature
 
 from cathsim.anatomy import Phantom
-from cathsim.contact.measured import MAX_CONTACTS, Contacts
-from cathsim.contact.native import SimulationStruct, address, engine, library
+from cathsim.contact.native import MAX_CONTACTS, Contacts, SimulationStruct, address, engine, library
 from cathsim.contact.sdf import GEOM_NAME, Vessel
 from cathsim.devices.arena import ADVANCE, FEEDER, PROTRUSION, ROTATE, max_insertion, model_spec
 from cathsim.guidewire import LINK_NAME, TIP_SITE, Guidewire

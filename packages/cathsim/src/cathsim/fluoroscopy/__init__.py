@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from cathsim.fluoroscopy.c_arms import askew_pair as askew_pair
     from cathsim.fluoroscopy.c_arms import clinical_pair as clinical_pair
     from cathsim.fluoroscopy.c_arms import guide3d_pair as guide3d_pair
-    from cathsim.fluoroscopy.calibration_file import write_calibration as write_calibration
+    from cathsim.fluoroscopy.c_arms import write_calibration as write_calibration
     from cathsim.fluoroscopy.detector import Detector as Detector
     from cathsim.fluoroscopy.device_renderer import DeviceRenderer as DeviceRenderer
     from cathsim.fluoroscopy.distortion import DetectorDistortion as DetectorDistortion
@@ -56,8 +56,7 @@ __getattr__, __dir__, __all__ = lazy_names(
         "attenuation": "background_image expose lumen_path_length",
         "biplane": "BiplaneFluoroscope DevicesFrame Frame",
         "body": "Box Ellipsoid THORAX WATER_BATH",
-        "c_arms": "PAIRS XRayCamera askew_pair clinical_pair guide3d_pair",
-        "calibration_file": "write_calibration",
+        "c_arms": "PAIRS XRayCamera askew_pair clinical_pair guide3d_pair write_calibration",
         "detector": "Detector",
         "device_renderer": "DeviceRenderer",
         "distortion": "DetectorDistortion",

@@ -1,9 +1,11 @@
-"""Pairs of C-arm cameras: that of the public biplane data set, and a clinical frontal and lateral pair."""
+"""Pairs of C-arm cameras, that of the public biplane data set and a clinical one, and their calibration on disk."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,10 @@ CLINICAL_FIELD = 0.25  # m in the plane of the isocentre
 # The shafts of six published pairs run 6 degrees out of the plane of both optical axes, so the patient lies askew by as
 # much. In that plane a whole shaft would lie on one epiline, and its depth could not be seen.
 _ASKEW = np.radians(6.0)
+
+
+TEXT_UNITS = {"m": 1.0, "cm": 100.0, "mm": 1000.0}  # world units per metre
+_HEADINGS = ("image size", "camera matrix", "rotation", "translation")
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,3 +164,41 @@ def clinical_pair(centre: ArrayLike, size: int = _SIZE) -> tuple[XRayCamera, XRa
 
 
 PAIRS: dict[str, Callable[..., tuple[XRayCamera, XRayCamera]]] = {"guide3d": guide3d_pair, "clinical": clinical_pair}
+
+
+def write_calibration(cameras: Mapping[str, XRayCamera], folder: Path, *, unit: str = "cm") -> list[Path]:
+    """Writes `calibration.json` (SI, with the distortion) and a `projection_<name>.txt` for every camera.
+
+    Args:
+        cameras: by name, e.g. those of a `BiplaneFluoroscope`.
+        folder: is made where it is missing.
+        unit: of the world in the text files, "cm" as laboratories write them, "mm" or "m".
+
+    Returns:
+        The files, JSON first.
+
+    Raises:
+        ValueError: for an unknown unit.
+    """
+    if unit not in TEXT_UNITS:
+        raise ValueError(f"unknown unit {unit!r}: expected one of {', '.join(TEXT_UNITS)}.")
+    folder.mkdir(parents=True, exist_ok=True)
+    written = [folder / "calibration.json"]
+    content = {"unit": "m", "cameras": {name: camera.to_json() for name, camera in cameras.items()}}
+    written[0].write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    for name, camera in cameras.items():
+        projector = camera.projector
+        sections: tuple[np.ndarray, ...] = (
+            np.array([[projector.width, projector.height]]),
+            projector.K,
+            projector.R,
+            projector.t[:, None] * TEXT_UNITS[unit],
+        )
+        blocks = (
+            "\r\n".join([heading, *(",".join(f"{value:.12g}" for value in row) for row in rows)]) + "\r\n"
+            for heading, rows in zip(_HEADINGS, sections, strict=True)
+        )
+        path = folder / f"projection_{name}.txt"
+        path.write_bytes("\r\n".join(blocks).encode("ascii"))
+        written.append(path)
+    return written
