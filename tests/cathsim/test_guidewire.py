@@ -93,22 +93,6 @@ def test_unloaded_tip_is_bent_by_its_angle() -> None:
     assert np.degrees(np.arccos(axis[2])) == pytest.approx(80.0, abs=0.5)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"links": (0.01,)}, "links needs at least 2 entries, got 1"),
-        ({"links": (0.01, -0.01)}, r"links\[1\] must lie in 0 \(excluded\) to 0.5 m, got -0.01"),
-        ({"links": (0.01, 0.0005)}, "shorter than the diameter"),
-        ({"tip_stiffness_nmm2": np.nan}, "tip_stiffness_nmm2 must be a finite number"),
-        ({"friction": -0.1}, "friction must lie in 0 to 10, got -0.1"),
-        ({"taper": (0.06, 0.02)}, "two increasing distances"),
-    ],
-)
-def test_impossible_wire_is_refused(changes: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        load_guidewire("default", **changes)
-
-
 @pytest.mark.parametrize("name", list(GUIDEWIRES))
 def test_a_preset_is_known_again_also_where_it_was_scaled(name: str) -> None:
     wire = load_guidewire(name)

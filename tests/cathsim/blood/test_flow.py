@@ -214,20 +214,6 @@ def test_environment_takes_a_name_a_flow_or_none_and_the_expert_plans_with_it(ma
         make_env(blood="thick")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"peak_velocity": -1.0}, "peak_velocity must lie in 0 to 20 m/s, got -1.0"),
-        ({"waveform": "square"}, "unknown waveform 'square'; there are pulsatile, steady"),
-        ({"shares": {"lcca": 0.5}}, "sum to at most 1 with descending_share"),
-        ({"phase": math.nan}, "phase must be a finite number"),
-    ],
-)
-def test_flows_are_checked(arguments: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        BloodFlow(**arguments)
-
-
 def test_picture_is_drawn(type_1: Phantom, tmp_path: Path) -> None:
     picture(type_1, tmp_path / "blood.png", flow=STEADY)
     assert (tmp_path / "blood.png").read_bytes().startswith(b"\x89PNG")

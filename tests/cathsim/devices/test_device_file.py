@@ -1,11 +1,9 @@
 """Devices: files of one's own, the shelf, sizes, pictures; the catheter's stiffness and shape."""
 
-import math
 import os
 import re
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -233,24 +231,6 @@ def test_shapes_are_those_that_clinicians_know() -> None:
     assert 8 < np.ptp(loop[:, 2]) + 1e3 * pigtail.outer_diameter < 15
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"name": "cobra"}, "unknown catheter 'cobra'; there are straight, vertebral.*, or a path of a .yaml file"),
-        ({"name": "simmons2_9f"}, "'simmons2' is not made in 9F: it has 4F, 5F, 6F"),
-        ({"name": "simmons2", "french": 9}, "'simmons2' is not made in 9F"),
-        ({"name": "simmons2", "french": True}, "french must be a whole number, got True"),
-        ({"name": "simmons2", "length": True}, "length must be a number .m., got True"),
-        ({"name": "simmons2_6f", "french": 5}, "is of 6F, but french=5 is asked for"),
-        ({"name": "simmons2", "stiffness": 3.0}, "a catheter has no stiffness; its parameters are outer_diameter"),
-    ],
-)
-def test_what_is_not_on_the_shelf_is_refused(arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message) as caught:
-        load_catheter(**arguments)
-    assert "\n" not in str(caught.value)
-
-
 def test_the_command_lists_and_draws_all_devices(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     output = tmp_path / "new" / "shelf.png"
@@ -307,24 +287,3 @@ def test_centreline_of_a_bend_agrees_with_the_guidewires_hinges() -> None:
         catheter = Catheter(length=0.06, shape=((0.001, 0.021, np.radians(60.0), plane),))
         tip = catheter.centreline(np.linspace(0.0, 0.06, 601))[0]
         np.testing.assert_allclose(data.site(TIP_SITE).xpos, tip, atol=4e-4)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"inner_diameter": 2e-3}, r"inner diameter .*2 mm.* smaller than its outer one .*1.67 mm"),
-        ({"taper": (0.04, 0.01)}, "two increasing distances"),
-        ({"marker_length": 2.0}, "marker of 2000 mm is longer than its catheter of 1000 mm"),
-        ({"shape": ((0.0, 0.02, math.nan, 0.0),)}, "shape.* must be a finite number"),
-        ({"shape": ((0.0, 0.02, 1.0),)}, "shape"),
-        ({"shape": ((0.02, 0.02, 1.0, 0.0),)}, "start nearer to the tip than it ends"),
-        ({"shape": ((0.9, 1.1, 1.0, 0.0),)}, "ends at 1100 mm lies beyond the catheter, which has 1000 mm"),
-        ({"shape": ((0.0, 0.005, np.pi, 0.0),)}, r"180 degrees from 0 mm to 5 mm has a radius of 0.79\d* mm, below"),
-        ({"shape": ((0.0, 0.03, 1.0, 0.0), (0.02, 0.05, 1.0, 0.0))}, "overlap between 20 mm and 30 mm"),
-        ({"shape": ((0.0, 0.06, 6.0, 0.0), (0.06, 0.12, 6.0, 0.0))}, "runs through itself"),
-    ],
-)
-def test_what_no_catheter_has_is_refused_in_one_sentence(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message) as caught:
-        Catheter(**changes)
-    assert "\n" not in str(caught.value)

@@ -272,8 +272,3 @@ def test_joints_have_the_stiffness_and_damping_of_their_cell(simulation: DualSim
             hinge = model.joint(LINK_NAME.format(joint) + axis)
             assert model.jnt_stiffness[hinge.id] == pytest.approx(1 / bend, rel=2e-3)
             assert model.dof_damping[hinge.dofadr[0]] == pytest.approx(damping, rel=2e-3)
-
-
-def test_longer_than_the_devices() -> None:
-    with pytest.raises(ValueError, match="longer than the shorter device"):
-        DevicePair(load_guidewire("default"), load_catheter("vertebral"), reach=1.4)

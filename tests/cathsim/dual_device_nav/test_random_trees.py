@@ -47,11 +47,6 @@ def test_a_tree_has_perturbed_copies() -> None:
     assert info["phantom"] == "random_tree_4_copy1"
 
 
-def test_what_there_is_not_is_refused() -> None:
-    with pytest.raises(ValueError, match="leave targets out"):
-        RandomTreesEnv(targets=("lcca",))
-
-
 def test_a_policy_of_arches_steers_up_a_tree() -> None:
     """It was trained in ways of 0.28 m at most, and fails here where it is shown the whole way.
 

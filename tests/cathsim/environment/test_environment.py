@@ -106,29 +106,6 @@ def test_an_invalid_state_ends_the_episode_and_the_next_is_sound(make_env: MakeE
     assert digest(env, 5, seed=0) == reference
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"phantom": "aorta"}, "unknown phantom 'aorta'; choose from type_1, "),
-        ({"phantom": "random"}, "phantom 'random' needs a seed"),
-        ({"target": "coronary"}, "unknown target 'coronary'"),
-        ({"wire": "steel"}, "unknown guidewire 'steel'"),
-        ({"accuracy": "exact"}, "unknown accuracy 'exact'"),
-        ({"actions": "tip"}, "unknown actions 'tip'"),
-        ({"observation": "pixels"}, "unknown observation 'pixels'"),
-        ({"observation": ()}, "observation must name at least one observable"),
-        ({"render_mode": "ansi"}, "unknown render_mode 'ansi'"),
-        ({"reward": "sparse"}, "unknown reward 'sparse'"),
-        ({"colour": "red"}, "the environment has no argument colour"),
-    ],
-    ids=str,
-)
-def test_bad_arguments_are_named_in_one_sentence(make_env: MakeEnv, arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message) as caught:
-        make_env(**arguments)
-    assert "\n" not in str(caught.value)
-
-
 def test_bad_actions_are_refused_and_change_nothing(make_env: MakeEnv) -> None:
     env = make_env()
     env.reset(seed=0)

@@ -1,7 +1,5 @@
 """The environment of a wire in a catheter: actions, observations, info, copies, robots, and bad input."""
 
-from typing import Any
-
 import gymnasium
 import numpy as np
 import pytest
@@ -119,24 +117,3 @@ def test_a_catheter_alone_that_is_too_short_says_so(make_env: MakeEnv, monkeypat
     monkeypatch.setattr("cathsim.devices.pair.REACH", 0.2)
     with pytest.raises(ValueError, match="over 204 mm, which is too short for rcca_end"):
         make_env(wire=None, catheter="vertebral", target="rcca_end")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"catheter": load_catheter("straight", inner_diameter=0.8e-3)}, "a wire of 0.89 mm does not pass a catheter"),
-        ({"catheter": "simmons9"}, "unknown catheter 'simmons9'"),
-        ({"catheter": "there_is_none.yaml"}, "there_is_none.yaml"),
-        ({"catheter": 5}, "catheter must be .*got 5"),
-        ({"catheter": "vertebral", "actions": "tip_motors"}, "without tip motors"),
-        ({"catheter": "vertebral", "contact": "hulls"}, "with contact 'sdf' and without tip motors"),
-        ({"catheter": "vertebral", "torsion": "soft"}, "unknown torsion 'soft'"),
-        ({"wire": None}, "neither a wire nor a catheter is there"),
-        ({"observation": "devices"}, "observation 'devices' needs a catheter"),
-    ],
-    ids=str,
-)
-def test_bad_arguments_are_named_in_one_sentence(make_env: MakeEnv, arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message) as caught:
-        make_env(**arguments)
-    assert "\n" not in str(caught.value)

@@ -67,20 +67,6 @@ def test_values_between_nodes_are_those_of_the_eight_around(values: np.ndarray, 
         NodeBlocks.from_dense(np.arange(27, dtype=np.int32).reshape(3, 3, 3)).interpolated(index)
 
 
-@pytest.mark.parametrize(
-    ("indices", "values", "shape", "message"),
-    [
-        ([[0, 0, 9]], [1.0], (4, 4, 9), r"within a lattice of \(4, 4, 9\) nodes"),
-        ([[0, 0, 0]], [1.0, 2.0], (4, 4, 4), r"values must have shape \(1,\)"),
-        ([[0, 0]], [1.0], (4, 4, 4), r"whole numbers of shape \(n, 3\)"),
-        ([[0, 0, 0]], [1.0], (4, 0, 4), "at least one each"),
-    ],
-)
-def test_impossible_nodes_are_refused(indices: list, values: list, shape: tuple, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        NodeBlocks.from_nodes(indices, np.array(values, np.float32), shape, -1.0)
-
-
 def test_parts_are_those_of_a_labelled_image() -> None:
     noise = np.random.default_rng(1).normal(size=(19, 23, 30))
     values = ndimage.gaussian_filter(noise, 1.5).astype(np.float32)  # blobs, several of which do not touch

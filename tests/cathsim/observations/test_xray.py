@@ -262,12 +262,6 @@ def test_masks_are_those_of_each_device(make_env: MakeEnv) -> None:
     assert both < bare < tube < 0.9, "the catheter is fainter than the wire, and its wall adds to it"
 
 
-@pytest.mark.parametrize("name", ["mask_catheter", "mask_catheter_a"])
-def test_of_a_bare_wire_a_catheters_mask_is_refused(make_env: MakeEnv, name: str) -> None:
-    with pytest.raises(ValueError, match="the mask of a catheter needs a catheter"):
-        make_env(observation=name, cameras="guide3d", image_size=64)
-
-
 def test_a_catheter_alone_has_no_wire_in_its_images(make_env: MakeEnv) -> None:
     env = make_env(wire=None, catheter="vertebral", observation=MASKS, image_size=128)
     env.reset(seed=0)

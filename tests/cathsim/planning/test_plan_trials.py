@@ -182,15 +182,6 @@ def test_same_seed_same_plan_whatever_the_threads(make_env: MakeEnv) -> None:
     assert np.array_equal(env.simulation.state(), before), "planning leaves the environment alone"
 
 
-def test_bad_settings_are_refused(make_env: MakeEnv) -> None:
-    with pytest.raises(ValueError, match="elites must lie in 1 to samples"):
-        ExpertSettings(elites=30)
-    with pytest.raises(ValueError, match="hold and execute must lie in 1 to the horizon"):
-        ExpertSettings(horizon=2)
-    with pytest.raises(ValueError, match="steers the actions of the feeders"):
-        SamplingExpert(make_env(actions="tip_motors"))
-
-
 def test_a_tip_that_gets_no_nearer_is_drawn_back(make_env: MakeEnv) -> None:
     env = make_env(target="lcca")
     expert = SamplingExpert(env, seed=0, settings=dataclasses.replace(SMALL, patience=2), threads=1)

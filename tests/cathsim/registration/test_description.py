@@ -147,20 +147,3 @@ def test_what_cannot_be_described_is_refused(bend: Phantom) -> None:
             from_spec(value)
     with pytest.raises(ValueError, match=r"Guidewire has no colour|cannot be made of"):
         from_spec({"class": "cathsim.guidewire:Guidewire", "colour": "red"})
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"wire": 5}, "wire must be .*got 5"),
-        ({"phantom": 3}, "phantom must be .*got 3"),
-        ({"accuracy": None}, "accuracy must be .*got None"),
-        ({"blood": 1.0}, "blood must be a name or a BloodFlow"),
-        ({"contact": 1}, "contact must be a name or a Decomposition"),
-        ({"cameras": {"size": 3}}, "cameras must be a name or a BiplaneFluoroscope"),
-        ({"task": "reach"}, "task must be a NavigationTask"),
-    ],
-)
-def test_arguments_of_another_kind_are_refused(arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        NavigateEnv(**{"accuracy": "fast", **arguments})

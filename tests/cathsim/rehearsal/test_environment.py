@@ -64,21 +64,6 @@ def test_the_roadmap_is_the_scans_in_its_wrong_pose(type_1: Phantom) -> None:
     assert env.phantom.name == "type_1_copy1"
 
 
-@pytest.mark.parametrize(
-    ("changed", "message"),
-    [
-        ({"copies": ()}, "copies must list at least one seed"),
-        ({"copies": (-1,)}, r"none below 0, got \[-1\]"),
-        ({"breathing": None}, "their own breathing"),
-        ({"perturbation": "strong"}, "perturbation must be .*got 'strong'"),
-        ({"wire": None}, "wire's stiffness"),
-    ],
-)
-def test_bad_arguments_are_refused(type_1: Phantom, changed: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        NavigateCopiesEnv(type_1, **changed)
-
-
 WIRE = load_guidewire("default")
 
 

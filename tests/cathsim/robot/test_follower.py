@@ -6,7 +6,7 @@ import pytest
 from cathsim import NavigateEnv
 from cathsim.robot.follower import CLOSED, FollowerRobot, Leader, Phase
 from cathsim.robot.model import CLAMPS, DRIVING_CLAMP, HOLDING_CLAMP, JAWS, ROTARIES, WHEEL, RobotSettings
-from cathsim.robot.pace import PACES, Pace
+from cathsim.robot.pace import PACES
 from cathsim.viewing.camera_view import RenderingUnavailableError, View
 from tests.cathsim.makers import MakeEnv
 
@@ -142,10 +142,3 @@ def test_full_actions_move_at_the_published_speeds(type_1) -> None:
     assert (simulation.insertion - before[0]) / seconds == pytest.approx(0.035, rel=0.02)
     assert (simulation.rotation - before[1]) / seconds == pytest.approx(np.pi, rel=0.02)
     assert pace.interval == pytest.approx(0.1333, abs=1e-4)
-
-
-def test_a_pace_that_there_is_not_is_refused(type_1) -> None:
-    with pytest.raises(ValueError, match="unknown pace 'slow'"):
-        NavigateEnv(type_1, pace="slow")
-    with pytest.raises(ValueError, match=r"translation must lie in .* m, got 35"):
-        Pace(translation=35)
