@@ -14,7 +14,8 @@ from enn.imitation.path_following import PathFollowerSettings, PlannedPath, fit_
 from enn.networks.network import NetworkSettings, build_network
 from enn.networks.observation_spaces import modality_keys
 from enn.reinforcement.rehearsal import cases_of
-from enn.reinforcement.start_state_buffer import CaseStartStateBuffer
+from enn.reinforcement.start_state_buffer import CaseStartStateBuffer, StartStateBuffer
+from enn.reinforcement.training.settings import PpoSettings
 from enn.retrying import RetryingController
 from tests.enn.rod import Rod
 
@@ -25,6 +26,12 @@ IMAGES = gymnasium.spaces.Dict({"image": gymnasium.spaces.Box(0, 255, (1, 8, 8),
 def uneven() -> None:
     three = scripted_samples(Rod, 3, seed=0)
     dataclasses.replace(three, direction=three.direction[:2])
+
+
+def filled() -> StartStateBuffer:
+    buffer = StartStateBuffer()
+    buffer.add_episode(np.zeros((2, 3)))
+    return buffer
 
 
 REFUSED: list[tuple[Callable[[], object], str]] = [
@@ -49,6 +56,13 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
         "an episode stays in one case, got states of 2",
     ),
     (lambda: RetryingController(lambda seed: None, 0, None), "1 step at least, got None with 0"),
+    (lambda: StartStateBuffer(share=1.5), r"between 0 and 1, got 1\.5"),
+    (lambda: StartStateBuffer(capacity=0), "capacity must be at least 1"),
+    (lambda: filled().add_episode(np.zeros((2, 4))), r"keeps states of 3 values, got 4.*another wire"),
+    (lambda: filled().add_episode(np.zeros(3)), r"shape \(T, n\)"),
+    (lambda: filled().add_episode(np.full((1, 3), np.nan)), "finite"),
+    (lambda: StartStateBuffer(capacity=1).restore(filled().state()), "holds 2 states, more than the capacity of 1"),
+    (lambda: PpoSettings(log_std_final=-2.5, ent_coef=0.01), r"log_std_final settles the entropy.*got 0\.01"),
 ]
 
 

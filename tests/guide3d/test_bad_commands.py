@@ -15,11 +15,16 @@ from guide3d.calibration import __main__ as calibration_command
 from guide3d.commands import in_words
 from guide3d.dataset.dataset import Dataset
 from guide3d.geometry.epipolar import EpipolarGeometry
+from guide3d.geometry.metrics import mers, mete
+from guide3d.geometry.polyline import checked, resample
 from guide3d.image_file import write_png
 from guide3d.learning.build import SEGMENTER_SIZES, SHAPE_SIZES, build_segmenter, build_shape_network
 from guide3d.learning.reader.training import ReaderRecipe
 from guide3d.modeling.spherical import SphericalForm
 from guide3d.modeling.vision_transformer import VisionTransformer
+from guide3d.random_fluoroscopy.anatomy import projected_ct
+from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
+from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.reading.curve_reading import read_curves
 from guide3d.reconstruction.synthetic_scene import rig
 from tests.guide3d.learning.drawn_data import draw
@@ -89,6 +94,7 @@ def test_a_full_disk_is_one_sentence_with_the_file_and_leaves_no_part(tmp_path: 
 
 FORM = SphericalForm(1.7, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), 0.0, 1.5)
 SMALLEST = SHAPE_SIZES["smoke"]
+LINE = np.outer(np.linspace(0.0, 30.0, 31), [1.0, 0.0, 0.0])  # mm
 REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: EpipolarGeometry(rig()[0], rig()[0]), "one and the same source"),
     (
@@ -111,6 +117,23 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
         lambda: read_curves(np.zeros((64, 64), np.float32), np.zeros((32, 32), np.float32)),
         r"expected maps of one shape, got \(64, 64\) of the wire and \(32, 32\)",
     ),
+    (lambda: RandomFluoroscopy().tile(0, 2048), "size_px: expected 32 to 1024 px"),
+    (lambda: RandomFluoroscopy(courses=[np.zeros((3, 4))]), "a course must be"),
+    (lambda: RandomFluoroscopy(backgrounds=[np.full((3, 4), np.nan)]), "a background must be"),
+    (lambda: FluoroscopySettings(narrowest_px=5.0), "narrowest_px must not exceed"),
+    (lambda: FluoroscopySettings(strongest=0.95), "strongest <= weakest"),
+    (lambda: FluoroscopySettings(near_tip=0.8), "near_tip"),
+    (lambda: projected_ct(np.zeros((3, 3)), (1, 1, 1), 0), "expected a volume"),
+    (lambda: projected_ct(np.zeros((3, 3, 3)), (1, 0, 1), 0), "spacing_mm"),
+    (
+        lambda: checked([[1.0, 2.0], [1.0, 2.0]], 2, "annotation of camera A"),
+        "camera A: expected at least 2 different points, got 1",
+    ),
+    (lambda: checked([1.0, 2.0], 2, "annotation of camera A"), r"expected points of shape \(n, 2\), got \(2,\)"),
+    (lambda: checked([[0.0, 0.0], [np.nan, 1.0]], 2, "annotation of camera A"), "point 1 is not finite"),
+    (lambda: mete(LINE, LINE[:1]), "curve b: expected at least 2 different points"),
+    (lambda: mers(LINE, LINE, spacing_mm=0.0), "spacing_mm"),
+    (lambda: resample(LINE, spacing=0.0), "spacing above 0"),
 ]
 
 

@@ -133,11 +133,6 @@ def test_the_deviation_of_actions_falls_evenly_to_the_end_of_the_budget(point_en
     assert torch.allclose(policy.module.log_std, torch.full((2,), -1.0 - 1.5 * 612 / 700))
 
 
-def test_a_deviation_that_is_settled_leaves_no_entropy_to_weigh() -> None:
-    with pytest.raises(ValueError, match=r"log_std_final settles the entropy.*got 0\.01"):
-        dataclasses.replace(SMALL_PPO, log_std_final=-2.5, ent_coef=0.01)
-
-
 def test_a_policy_to_start_from_gives_the_deviation_only_where_it_is_learnt(point_env: Any) -> None:
     weights = Training(SMALL_PPO, point_env, None, 0).run().policy
     weights.module.log_std.data.fill_(0.3)

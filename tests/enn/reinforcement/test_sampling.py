@@ -1,6 +1,5 @@
 """Sampling: restores, encoded environments; start-state buffers, also of each case, more episodes where they fail."""
 
-from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -225,25 +224,3 @@ def test_a_buffer_goes_on_exactly_after_a_restore() -> None:
         assert (first is None) == (second is None)
         if first is not None:
             np.testing.assert_array_equal(first, second)
-
-
-def filled() -> StartStateBuffer:
-    buffer = StartStateBuffer()
-    buffer.add_episode(np.zeros((2, 3)))
-    return buffer
-
-
-REFUSED: list[tuple[Callable[[], object], str]] = [
-    (lambda: StartStateBuffer(share=1.5), r"between 0 and 1, got 1\.5"),
-    (lambda: StartStateBuffer(capacity=0), "capacity must be at least 1"),
-    (lambda: filled().add_episode(np.zeros((2, 4))), r"keeps states of 3 values, got 4.*another wire"),
-    (lambda: filled().add_episode(np.zeros(3)), r"shape \(T, n\)"),
-    (lambda: filled().add_episode(np.full((1, 3), np.nan)), "finite"),
-    (lambda: StartStateBuffer(capacity=1).restore(filled().state()), "holds 2 states, more than the capacity of 1"),
-]
-
-
-@pytest.mark.parametrize(("call", "said"), REFUSED, ids=[said for _, said in REFUSED])
-def test_what_is_no_buffer_or_state_is_refused(call: Callable[[], object], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        call()

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from guide3d.geometry.bspline import BSplineCurve, fit_bspline
 from guide3d.geometry.camera import Camera, read_camera, read_opencv_yaml, write_camera, write_opencv_yaml
 from guide3d.geometry.epipolar import EpipolarGeometry, epilines, fundamental_matrix
-from guide3d.geometry.metrics import chamfer, curve_metrics, distances_along, frechet, max_ed, mers, mete
-from guide3d.geometry.polyline import arc_length, at_length, checked, distances_to, resample
+from guide3d.geometry.metrics import chamfer, curve_metrics, distances_along, frechet, max_ed, mete
+from guide3d.geometry.polyline import arc_length, at_length, distances_to, resample
 from guide3d.geometry.triangulation import calibration_covariance, point_covariance, triangulate, triangulate_linear
 from guide3d.opencv import cv2
 from guide3d.reconstruction.synthetic_scene import rig
@@ -284,28 +284,6 @@ def test_points_at_an_arc_length_and_even_resampling() -> None:
     assert len(resample(SQUARE, spacing=2.0)) == 4  # the end, 1 further, is left out
     with pytest.raises(ValueError, match="either spacing or count"):
         resample(SQUARE)
-
-
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [
-        ([[1.0, 2.0], [1.0, 2.0]], "camera A: expected at least 2 different points, got 1"),
-        ([1.0, 2.0], r"expected points of shape \(n, 2\), got \(2,\)"),
-        ([[0.0, 0.0], [np.nan, 1.0]], "point 1 is not finite"),
-    ],
-)
-def test_what_is_no_polyline_is_refused(points: object, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        checked(points, 2, "annotation of camera A")  # type: ignore[arg-type]
-
-
-def test_bad_curves_and_spacings_are_refused() -> None:
-    with pytest.raises(ValueError, match="curve b: expected at least 2 different points"):
-        mete(LINE, LINE[:1])
-    with pytest.raises(ValueError, match="spacing_mm"):
-        mers(LINE, LINE, spacing_mm=0.0)
-    with pytest.raises(ValueError, match="spacing above 0"):
-        resample(SQUARE, spacing=0.0)
 
 
 def test_distance_to_a_polyline() -> None:

@@ -1,6 +1,5 @@
 """Random fluoroscopy: tiles, strokes, courses, backgrounds, its command."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -186,21 +185,3 @@ def test_a_second_run_keeps_what_is_there_and_mixes_no_other_images(
     (tmp_path / "new" / RECORD).unlink()
     assert main(words) == 2
     assert "not of random fluoroscopy" in capsys.readouterr().err
-
-
-REFUSED: list[tuple[Callable[[], object], str]] = [
-    (lambda: RandomFluoroscopy().tile(0, 2048), "size_px: expected 32 to 1024 px"),
-    (lambda: RandomFluoroscopy(courses=[np.zeros((3, 4))]), "a course must be"),
-    (lambda: RandomFluoroscopy(backgrounds=[np.full((3, 4), np.nan)]), "a background must be"),
-    (lambda: FluoroscopySettings(narrowest_px=5.0), "narrowest_px must not exceed"),
-    (lambda: FluoroscopySettings(strongest=0.95), "strongest <= weakest"),
-    (lambda: FluoroscopySettings(near_tip=0.8), "near_tip"),
-    (lambda: projected_ct(np.zeros((3, 3)), (1, 1, 1), 0), "expected a volume"),
-    (lambda: projected_ct(np.zeros((3, 3, 3)), (1, 0, 1), 0), "spacing_mm"),
-]
-
-
-@pytest.mark.parametrize(("call", "said"), REFUSED, ids=[said for _, said in REFUSED])
-def test_bad_arguments_are_refused(call: Callable[[], object], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        call()
