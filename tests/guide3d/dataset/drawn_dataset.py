@@ -1,6 +1,7 @@
 """A tiny data set in the public layout, drawn without a simulator."""
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -34,38 +35,50 @@ def wire(phase: float) -> np.ndarray:
     return np.column_stack([15 * np.cos(3 * t + phase), 24 * t - 12, 9 * np.sin(4 * t + phase)])
 
 
-def annotation(acquisition: str, number: int, curve: np.ndarray) -> Annotation:
-    """Of both views of a curve, exact."""
-    points = {name: camera.project(curve)[::4] for name, camera in cameras().items()}
-    images = {name: image_name(acquisition, name, number) for name in ("a", "b")}
+def annotation(
+    acquisition: str, number: int, curve: np.ndarray, views: Sequence[Camera] | None = None, every: int = 4
+) -> Annotation:
+    """Of both views of a curve, exact, every so many of its points."""
+    points = [camera.project(curve)[::every] for camera in views or cameras().values()]
+    images = [image_name(acquisition, name, number) for name in ("a", "b")]
     wired = "angled" if "-angle-" in acquisition else "straight"
-    return Annotation(
-        acquisition, number, acquisition[0] == "1", wired, images["a"], images["b"], points["a"], points["b"]
-    )
+    return Annotation(acquisition, number, acquisition[0] == "1", wired, *images, *points)
+
+
+def write_moments(
+    root: Path,
+    views: Sequence[Camera],
+    moments: Mapping[tuple[str, int], tuple[Annotation, np.ndarray, Sequence[np.ndarray]]],
+    visible_mm: float | None = None,
+) -> None:
+    """Writes moments' annotations, curves (n, 3) mm and images, and the cameras; None: a whole curve is visible."""
+    truths = {}
+    for moment, (one, curve, images) in moments.items():
+        end = float(arc_length(curve)[-1]) if visible_mm is None else visible_mm
+        truths[moment] = TrueCurve(curve, (end, end))
+        for file, image in zip((one.image_a, one.image_b), images, strict=False):
+            path = root / "images" / file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(image).save(path)
+    root.mkdir(exist_ok=True)
+    write_raw(root / "raw.json", [one for one, _, _ in moments.values()])
+    write_truth(root / "truth.json", truths)
+    for camera in views:
+        write_camera(camera, root / "calibration" / f"projection_{camera.name}.txt")
+    (root / "dataset.json").write_text(json.dumps({"undistorted": True, "image_size_px": views[0].width}))
 
 
 def write_dataset(root: Path, *, acquisitions: int = 4, frames: int = 3, images: bool = True) -> Dataset:
     """Writes annotations, images, cameras and truth, and opens them; half with fluid, half of each with either wire."""
-    written, truths, curves = [], {}, {}
+    moments, curves = {}, {}
     for index in range(acquisitions):
         name = acquisition_name(index % 2 == 0, "bca", ("angled", "straight")[index // 2 % 2], index + 1)
         for number in range(frames):
             curve = wire(0.4 * index + 0.05 * number)
             one = annotation(name, number, curve)
-            written.append(one)
-            truths[name, number] = TrueCurve(curve, (float(arc_length(curve)[-1]), float(arc_length(curve)[-1])))
+            dark = [strip_mask(points, SIZE, SIZE, 3.0) for points in (one.points_a, one.points_b) if images]
+            moments[name, number] = one, curve, [np.where(d, 60, 180 + number).astype(np.uint8) for d in dark]
             curves[name, number] = Views(fit_bspline(one.points_a), fit_bspline(one.points_b), fit_bspline(curve))
-            for file, points in ((one.image_a, one.points_a), (one.image_b, one.points_b)):
-                if images:
-                    path = root / "images" / file
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    dark = strip_mask(points, SIZE, SIZE, 3.0)
-                    Image.fromarray(np.where(dark, 60, 180 + number).astype(np.uint8)).save(path)
-    root.mkdir(exist_ok=True)
-    write_raw(root / "raw.json", written)
-    write_curves(root / "sphere.json", written, curves)
-    write_truth(root / "truth.json", truths)
-    for camera in cameras().values():
-        write_camera(camera, root / "calibration" / f"projection_{camera.name}.txt")
-    (root / "dataset.json").write_text(json.dumps({"undistorted": True, "image_size_px": SIZE}))
+    write_moments(root, list(cameras().values()), moments)
+    write_curves(root / "sphere.json", [one for one, _, _ in moments.values()], curves)
     return Dataset.open(root)
