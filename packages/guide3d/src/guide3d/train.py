@@ -20,14 +20,19 @@ from guide3d.commands import required_by_command, run
 if __name__ == "__main__":
     required_by_command("guide3d.train", "torch", "learning")
 
-from guide3d.dataset.acquisition_split import Split
-from guide3d.dataset.dataset import Dataset
 from guide3d.learning.build import SEGMENTERS, SIZES
 from guide3d.learning.losses import ShapeLoss
 from guide3d.learning.network_training import train_network
 from guide3d.learning.recipes import FORMS, fgrn_recipe, segmentation_recipe, shape_recipe
 from guide3d.learning.training import FitReport
-from guide3d.learning.training_command import Progress, main_of, run_training, training_parser, with_epochs
+from guide3d.learning.training_command import (
+    Progress,
+    data_and_split,
+    main_of,
+    run_training,
+    training_parser,
+    with_epochs,
+)
 from guide3d.text_file import json_fields
 
 ANGLES_ALONE = "spherical_angles"  # the spherical form with the loss of the thesis: none on the curve itself
@@ -71,8 +76,8 @@ def train(given: argparse.Namespace, progress: Progress | None = None) -> dict[s
     recipe = replace(recipe, fit=replace(recipe.fit, **given.fit), **given.settings)
     recipe = with_epochs(recipe, given.epochs)
 
-    def learn(data: Dataset, parts: Split, **common: Any) -> tuple[Any, FitReport]:
-        return train_network(data, parts, recipe, form, pretrained=given.pretrained, **common)
+    def learn(**common: Any) -> tuple[Any, FitReport]:
+        return train_network(*data_and_split(given), recipe, form, pretrained=given.pretrained, **common)
 
     return run_training(given, learn, {"network": given.network, "size": given.size}, progress)
 

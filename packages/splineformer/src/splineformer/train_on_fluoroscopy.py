@@ -25,10 +25,9 @@ if __name__ == "__main__":
 
 import torch
 
-from guide3d.files import whole_file
 from guide3d.learning.distributed import Ranks
-from guide3d.learning.training import FitProgress, finished
-from guide3d.learning.training_command import PREDICTOR, TABLE, Progress, main_of, with_epochs
+from guide3d.learning.training import FitReport
+from guide3d.learning.training_command import PREDICTOR, Progress, main_of, run_training, with_epochs
 from guide3d.opencv import cv2
 from guide3d.setting_kinds import seed
 from guide3d.text_file import json_fields
@@ -74,34 +73,21 @@ def train(given: argparse.Namespace, progress: Progress | None = None) -> dict[s
     cv2.setNumThreads(1)
     recipe = _recipe(given)
     start = None if given.weights is None else Predictor.load(given.weights).network.state_dict()
-    ranks = Ranks.join(given.device)
 
-    def log(now: FitProgress) -> None:
-        if ranks.rank == 0:
-            _LOGGER.info("epoch %d of %d: loss %.3f, validation %.3f", now.epoch, now.epochs, now.loss, now.validation)
+    def learn(*, ranks: Ranks, **common: Any) -> tuple[Predictor, FitReport]:
+        def drawing(count: int, of: int) -> None:
+            if ranks.rank == 0 and (count == of or count % 250 == 0):
+                _LOGGER.info("%d of %d images", count, of)
 
-    def drawing(count: int, of: int) -> None:
-        if ranks.rank == 0 and (count == of or count % 250 == 0):
-            _LOGGER.info("%d of %d images", count, of)
+        return train_on_fluoroscopy(recipe, start=start, ranks=ranks, drawing=drawing, **common)
 
-    try:
-        predictor, report = train_on_fluoroscopy(
-            recipe, folder=given.output / "fit", pictures=given.pictures, start=start, seed=given.seed, ranks=ranks,
-            progress=progress or log, drawing=drawing,
-        )  # fmt: skip
-        table = {"variant": given.variant, "size": given.size, "recipe": asdict(recipe), "processes": ranks.count}
-        table |= asdict(report)
-        if ranks.rank == 0:
-            table["test"] = evaluate_on_fluoroscopy(predictor, recipe.fluoroscopy, given.test_images)
-            predictor.save(given.output / PREDICTOR, variant=given.variant, best_epoch=report.best_epoch)
-            with whole_file(given.output / TABLE, "w") as file:
-                json.dump(table, file, indent=1)
-            finished(given.output / "fit")
-            _LOGGER.info("%s", json.dumps(table["test"]))
-        ranks.wait()
-        return table
-    finally:
-        ranks.leave()
+    def save(predictor: Predictor, report: FitReport, table: dict[str, Any]) -> None:
+        table["test"] = evaluate_on_fluoroscopy(predictor, recipe.fluoroscopy, given.test_images)
+        predictor.save(given.output / PREDICTOR, variant=given.variant, best_epoch=report.best_epoch)
+        _LOGGER.info("%s", json.dumps(table["test"]))
+
+    head = {"variant": given.variant, "size": given.size, "recipe": asdict(recipe)}
+    return run_training(given, learn, head, progress, save)
 
 
 def _recipe(options: argparse.Namespace) -> FluoroscopyRecipe:

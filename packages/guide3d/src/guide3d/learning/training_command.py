@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from guide3d.commands import in_words
+from guide3d.dataset.acquisition_split import Split
 from guide3d.dataset.dataset import Dataset, split
 from guide3d.files import whole_file
 from guide3d.learning.distributed import Ranks
@@ -40,6 +41,13 @@ def training_parser(module: str, description: str | None) -> argparse.ArgumentPa
     return parser
 
 
+def data_and_split(given: argparse.Namespace) -> tuple[Dataset, Split]:
+    """The data set of a command line, as `training_parser` understood it, and its parts; with its `curves`, if any."""
+    curves = getattr(given, "curves", None)
+    data = Dataset.open(given.data, images=given.images, calibration=given.calibration, curves=curves)
+    return data, split(data, seed=given.split_seed)
+
+
 def with_epochs(recipe: Any, epochs: int | None) -> Any:
     """A recipe with another number of epochs; None: its own."""
     return recipe if epochs is None else replace(recipe, fit=replace(recipe.fit, epochs=epochs))
@@ -50,16 +58,16 @@ def run_training(
     learn: Callable[..., tuple[Any, FitReport]],
     head: dict[str, Any],
     progress: Progress | None = None,
-    save: Callable[[Any, FitReport], None] | None = None,
+    save: Callable[[Any, FitReport, dict[str, Any]], None] | None = None,
 ) -> dict[str, Any]:
     """Trains on this process, or on all those that torchrun started, and writes network and table.
 
     Args:
-        given: as `training_parser` understood it; its `curves`, where there are any, belong to the data set.
-        learn: takes data set, split, and the keywords folder, pictures, seed, ranks and progress; returns predictor
-            and report.
+        given: options `output`, `pictures`, `seed` and `device`.
+        learn: takes the keywords folder, pictures, seed, ranks and progress; returns predictor and report.
+        head: the first entries of the table.
         progress: called after every epoch; None: the log gets a line.
-        save: writes the predictor's file and what else there is; None: ``predictor.save(path)``.
+        save: writes the predictor's file and may add to the table; None: ``predictor.save(path)``.
 
     Returns:
         What ``training.json`` holds.
@@ -71,11 +79,7 @@ def run_training(
             _LOGGER.info("epoch %d of %d: loss %.4f, validation %s", now.epoch, now.epochs, now.loss, now.validation)
 
     try:
-        curves = getattr(given, "curves", None)
-        data = Dataset.open(given.data, images=given.images, calibration=given.calibration, curves=curves)
         predictor, report = learn(
-            data,
-            split(data, seed=given.split_seed),
             folder=given.output / "fit",
             pictures=given.pictures,
             seed=given.seed,
@@ -87,7 +91,7 @@ def run_training(
             if save is None:
                 predictor.save(given.output / PREDICTOR)
             else:
-                save(predictor, report)
+                save(predictor, report, table)
             with whole_file(given.output / TABLE, "w") as file:
                 json.dump(table, file, indent=1)
             finished(given.output / "fit")

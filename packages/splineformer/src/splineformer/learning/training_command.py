@@ -15,12 +15,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from guide3d.dataset.acquisition_split import Split
-from guide3d.dataset.dataset import Dataset
 from guide3d.learning.training import FitReport
 from guide3d.learning.training_command import (
     PREDICTOR,
     Progress,
+    data_and_split,
     main_of,
     run_training,
     training_parser,
@@ -58,10 +57,10 @@ def train(given: argparse.Namespace, progress: Progress | None = None) -> dict[s
     """
     recipe = with_epochs(recipe_of(given.variant, given.size), given.epochs)
 
-    def learn(data: Dataset, parts: Split, **common: Any) -> tuple[Predictor, FitReport]:
-        return train_variant(data, parts, recipe, **common)
+    def learn(**common: Any) -> tuple[Predictor, FitReport]:
+        return train_variant(*data_and_split(given), recipe, **common)
 
-    def save(predictor: Predictor, report: FitReport) -> None:
+    def save(predictor: Predictor, report: FitReport, table: dict[str, Any]) -> None:
         predictor.save(given.output / PREDICTOR, variant=given.variant, best_epoch=report.best_epoch)
         if given.tensorboard:
             write_board(given.output / BOARD, report)
