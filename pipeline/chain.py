@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, fields
 from types import FrameType
 from typing import IO, Any
 
-from enn.reinforcement.free_memory import available_bytes
+from enn.reinforcement.resources import available_bytes
 from pipeline.jobs.engines.local import available_workers
 from pipeline.jobs.machine import shared_machine
 from pipeline.printing import say, written

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from enn import curves
-from enn.reinforcement.free_memory import available_bytes
+from enn.reinforcement.resources import available_bytes
 from pipeline.config import RunConfig, anatomy_not_taken
 from pipeline.jobs.engines.cluster import end_earlier_jobs
 from pipeline.jobs.engines.local import variables_set

@@ -302,7 +302,7 @@ def _training_record(begun: float, results: Sequence[TrainingResult]) -> dict[st
 
 
 def _inserted_start_states(job: RehearsalJob, copies: Sequence[int], report: Report) -> list[np.ndarray]:
-    from enn.reinforcement.workers import Workers
+    from enn.reinforcement.resources import Workers
 
     path = job.folder / STARTS
     if not path.is_file():

@@ -13,9 +13,8 @@ import torch
 
 from enn.policy import Policy
 from enn.reinforcement.evaluation import BestPolicy, EpisodeOutcome, EvaluationResult, LatestPolicy, run_episodes
-from enn.reinforcement.free_memory import available_bytes
+from enn.reinforcement.resources import Workers, available_bytes
 from enn.reinforcement.training import Training
-from enn.reinforcement.workers import Workers
 from tests.enn.conftest import PointEnv
 from tests.enn.reinforcement.small_training import SMALL
 
@@ -116,7 +115,7 @@ def test_the_latest_policy_is_kept_unless_it_is_clearly_worse(
 # small blocks, so that all lie in the heap; one in a hundred stays, so that its end cannot sink
 _PROGRAM = """
 from pathlib import Path
-from enn.reinforcement.free_memory import trim_heap
+from enn.reinforcement.resources import trim_heap
 
 def resident_mb():
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6

@@ -8,7 +8,7 @@ import time
 from multiprocessing.connection import Connection
 from typing import Any
 
-from enn.reinforcement.free_memory import trim_heap
+from enn.reinforcement.resources import trim_heap
 from enn.reinforcement.sampling import Sampling
 
 _TRIM_EVERY = 200  # requests between two returns of free memory to the system

@@ -12,7 +12,7 @@ import numpy as np
 from torch import nn
 
 from enn.policy import Policy
-from enn.reinforcement.workers import Workers
+from enn.reinforcement.resources import Workers
 
 EVALUATION_SEEDS, SEEDS_A_TRAINING = 500_000, 1_000  # of evaluations while training: tables need other ones
 SCOUTS, SCOUT_SHARE = 3, 0.25  # evaluation episodes, at least so many, of which one has to succeed for the others

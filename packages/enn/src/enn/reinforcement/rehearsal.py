@@ -20,8 +20,8 @@ from enn.device_trials import play_case
 from enn.imitation.dagger import Act, record
 from enn.policy import Policy
 from enn.reinforcement.evaluation import EvaluationResult, LatestPolicy
+from enn.reinforcement.resources import Workers
 from enn.reinforcement.training import DESK_SAC, Progress, SacSettings, Training, TrainingResult, TrainingSettings
-from enn.reinforcement.workers import Workers
 from enn.trajectory import Trajectory
 
 Environment = gymnasium.Env[Any, Any]

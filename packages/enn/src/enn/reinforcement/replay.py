@@ -13,8 +13,8 @@ from stable_baselines3.common.buffers import ReplayBuffer as BaseReplayBuffer
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples, ReplayBufferSamples
 from stable_baselines3.common.vec_env import VecNormalize
 
-from enn.reinforcement.free_memory import available_bytes
 from enn.reinforcement.observation_store import FrameStore, bytes_per_observation, make_store
+from enn.reinforcement.resources import available_bytes
 from enn.trajectory import Trajectory
 
 CHUNK = 512  # slots that are saved together

@@ -12,8 +12,8 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker
 from numpy.typing import NDArray
 
 from enn.networks.observation_spaces import kept_space
+from enn.reinforcement.resources import SharedWork, Workers
 from enn.reinforcement.start_state_buffer import RECORD_EVERY, StartStateBuffer
-from enn.reinforcement.workers import SharedWork, Workers
 
 logger = logging.getLogger(__name__)
 

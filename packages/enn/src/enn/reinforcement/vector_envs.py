@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from enn.networks.observation_spaces import kept_space
+from enn.reinforcement.resources import Workers
 from enn.reinforcement.sampling import Observations, Sampling, without_checks
 from enn.reinforcement.start_state_buffer import StartStateBuffer
-from enn.reinforcement.workers import Workers
 
 POSSIBLE = os.name == "posix"  # an open connection can be handed over to a new process
 _END_S = 5.0  # that the process has to end by itself

@@ -23,9 +23,9 @@ from enn.model_file import UNFIT, write_whole
 from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointError, CheckpointFolder, random_states, restore_random_states
 from enn.reinforcement.evaluation import BestPolicy, LatestPolicy
-from enn.reinforcement.free_memory import trim_heap
 from enn.reinforcement.proximal_policy import PpoLearner
 from enn.reinforcement.replay import ReplayBuffer, demonstration_replay
+from enn.reinforcement.resources import trim_heap
 from enn.reinforcement.sampling import without_checks
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.training.inputs import TrainingInputs, start_from
