@@ -36,13 +36,11 @@ class LoadCell:
             the step that readings are rounded to. The cell's own z axis is vertical, which is the world's y.
         cutoff: of a low-pass filter of first order, Hz; 0: none. The mean over a control step of 0.1 s, which a reading
             starts from, is itself a filter with half the power at 4.4 Hz.
-        tared: whether the first reading of an episode is subtracted from all.
         bears_sheath: whether the sheath is mounted on the plate that the cell bears, as the phantom is.
     """
 
     resolution: Annotated[tuple[_Resolution, _Resolution, _Resolution], Listed] = (1 / 200, 1 / 100, 1 / 200)
     cutoff: Annotated[float, Interval(ge=0, le=1000), Unit("Hz")] = 2.0
-    tared: bool = False
     bears_sheath: bool = False
 
     def load(self, forces: StepForces) -> Array:
@@ -74,8 +72,7 @@ class LoadCell:
         steps = np.array(self.resolution)
         readings += steps * generator.standard_normal(readings.shape)
         rounded = np.divide(readings, steps, out=np.zeros_like(readings), where=steps > 0).round() * steps
-        readings = np.where(steps > 0, rounded, readings)
-        return readings - readings[0] if self.tared and len(readings) else readings
+        return np.where(steps > 0, rounded, readings)
 
 
 # Calibrations of the ATI Mini40 by the manufacturer's names; which one was under the real phantom is not published.
