@@ -6,7 +6,7 @@ import pytest
 from cathsim import NavigateEnv
 from cathsim.robot.follower import CLOSED, FollowerRobot, Leader, Phase
 from cathsim.robot.model import CLAMPS, DRIVING_CLAMP, HOLDING_CLAMP, JAWS, ROTARIES, WHEEL, RobotSettings
-from cathsim.robot.pace import PACES
+from cathsim.robot.pace import PACES, Pace
 from cathsim.viewing.camera_view import RenderingUnavailableError, View
 from tests.cathsim.makers import MakeEnv
 
