@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, TypeVar
 from urllib.parse import quote
 
 import yaml
@@ -18,6 +18,7 @@ from pipeline.store.provenance import hash_file, project_file
 Hex = Annotated[str, Field(pattern="^[0-9a-f]+$")]
 Name = Annotated[str, Field(pattern="^[a-z0-9_]+$")]
 _STRICT = ConfigDict(extra="forbid")
+_Declared = TypeVar("_Declared")
 
 
 @checked(frozen=True, config=_STRICT)
@@ -61,13 +62,13 @@ class Source:
         return sum(file.bytes for file in self.files)
 
 
-@dataclass(frozen=True)
+@checked(frozen=True)
 class Sources:
     """All sources by name, and where they are kept."""
 
     address: str  # of a file, with the fields {repository}, {commit} and {path}
-    entries: dict[str, Source]
-    folder: Path
+    entries: Annotated[dict[Name, Source], Field(alias="sources")]
+    folder: Path = field(default_factory=lambda: data_folder())
 
     def select(self, names: list[str]) -> list[str]:
         """The names, or without any all of them; a ConfigurationError lists them if one is unknown."""
@@ -117,21 +118,23 @@ def private_data(name: str) -> Path:
 
 
 def read_sources(path: Path | None = None) -> Sources:
-    """Reads the sources, by default the project's.
+    """Reads the sources, by default the project's; errors are those of `read_declared`."""
+    return read_declared(path or project_file("evaluation/sources.yaml"), Sources, "has no sources")
+
+
+def read_declared(path: Path, kind: type[_Declared], otherwise: str) -> _Declared:
+    """Reads a YAML file as a class of pydantic.
 
     Raises:
-        ConfigurationError: the file is missing, or an entry is not understood.
+        ConfigurationError: it is missing, no YAML, which `otherwise` words, or an entry is not understood.
     """
-    path = path or project_file("evaluation/sources.yaml")
     try:
-        content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-        entries = TypeAdapter(dict[Name, Source]).validate_python(content["sources"])
-        return Sources(str(content["address"]), entries, data_folder())
+        return TypeAdapter(kind).validate_python(yaml.safe_load(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise ConfigurationError(f"{path} cannot be read: {error.strerror}") from None
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise ConfigurationError(f"{path}: sources.{place}: {first['msg']}") from None
-    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-        raise ConfigurationError(f"{path} has no sources: expected `address` and `sources` ({error})") from None
+        raise ConfigurationError(f"{path}{f': {place}' if place else ''}: {first['msg']}") from None
+    except (yaml.YAMLError, ValueError) as error:
+        raise ConfigurationError(f"{path} {otherwise} ({error})") from None

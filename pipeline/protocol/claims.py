@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
-from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter
 from pydantic.dataclasses import dataclass as checked
 
+from pipeline.data.sources import read_declared
 from pipeline.seeds import ARCHES
-from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import project_file
 
 _STRICT = ConfigDict(extra="forbid")
@@ -176,7 +175,7 @@ def _block(first: int) -> int:
     return first
 
 
-@dataclass(frozen=True)
+@checked(frozen=True)
 class Protocol:
     """All claims, by name, and the version that they are of."""
 
@@ -185,24 +184,8 @@ class Protocol:
 
 
 def read_protocol(path: Path | None = None) -> Protocol:
-    """Reads the protocol, by default the project's.
-
-    Raises:
-        ConfigurationError: it is missing, or an entry is not understood.
-    """
-    path = path or project_file("evaluation/protocol.yaml")
-    try:
-        content: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-        claims = TypeAdapter(dict[str, Claim]).validate_python(content["claims"])
-        return Protocol(int(content["version"]), claims)
-    except OSError as error:
-        raise ConfigurationError(f"{path} cannot be read: {error.strerror}") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise ConfigurationError(f"{path}: claims.{place}: {first['msg']}") from None
-    except (yaml.YAMLError, KeyError, TypeError, ValueError) as error:
-        raise ConfigurationError(f"{path} is no protocol: expected `version` and `claims` ({error})") from None
+    """Reads the protocol, by default the project's; errors are those of `read_declared`."""
+    return read_declared(path or project_file("evaluation/protocol.yaml"), Protocol, "is no protocol")
 
 
 def declared(claim: Claim, *, words: bool = True) -> dict[str, Any]:

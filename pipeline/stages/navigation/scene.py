@@ -27,13 +27,13 @@ from cathsim.observations.c_arm_view import (
     marks_of,
 )
 from pipeline.anatomies.anatomy_file import AnatomyFile
-from pipeline.clutter import clutter_of
 from pipeline.episodes import EpisodeReader
 from pipeline.recording.replay import checked_values, recorded_phantom
 from pipeline.recording.trials import MODES, Controller, Origin, run_trials
 from pipeline.seeds import held_out_seeds
 from pipeline.stages.learning.task import REWARD_OF_EVALUATION
 from pipeline.stages.navigation.settings import NavigationSettings
+from pipeline.stages.unseen.task import clutter_of
 from pipeline.store.errors import StageError
 from pipeline.task import Task
 
@@ -70,7 +70,7 @@ def phantom_of(anatomy: Anatomy) -> Phantom:
 
 
 def among_clutter(arms: CArms, amount: float, generator: np.random.Generator) -> CArms:
-    """The C-arms with so much clutter (`pipeline.clutter.clutter_of`) in the way, or as they are without."""
+    """The C-arms with so much clutter (`clutter_of`) in the way, or as they are without."""
     draw = clutter_of(amount)
     if draw is None:
         return arms

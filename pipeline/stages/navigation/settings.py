@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 from annotated_types import Ge, Le
 
 from pipeline.anatomies.settings import ChosenAnatomies
-from pipeline.clutter import require_clutter_fits
 from pipeline.settings import kinds
 from pipeline.stages.learning.settings import EnnSettings
 from pipeline.stages.networks.settings import SPLINEFORMER_VARIANTS
+from pipeline.stages.unseen.task import require_clutter_fits
 from pipeline.store.errors import ConfigurationError
 from pipeline.task import Task, task_in_random_arches
 

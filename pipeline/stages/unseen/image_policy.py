@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 
 from enn.curves import Curves
 from enn.imitation.advised_rounds import FinishedRound, forget_rounds, last_policy, teach
-from pipeline.clutter import clutter_of
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import POLICY
 from pipeline.seeds import unseen_episode_seeds
 from pipeline.stages.unseen.settings import ONE_VIEW, UnseenSettings
-from pipeline.stages.unseen.task import RESOLUTION, ROADMAP, XRAY, training_arch
+from pipeline.stages.unseen.task import RESOLUTION, ROADMAP, XRAY, clutter_of, training_arch
 from pipeline.stages.unseen.trials import PolicyJob, policy_folder, run_tests, taken_over
 from pipeline.store.atomic_files import read_json, write_json, write_text
 from pipeline.task import TASK

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from annotated_types import Ge, Le
 
 from pipeline.anatomies.settings import GENERATED_TARGETS, TARGETS, ChosenAnatomies
-from pipeline.clutter import require_clutter_fits
 from pipeline.settings import kinds
 from pipeline.stages.learning.settings import StartingPolicySettings
-from pipeline.stages.unseen.task import TEST_PHANTOM, TRAINING_KINDS, VARIETY
+from pipeline.stages.unseen.task import TEST_PHANTOM, TRAINING_KINDS, VARIETY, require_clutter_fits
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_anatomy, hash_file
 from pipeline.task import DESCENDING, NO_WIRE, Task, task_in_random_arches

@@ -1,12 +1,15 @@
-"""Task of the stage `unseen`: several targets in many anatomies, which these are, and the environments for it."""
+"""Task of the stage `unseen`: targets in many anatomies, which these are, the environments, and clutter in images."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from pipeline.anatomies.anatomy_file import AnatomyFile, load_anatomy
 from pipeline.anatomies.devices import fitted_task, set_back_mm
@@ -18,6 +21,8 @@ if TYPE_CHECKING:
     from cathsim import Guidewire, NavigateEnv
     from cathsim.many_anatomies import NavigateManyEnv
     from cathsim.observations.scan import Scan
+    from cathsim.observations.xray import Clutter, DrawClutter
+    from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 
 
 ROADMAP, IMAGE, XRAY = "roadmap", "image_true_mask", "xray"  # rows: what a policy sees
@@ -166,3 +171,30 @@ def with_steep_take_off(
             "lower stage.least_set_back_mm or the number of arches"
         )
     return steep_seeds
+
+
+_LARGEST_PX = 1024  # side of images of `guide3d.random_fluoroscopy`, whose clutter stands in the way of X-rays here
+
+
+def require_clutter_fits(image_size_px: int, setting: str) -> None:
+    """Refuses images, as of a setting, that are larger than those of random fluoroscopy, whose clutter they get."""
+    if image_size_px > _LARGEST_PX:
+        raise ConfigurationError(
+            f"clutter is drawn in images of at most {_LARGEST_PX} px, got {setting}={image_size_px}: make them "
+            "smaller, or give stage.clutter=0"
+        )
+
+
+def clutter_of(amount: float) -> DrawClutter | None:
+    """Draws an episode's clutter: `amount` times as much as in the images that networks learn from; None for 0."""
+    if not amount:
+        return None
+    from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
+    from guide3d.random_fluoroscopy.settings import FluoroscopySettings
+
+    # the vessels full of contrast medium are the simulator's
+    return partial(_draw, RandomFluoroscopy(FluoroscopySettings(clutter=amount, contrast=0.0)))
+
+
+def _draw(fluoroscopy: RandomFluoroscopy, generator: np.random.Generator, size: int) -> Clutter:
+    return fluoroscopy.clutter(int(generator.integers(2**31)), size)

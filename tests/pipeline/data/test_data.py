@@ -142,7 +142,8 @@ def test_an_entry_that_is_not_understood_is_refused(tmp_path: Path) -> None:
         ("use: open", "use: tuned", "tree.use"),
         (COMMIT, "main", "commit"),
         ("some folder/vessel.stl", "../vessel", "path"),
-        ("sources:", "vessels:", "no sources"),
+        ("sources:", "vessels:", "sources: Field required"),
+        ("sources:", "sources: [", "no sources"),
     ):
         (tmp_path / "sources.yaml").write_text(text.replace(old, new))
         with pytest.raises(ConfigurationError, match=message):
