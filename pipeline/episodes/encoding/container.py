@@ -21,11 +21,13 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
+    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
     Header,
     McapRecord,
+    MessageIndex,
     Metadata,
     MetadataIndex,
     Schema,
@@ -42,8 +44,6 @@ MAX_CHUNK_BYTES = 256 * 1024
 _ZSTD_LEVEL = -1  # on real episodes 3 % larger than level 1, at less than half its time
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _MESSAGE_FIXED = _MESSAGE_HEAD.size - 9  # the record's length does not count opcode and length
-_CHUNK_HEAD = struct.Struct("<BQQQQII4sQ")
-_INDEX_HEAD = struct.Struct("<BQHI")
 _LIBRARY = f"endonav episodes, mcap {version('mcap')}"
 
 
@@ -74,7 +74,7 @@ class McapFile:
 
     def _start_chunk(self) -> None:
         self._parts: list[bytes] = []
-        self._offsets: dict[int, list[int]] = {}
+        self._offsets: dict[int, list[tuple[int, int]]] = {}
         self._first_ns, self._last_ns = 2**64 - 1, 0
         self.pending_bytes = 0
 
@@ -115,7 +115,7 @@ class McapFile:
             )
         )
         self._parts.append(payload)
-        self._offsets.setdefault(channel_id, []).extend((log_time_ns, self.pending_bytes))
+        self._offsets.setdefault(channel_id, []).append((log_time_ns, self.pending_bytes))
         if log_time_ns < self._first_ns:
             self._first_ns = log_time_ns
         if log_time_ns > self._last_ns:
@@ -132,23 +132,17 @@ class McapFile:
         data = b"".join(self._parts)
         compressed = self._compressor.compress(data)
         first, last = self._first_ns, self._last_ns
-        fixed = _CHUNK_HEAD.size - 9
-        head = _CHUNK_HEAD.pack(
-            Opcode.CHUNK, fixed + len(compressed), first, last, len(data), zlib.crc32(data), 4, b"zstd", len(compressed)
-        )
-        chunk_length = len(head) + len(compressed)
-        record, index_offsets = [head, compressed], {}
-        index_start = position = self._end + chunk_length
+        chunk = record_bytes(Chunk("zstd", compressed, last, first, zlib.crc32(data), len(data)))
+        records, index_offsets = [chunk], {}
+        index_start = position = self._end + len(chunk)
         for channel_id, entries in self._offsets.items():
             index_offsets[channel_id] = position
-            size = 8 * len(entries)
-            record.append(_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel_id, size))
-            record.append(struct.pack(f"<{len(entries)}Q", *entries))
-            position += _INDEX_HEAD.size + size
-        start = self._append(b"".join(record))
+            records.append(record_bytes(MessageIndex(channel_id, entries)))
+            position += len(records[-1])
+        start = self._append(b"".join(records))
         self._chunk_indexes.append(
             ChunkIndex(
-                chunk_length=chunk_length,
+                chunk_length=len(chunk),
                 chunk_start_offset=start,
                 compression="zstd",
                 compressed_size=len(compressed),
@@ -160,7 +154,7 @@ class McapFile:
             )
         )
         for channel_id, entries in self._offsets.items():
-            self._counts[channel_id] += len(entries) // 2
+            self._counts[channel_id] += len(entries)
         self._start_chunk()
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:

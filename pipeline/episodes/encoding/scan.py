@@ -187,34 +187,26 @@ def open_chunk(content: bytes, offset: int) -> bytes:
 
 def messages(chunk: bytes) -> Iterator[MessageSpan]:
     """List the messages of a chunk: channel, time, and where the payload lies in `chunk`."""
-    position, size, count = 0, len(chunk), 0
-    unpack, head = _MESSAGE_HEAD.unpack_from, _MESSAGE_HEAD.size
-    while position < size:
-        if position + 9 > size:
-            raise ContainerError("a chunk ends within a record")
-        opcode, length = _RECORD_HEAD.unpack_from(chunk, position)
-        end = position + 9 + length
-        if end > size:
-            raise ContainerError("a chunk ends within a record")
-        if opcode == Opcode.MESSAGE and length >= head - 9:
-            _, _, channel_id, _, log_time_ns, _ = unpack(chunk, position)
+    count, fixed = 0, _MESSAGE_HEAD.size - 9
+    for opcode, start, end in walk(chunk, whole="a chunk"):
+        if opcode == Opcode.MESSAGE and end - start >= fixed:
+            _, _, channel_id, _, log_time_ns, _ = _MESSAGE_HEAD.unpack_from(chunk, start - 9)
             count += 1
             if count > _MAX_MESSAGES:
                 raise ContainerError(f"a chunk holds more than {_MAX_MESSAGES} messages")
-            yield MessageSpan(channel_id, log_time_ns, position + head, end)
-        position = end
+            yield MessageSpan(channel_id, log_time_ns, start + fixed, end)
 
 
-def walk(data: Any, start: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Walk over the records of a buffer: opcode, and where the record's content begins and ends."""
+def walk(data: Any, start: int = 0, whole: str = "it") -> Iterator[tuple[int, int, int]]:
+    """Walk over the records of a buffer, named so in errors: opcode, and where the record's content begins and ends."""
     position, size = start, len(data)
     while position < size:
         if position + 9 > size:
-            raise ContainerError(f"it is cut off at byte {size}")
+            raise ContainerError(f"{whole} is cut off at byte {size}")
         opcode, length = _RECORD_HEAD.unpack_from(data, position)
         end = position + 9 + length
         if end > size:
-            raise ContainerError(f"the record at byte {position} reaches beyond the end of the file")
+            raise ContainerError(f"{whole} has a record at byte {position} that reaches beyond its end")
         yield opcode, position + 9, end
         position = end
 
