@@ -51,7 +51,8 @@ class PathJob:
     origin: Origin  # row, seed of the fit and variant; kept in the logs
     task: LearningTask
     demonstrations: tuple[Path, ...]  # logs of the sampling expert's episodes of the task
-    evaluation_episodes: int  # all deterministic: the network gives one action
+    evaluation_episodes: int
+    drawn_episodes: int = 0  # none: the network gives one action
 
 
 def follow(job: PathJob, report: Report) -> dict[str, Any]:
@@ -81,13 +82,7 @@ def follow(job: PathJob, report: Report) -> dict[str, Any]:
     follower = PathFollower.load(file, report.device)
     environment = job.task.environment("tip")
     outcome = evaluate(
-        environment,
-        lambda mode: lambda seed: follower.controller(path.points),
-        job.folder,
-        job.origin,
-        job.evaluation_episodes,
-        0,
-        report.part(_FIT_SHARE, 1.0),
+        environment, lambda mode: lambda seed: follower.controller(path.points), job, report.part(_FIT_SHARE, 1.0)
     )
     environment.close()
     return outcome

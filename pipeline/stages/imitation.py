@@ -82,16 +82,7 @@ def imitate(job: ImitationJob, report: Report) -> dict[str, Any]:
     else:
         student, outcome = _student(job, report)
     environment = job.task.environment(student.keys)
-    policies = functools.partial(controllers, student)
-    outcome |= evaluate(
-        environment,
-        policies,
-        job.folder,
-        job.origin,
-        job.evaluation_episodes,
-        job.drawn_episodes,
-        report.part(_FITTING, 1.0),
-    )
+    outcome |= evaluate(environment, functools.partial(controllers, student), job, report.part(_FITTING, 1.0))
     environment.close()
     return outcome
 

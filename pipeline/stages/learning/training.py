@@ -46,21 +46,18 @@ EVALUATION = "evaluation"
 def evaluate(
     environment: NavigateEnv,
     controllers: Callable[[str], Callable[[int], Controller]],
-    folder: Path,
-    origin: Origin,
-    best: int,
-    drawn: int,
+    job: Any,
     report: Callable[[float, str], None],
 ) -> dict[str, Any]:
-    """Records held-out episodes that lack, by the best action and by drawn ones, in ``evaluation/<mode>``.
+    """Records a job's held-out episodes that lack, by the best action and by drawn ones, in ``evaluation/<mode>``.
 
     Returns:
         Mode to the summary of its episodes, where there are any.
     """
     outcome = {}
-    total = best + drawn
-    begun = 0
-    for mode, count in zip(MODES, (best, drawn), strict=True):
+    counts = job.evaluation_episodes, job.drawn_episodes
+    begun, total = 0, sum(counts)
+    for mode, count in zip(MODES, counts, strict=True):
         if not count:
             continue
 
@@ -70,10 +67,10 @@ def evaluate(
         metrics = run_trials(
             environment,
             controllers(mode),
-            folder / EVALUATION / mode,
-            seeds=held_out_seeds(origin.training_seed, count),
+            job.folder / EVALUATION / mode,
+            seeds=held_out_seeds(job.origin.training_seed, count),
             mode=mode,
-            origin=origin,
+            origin=job.origin,
             report=tell,
         )
         outcome[mode] = summary(metrics)
@@ -165,15 +162,7 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
     evaluated = trained + (1.0 - trained) * job.tested / (job.tested + job.expert_episodes)
     environment = job.task.environment(result.policy.keys)
     policies = functools.partial(controllers, result.policy)
-    outcome |= evaluate(
-        environment,
-        policies,
-        job.folder,
-        job.origin,
-        job.evaluation_episodes,
-        job.drawn_episodes,
-        report.part(trained, evaluated),
-    )
+    outcome |= evaluate(environment, policies, job, report.part(trained, evaluated))
     if job.expert_episodes:
         run_trials(
             environment,

@@ -29,7 +29,7 @@ from cathsim.observations.c_arm_view import (
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.episodes import EpisodeReader
 from pipeline.recording.replay import checked_values, recorded_phantom
-from pipeline.recording.trials import MODES, Controller, Origin, run_trials
+from pipeline.recording.trials import MODES, Controller, Origin, run_trials, summary
 from pipeline.seeds import held_out_seeds
 from pipeline.stages.learning.task import REWARD_OF_EVALUATION
 from pipeline.stages.navigation.settings import NavigationSettings
@@ -299,10 +299,12 @@ def run_tests(
             report(done / total, f"{test.name} {target} {sum(one.success for one in metrics)}/{len(metrics)}")
         if not metrics:
             raise StageError(f"the cameras see the {target} in none of {test.name}; choose other stage.cameras.")
+        times = [named_pace(test.task.pace).interval * one.steps for one in metrics if one.success]
         row = {
             "test": test.name,
             "target": target,
-            **summary(metrics, named_pace(test.task.pace).interval),
+            **summary(metrics),
+            "time_s": float(np.mean(times)) if times else None,
             **failures,
             "out_of_view": out_of_view,
         }
@@ -328,18 +330,3 @@ def count_failures(logs: Iterable[Path], phantom: Phantom) -> dict[str, int]:
         steps_allowed = int(info.configuration["max_steps"])
         counts[failure_mode(phantom, info.target, tips, steps_allowed=steps_allowed, entry=info.entry)] += 1
     return counts
-
-
-def summary(metrics: Sequence[EpisodeMetrics], step_s: float) -> dict[str, Any]:
-    """Success in %, median depth in mm, mean time of the successful trials in s (None without), forces in N, number."""
-    from cathsim.metrics import median_depth_mm
-
-    times = [step_s * one.steps for one in metrics if one.success]
-    return {
-        "success_pct": 100.0 * float(np.mean([one.success for one in metrics])),
-        "depth_mm": median_depth_mm(metrics),
-        "time_s": float(np.mean(times)) if times else None,
-        "force_n": float(np.mean([one.force_mean for one in metrics])),
-        "force_max_n": float(np.max([one.force_max for one in metrics])),
-        "n": len(metrics),
-    }
