@@ -13,9 +13,8 @@ from typing import Any
 from enn import curves
 from enn.reinforcement.resources import available_bytes
 from pipeline.config import RunConfig, anatomy_not_taken
-from pipeline.jobs.engines.cluster import end_earlier_jobs
 from pipeline.jobs.engines.local import variables_set
-from pipeline.jobs.engines.settings import LOCAL
+from pipeline.jobs.engines.settings import JOBS, LOCAL
 from pipeline.jobs.machine import CPU, check_device
 from pipeline.jobs.pool import chosen_engine
 from pipeline.recording import training_films
@@ -50,7 +49,10 @@ def execute(config: RunConfig, *, overrides: Sequence[str] = (), in_sweep: bool 
     variant = request.variant(seeded=stage.seeded)
     folder = RunFolder(run_path / "@".join([stage.name, *([variant_of(variant)] if variant else [])]), identity)
     with folder.locked():
-        end_earlier_jobs(folder.path)
+        if (folder.path / JOBS).is_dir():
+            from pipeline.jobs.engines.cluster import end_earlier_jobs
+
+            end_earlier_jobs(folder.path)
         if not config.force and folder.is_up_to_date():
             _LOGGER.info("%s: up to date in %s%s", stage.name, folder.path, _other_commits(folder.path))
             return

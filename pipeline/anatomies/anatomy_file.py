@@ -37,35 +37,22 @@ class AnatomyFile:
     labels: tuple[tuple[int | str, str | None], ...] | None = None
     ct: str | None = None  # path of the CT that it was segmented from
     transform: str | None = None  # of NIfTI files, the CT's too: "sform" or "qform"
-    extend: bool = True  # whether branches that the file cuts short are extended
+    extend: bool | None = None  # whether branches that the file cuts short are extended; None: they are
 
     @classmethod
     def of(
-        cls,
-        path: str,
-        unit: str | None = None,
-        names: Any = None,
-        labels: Mapping[str, str | None] | None = None,
-        ct: str | None = None,
-        transform: str | None = None,
-        extend: bool | None = None,
-    ) -> AnatomyFile:
-        """From a mapping or list of names, and a mapping of labels whose keys are text."""
+        cls, path: str, unit: str | None = None, names: Any = None, labels: Mapping[str, str | None] | None = None,
+        **further: Any,
+    ) -> AnatomyFile:  # fmt: skip
+        """From a mapping or list of names, a mapping of labels whose keys are text, and further fields."""
         pairs = tuple(names.items()) if isinstance(names, Mapping) else names
         numbered = not Path(path).is_dir()  # a folder's labels are names of its files
 
         def key(label: str) -> int | str:
             return int(label) if numbered and label.isdecimal() else label
 
-        return cls(
-            path,
-            unit,
-            tuple(pairs) if pairs else None,
-            tuple((key(label), vessel) for label, vessel in labels.items()) if labels else None,
-            ct,
-            transform,
-            extend is not False,
-        )
+        numbers = tuple((key(label), vessel) for label, vessel in labels.items()) if labels else None
+        return cls(path, unit, tuple(pairs) if pairs else None, numbers, **further)
 
     @property
     def name(self) -> str:
@@ -83,11 +70,7 @@ class AnatomyFile:
         return _imported(replace(self, ct=None), resolution)
 
     def background(self, resolution: float = RESOLUTION) -> XRayScene | None:
-        """Its CT, which X-ray images show around its vessels as `load` places them, or None.
-
-        Raises:
-            ValueError: it is not the anatomy's.
-        """
+        """Its CT, which X-ray images show around its vessels as `load` places them, or None."""
         return None if self.ct is None else _background(self, resolution)
 
 
@@ -104,14 +87,9 @@ def _imported(file: AnatomyFile, resolution: float) -> Phantom:
     if names and isinstance(names[0], tuple):
         names = dict(names)
     phantom = import_anatomy(
-        file.path,
-        unit=file.unit,
-        labels=dict(file.labels) if file.labels else None,
-        names=names,
-        transform=file.transform,
-        extend=file.extend,
-        resolution=resolution,
-    )
+        file.path, unit=file.unit, labels=dict(file.labels) if file.labels else None, names=names,
+        transform=file.transform, extend=file.extend is not False, resolution=resolution,
+    )  # fmt: skip
     return replace(phantom, name=file.name)
 
 

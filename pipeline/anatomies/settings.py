@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 from annotated_types import Len
 
 from pipeline.anatomies.anatomy_file import KINDS, AnatomyFile, in_settings, world_point
-from pipeline.anatomies.devices import fitted_task
 from pipeline.settings import kinds
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_anatomy
@@ -137,7 +136,8 @@ class FileSettings:
         """The file; None: there is none."""
         if self.file is None:
             return None
-        return AnatomyFile.of(self.file, self.unit, self.names, self.labels, self.ct, self.transform, self.extend)
+        further = {"ct": self.ct, "transform": self.transform, "extend": self.extend}
+        return AnatomyFile.of(self.file, self.unit, self.names, self.labels, **further)
 
 
 @kinds.validated()
@@ -203,6 +203,8 @@ class ChosenAnatomies(FileSettings):
 
     def fit(self, phantom: Phantom) -> None:
         """Makes the wire as long as the file's vessels ask for, where its length is left open."""
+        from pipeline.anatomies.devices import fitted_task
+
         usual = [target.name for target in phantom.targets.values() if not target.at_end]
         self.task = fitted_task(self.task, phantom, [*usual, *self.targets])
 

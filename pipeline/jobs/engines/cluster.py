@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.jobs.engines.local import ONE_THREAD
-from pipeline.jobs.engines.settings import ClusterSettings
+from pipeline.jobs.engines.settings import JOBS, ClusterSettings
 from pipeline.jobs.engines.task import DRIVER, MESSAGES, Task, read_driver
 from pipeline.jobs.machine import AUTO, CPU
 from pipeline.jobs.worker import AGAIN, ENDED, LOST, STARTED, Job, Message
@@ -39,7 +39,6 @@ from pipeline.store.errors import StageError
 from pipeline.store.finished_items import safe_name
 from pipeline.store.run_folder import RunFolder
 
-JOBS = ".jobs"
 _SECONDS_BETWEEN_BEATS = 2.0
 _SECONDS_BETWEEN_LOOKS = 0.5
 _LONGEST_LEASE_S = 60.0  # where the earlier driver's file cannot be read
@@ -128,8 +127,6 @@ def end_earlier_jobs(stage: Path) -> None:
     job works on without a sign of its driver.
     """
     jobs = stage / JOBS
-    if not jobs.is_dir():
-        return
     lease_s = float(read_driver(str(jobs)).get("lease_s", _LONGEST_LEASE_S))
     Driver(stage, lease_s)  # before looking: a job that starts later sees that its token is another
     alive = {path.parent: MessageReader(path.parent) for path in jobs.glob(f"*/{MESSAGES}")}

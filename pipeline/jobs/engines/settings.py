@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Le
 from pipeline.settings.kinds import PathText, Processes, one_of, validated
 
 LOCAL, RAY, SLURM = "local", "ray", "slurm"
+JOBS = ".jobs"  # folder of a stage where a cluster's jobs are
 
 Retries = Annotated[int, Ge(0), Le(100)]
 Gigabytes = Annotated[float, Gt(0), Le(10_000)]

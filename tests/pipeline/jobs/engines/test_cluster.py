@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 from pipeline.jobs import pool
-from pipeline.jobs.engines.cluster import JOBS, ClusterEngine, Executor, Needs, end_earlier_jobs
+from pipeline.jobs.engines.cluster import ClusterEngine, Executor, Needs, end_earlier_jobs
 from pipeline.jobs.engines.local import ctrl_c_held_back
-from pipeline.jobs.engines.settings import SETTINGS, RaySettings, SlurmSettings
+from pipeline.jobs.engines.settings import JOBS, SETTINGS, RaySettings, SlurmSettings
 from pipeline.jobs.engines.slurm import SlurmExecutor
 from pipeline.jobs.engines.task import Task, run_task
 from pipeline.jobs.pool import Job, chosen_engine, run_jobs
