@@ -148,7 +148,8 @@ def pool(cells: list[tuple[Cell, int | None]]) -> tuple[Cell, int | None]:
     """Joins the same cell from several jobs of a sweep, e.g. one a seed.
 
     Numbers become mean and standard deviation over the jobs, unless they are one setting that all share. Pairs with
-    known sample counts are pooled as if their samples lay in one list; without counts every job weighs the same.
+    known sample counts are pooled as if their samples lay in one list; without counts every job weighs the same. The
+    count is that of all samples, of the jobs where samples are not known.
     """
     known = [(cell, n) for cell, n in cells if cell is not None]
     if len(known) <= 1:
@@ -164,7 +165,7 @@ def pool(cells: list[tuple[Cell, int | None]]) -> tuple[Cell, int | None]:
     means = [float(cell[0] if isinstance(cell, list) else cell) for cell, _ in known if not isinstance(cell, str)]
     mean = math.fsum(means) / len(means)
     spread = math.sqrt(math.fsum((x - mean) ** 2 for x in means) / len(means))
-    return [mean, spread], len(means)
+    return [mean, spread], sum(n for _, n in known if n) if all(n for _, n in known) else len(means)
 
 
 def _pool_samples(cells: list[tuple[list[float], int]]) -> tuple[Cell, int]:

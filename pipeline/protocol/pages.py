@@ -44,7 +44,10 @@ _WORDS = {
 _OF_KIND = {
     "real_xray": {"mean_mm_mean": "mean distance between both curves, mm"},
     "forces": {"success_pct": "90 % interval holds the resultant, %"},
-    "rehearsal": {"success_pct": "arches with nine tenths of the copies reached, %"},
+    "rehearsal": {
+        "success_pct": "arches with nine tenths of the copies reached, %",
+        "force_p95_n_mean": "force, 95th percentile of all steps in all copies, N",
+    },
 }
 # the figure of a claim that a table of several shows: the first that it has, with its unit
 _HEADLINES = {
@@ -110,6 +113,8 @@ def _figures(read: Sequence[dict[str, Any]]) -> str:
     (result,) = read
     summary, claim = result["summary"], result["declared"]
     words = _WORDS | _OF_KIND.get(claim["kind"], {})
+    only = claim.get("targets") or [claim.get("target")]
+    again = f"success_{only[0]}_pct" if len(only) == 1 else None  # of a single target: that of the first line
     rows = [
         (
             words.get(key, f"success, {key[8:-4]}, %"),
@@ -117,7 +122,7 @@ def _figures(read: Sequence[dict[str, Any]]) -> str:
             f"{_short(value['low'])} to {_short(value['high'])}",
         )
         for key, value in summary.items()
-        if isinstance(value, dict)
+        if isinstance(value, dict) and key != again
     ]
     if "force_max_n" in summary:
         rows.append(("largest force, N", _short(summary["force_max_n"]), ""))
@@ -156,7 +161,7 @@ def _targets(read: Sequence[dict[str, Any]]) -> str:
             if (key := f"success_{name}_pct") in summary
         )
         keys = ("depth_mm_mean", "force_p95_n_mean")
-        depth, force = (_short(summary[key]["mean"]) if key in summary else "-" for key in keys)
+        depth, force = (_of_those(result, key) if key in summary else "-" for key in keys)
         largest = _short(summary["force_max_n"]) if "force_max_n" in summary else "-"
         rows.append(
             (
@@ -210,6 +215,12 @@ def _rows(read: Sequence[dict[str, Any]]) -> str:
         value = f"{_short(figure['mean'])} {_HEADLINES[key]} {interval}, {_count(result, key)} cases"
         rows.append((result["declared"]["title"], value, result["declared"]["limits"]))
     return _table(("what", "95 % interval", "limit"), rows)
+
+
+def _of_those(result: dict[str, Any], key: str) -> str:
+    """A mean, with the number of cases that have what it is of where some have not: a refused file has no depth."""
+    number, mean = _count(result, key), _short(result["summary"][key]["mean"])
+    return mean if number == result["summary"]["cases"] else f"{mean} (of {number})"
 
 
 def _count(result: dict[str, Any], key: str) -> int:

@@ -164,7 +164,7 @@ def join_sweep(parts: Iterable[dict[str, Table]], variants: Sequence[str] = ()) 
                 name = f"{row} ({variant.replace('/', '·')})" if differ and variant else row
                 target = joined.setdefault(table, {}).setdefault(name, {})
                 target[column], samples_of = pool(cells)
-                of_samples = all(isinstance(cell, list) and count for cell, count in cells)
+                of_samples = all(count for _, count in cells)
                 if samples_of is not None and (of_samples or name not in exact):
                     target[SAMPLES] = samples_of
                     exact |= {name} if of_samples else set()

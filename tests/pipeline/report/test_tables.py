@@ -57,7 +57,7 @@ def test_sweep_jobs_are_joined_cell_by_cell_but_not_those_with_other_settings() 
     parts = [{"t": {"r": {"x": share, "n": 3}}} for share in (100.0, 20.0)]
     joined = join_sweep([{}, *parts], ["", "target=bca", "phantom.file=a/b.stl"])
     assert joined == {"t": {"r (target=bca)": {"x": 100.0, "n": 3}, "r (phantom.file=a·b.stl)": {"x": 20.0, "n": 3}}}
-    assert join_sweep(parts, ["", ""])["t"]["r"]["x"] == [60.0, 40.0]  # two seeds
+    assert join_sweep(parts, ["", ""])["t"]["r"] == {"x": [60.0, 40.0], "n": 6}  # two seeds of three trials
     shared = [{"task": {"limit": {"value": 300}}}] * 2
     assert join_sweep(shared, ["target=bca", "target=lcca"]) == shared[0]
     parts = [{"t": {"r": {"max_ed": [1.0, 0.5], "epochs": 30, "n": 40}}}] * 2
