@@ -20,6 +20,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solveh_banded
+from scipy.special import erfcx
 
 from guide3d.geometry.bspline import BSplineCurve
 from guide3d.geometry.camera import Camera
@@ -78,23 +79,57 @@ class FittedCurve:
     def sample(self, spacing_mm: float) -> tuple[Array, Array]:
         """Returns points (n, 3) mm at equal arc length from the tip and their covariances (n, 3, 3) mm^2.
 
-        Along the wire a point at a given arc length varies as the tip does, not as the parameter, which slides.
+        A point of a curve that is longer up to there lies farther back on it: what the length varies by is taken off
+        along the tangent, so that the parameter, which slides, has no part in it.
         """
         fine = np.linspace(0.0, self.end, max(2, int(4 * self.end / spacing_mm)))
-        along = arc_length(self.spline.at(fine))
-        u = np.interp(spacing_mm * np.arange(int(along[-1] / spacing_mm + 1e-9) + 1), along, fine)
-        points, covariance = self.spline.at(u), self.covariance(u)
+        line = self.spline.at(fine)
+        along = arc_length(line)
+        lengths = spacing_mm * np.arange(int(along[-1] / spacing_mm + 1e-9) + 1)
+        u = np.interp(lengths, along, fine)
         tangent = self.spline.at(u + 1e-3) - self.spline.at(u - 1e-3)
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-        along = tangent[:, :, None] * tangent[:, None]
-        across = np.eye(3) - along
-        tip = tangent[0] @ covariance[0] @ tangent[0]
-        return points, across @ covariance @ across + tip * along
+
+        cell, value = self._basis(fine)
+        basis = np.zeros((len(fine), len(self.spline.coefficients)))
+        np.put_along_axis(basis, cell[:, None] + np.arange(4), value, axis=1)
+        chords = np.diff(line, axis=0) / np.maximum(np.diff(along), 1e-12)[:, None]
+        by_point = np.zeros((*basis.shape, 3))  # derivative of the arc length by each control point
+        np.cumsum(np.diff(basis, axis=0)[:, :, None] * chords[:, None], axis=0, out=by_point[1:])
+        place = np.interp(lengths, along, np.arange(len(along)))
+        first = np.minimum(place.astype(int), len(along) - 2)
+        share = (place - first)[:, None, None]
+        by_point = ((1 - share) * by_point[first] + share * by_point[first + 1]).reshape(len(u), -1)
+
+        with_points = by_point @ self._whole_covariance()
+        of_length = np.einsum("ni,ni->n", with_points, by_point)
+        cell, value = self._basis(u)
+        four = cell[:, None, None] + np.arange(4)[:, None]
+        moved = np.take_along_axis(with_points.reshape(len(u), -1, 3), four, axis=1)
+        mixed = np.einsum("na,nad->nd", value, moved)[:, None] * tangent[:, :, None]
+        squared = of_length[:, None, None] * tangent[:, :, None] * tangent[:, None]
+        return self.spline.at(u), self.covariance(u) - mixed - mixed.transpose(0, 2, 1) + squared
+
+    def _whole_covariance(self) -> Array:
+        """The covariance (3 n, 3 n) of control points: given three in a row, later ones depend on no earlier one."""
+        size = self.spline.coefficients.size
+        whole = np.zeros((size, size))
+        for j in range(12):
+            i = np.arange(size - j)
+            whole[i + j, i] = whole[i, i + j] = self.band[: size - j, j]
+        for k in range(12, size, 3):
+            before = slice(k - 9, k)
+            by_three = np.linalg.solve(whole[before, before], whole[before, k : k + 3]).T
+            whole[k : k + 3, : k - 9] = by_three @ whole[before, : k - 9]
+            whole[: k - 9, k : k + 3] = whole[k : k + 3, : k - 9].T
+        return whole
+
+    def _basis(self, u: Array) -> tuple[NDArray[np.int64], Array]:
+        return _basis(u, self.spline.knots[4] - self.spline.knots[3], len(self.spline.coefficients))
 
     def covariance(self, u: ArrayLike) -> Array:
         """Returns the covariance (n, 3, 3) mm^2 of the curve's points at parameters u."""
-        pitch = self.spline.knots[4] - self.spline.knots[3]
-        cell, value = _basis(np.asarray(u, dtype=float), pitch, len(self.spline.coefficients))
+        cell, value = self._basis(np.asarray(u, dtype=float))
         low = np.minimum(np.arange(12)[:, None], np.arange(12))
         high = np.maximum(np.arange(12)[:, None], np.arange(12))
         cells = np.arange(len(self.spline.coefficients) - 3)
@@ -149,7 +184,17 @@ def fit_curve(
     knots = chosen.pitch_mm * np.arange(-3.0, len(control) + 1)
     end = min(*(float(place[-1]) for place in places), float(knots[-4]))
     curve = BSplineCurve(knots, control)
-    return FittedCurve(curve, end, band, (places[0], places[1]), prior.noise)
+    noise = float(prior.noise)
+    if chosen.estimate_noise and noise > chosen.least_noise_px:
+        left = _left_by_weights(chosen.outlier)
+        noise, band = noise / np.sqrt(left), band / left
+    return FittedCurve(curve, end, band, (places[0], places[1]), noise)
+
+
+def _left_by_weights(outlier: float) -> float:
+    """What the weights of outliers leave of the variance of normal noise: E[w z^2] / E[w], w = 1 / (1 + (z / k)^2)."""
+    mean = outlier * np.sqrt(np.pi / 2) * float(erfcx(outlier / np.sqrt(2)))
+    return outlier**2 * (1 - mean) / mean
 
 
 def smoothed(points_mm: Array, weights: Array, stiffness: float) -> Array:
