@@ -19,7 +19,7 @@ from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema
 
 from pipeline.episodes.camera import Camera
 from pipeline.episodes.encoding import scan
-from pipeline.episodes.encoding.container import McapFile, replacing
+from pipeline.episodes.encoding.container import McapFile, is_being_written, replacing
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA, STEP_TOPIC
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.records import (
@@ -169,17 +169,15 @@ def recover(
         overwrite: replace an existing destination instead of refusing.
 
     Raises:
-        EpisodeReadError: the source is no episode log, is too new, or holds no intact step.
-        EpisodeWriteError: the destination exists, also where the source's writer has finished it meanwhile, or cannot
-            be written.
+        EpisodeReadError: the source is no episode log, is too new, is being written, or holds no intact step.
+        EpisodeWriteError: the destination exists, or cannot be written.
     """
     source, destination = Path(source), Path(destination)
 
-    def require_free() -> None:
-        if destination.exists() and (not overwrite or not source.exists() or destination.samefile(source)):
-            raise EpisodeWriteError(f"{destination} exists already: name another file to recover {source} into")
-
-    require_free()
+    if destination.exists() and (not overwrite or not source.exists() or destination.samefile(source)):
+        raise EpisodeWriteError(f"{destination} exists already: name another file to recover {source} into")
+    if is_being_written(source):
+        raise EpisodeReadError(f"{source} cannot be recovered: a writer is at work on it; wait until it ends")
     with mapped(source) as (fd, data), closing(scan.likely_records(data)) as likely:
         try:
             findings = _examine(data, likely)
@@ -201,9 +199,6 @@ def recover(
                     raise EpisodeReadError(f"{source} cannot be recovered: it holds no intact step")
                 outcome = _outcome(findings.outcome, steps)
                 out.add_metadata(OUTCOME_METADATA, seal_outcome(outcome))
-                require_free()
-        except EpisodeWriteError:
-            raise
         except OSError as error:
             raise EpisodeWriteError(
                 f"cannot write {destination}: {error.strerror}; {source} is unharmed: free space, or name another "

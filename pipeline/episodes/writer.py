@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pipeline.episodes.camera import Camera, camera_frame, require_name
 from pipeline.episodes.encoding import schema
-from pipeline.episodes.encoding.container import MAX_CHUNK_BYTES, McapFile
+from pipeline.episodes.encoding.container import MAX_CHUNK_BYTES, McapFile, is_being_written
 from pipeline.episodes.encoding.png import encode_image, encode_mask
 from pipeline.episodes.encoding.scene import PhantomMesh, encode_wire_line, encode_wire_points
 from pipeline.episodes.encoding.step_codec import delimited, encode_devices, encode_step, timestamp
@@ -109,8 +109,10 @@ class EpisodeWriter:
         self._pending: deque[tuple[StepRecord, list[_Picture]]] = deque()
         self._streams: tuple[tuple[str, ...], ...] = ()
         self._shapes: tuple[tuple[int, ...], ...] = ()
-        if self.path.exists() and not overwrite:
-            raise EpisodeWriteError(f"{self.path} exists already: choose another name, or pass overwrite=True")
+        self._overwrite = overwrite
+        self._require_free()
+        if overwrite and is_being_written(self.partial):
+            raise EpisodeWriteError(f"another writer is at work on {self.partial}: choose another name")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -140,6 +142,10 @@ class EpisodeWriter:
             self._file.close()
             self.partial.unlink(missing_ok=True)  # it holds no step, and would only be in the way of the next try
             raise self._write_error(error) from error
+
+    def _require_free(self) -> None:
+        if self.path.exists() and not self._overwrite:
+            raise EpisodeWriteError(f"{self.path} exists already: choose another name, or pass overwrite=True")
 
     def _begin(self, phantom_mesh: PhantomMesh | None) -> None:
         """Write what stands once at the beginning."""
@@ -309,6 +315,9 @@ class EpisodeWriter:
                 f"the outcome must count {taken} steps, as {self.steps_recorded} records from the reset on were "
                 f"written, got {outcome.steps}"
             )
+        self._require_free()  # of a log that came meanwhile
+        if not self._file.closed and not self._file.in_place:
+            raise EpisodeWriteError(f"{self.partial} was removed or replaced while it was written: its steps are lost")
         try:
             self._flush()
             if not self._outcome_written:

@@ -8,6 +8,8 @@ of the process costs only what was not flushed, while a power failure may cost m
 from __future__ import annotations
 
 import contextlib
+import errno
+import fcntl
 import os
 import struct
 import zlib
@@ -61,6 +63,8 @@ class McapFile:
         """Create the file, which must not exist."""
         self.path = path
         self._fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)  # see `is_being_written`
         self._end = 0
         self._crc = 0
         self._compressor = zstandard.ZstdCompressor(level=_ZSTD_LEVEL)
@@ -205,6 +209,14 @@ class McapFile:
         self.close()
 
     @property
+    def in_place(self) -> bool:
+        """Whether the open file still has its name: nobody removed, moved or replaced it."""
+        try:
+            return os.path.samestat(os.fstat(self._fd), os.stat(self.path))
+        except OSError:
+            return False
+
+    @property
     def closed(self) -> bool:
         """Whether the file was closed."""
         return self._fd < 0
@@ -216,11 +228,30 @@ class McapFile:
             self._fd = -1
 
 
+def is_being_written(path: Path) -> bool:
+    """Whether an `McapFile` of this or another process has the file open."""
+    try:
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # a file system without locks
+        return False
+    finally:
+        os.close(fd)
+    return False
+
+
 @contextlib.contextmanager
 def replacing(destination: Path, suffix: str) -> Iterator[McapFile]:
     """Lend a file beside the destination that takes its place in one instant when the body has written it."""
     temporary = destination.with_name(destination.name + suffix)
     destination.parent.mkdir(parents=True, exist_ok=True)
+    if is_being_written(temporary):
+        raise BlockingIOError(errno.EBUSY, "another process writes it")
     temporary.unlink(missing_ok=True)
     out = McapFile(temporary)
     try:

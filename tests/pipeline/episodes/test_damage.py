@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.episodes import EpisodeOutcome, EpisodeReader, EpisodeReadError, EpisodeWriteError, EpisodeWriter
+from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriteError, EpisodeWriter
 from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.container import McapFile
-from pipeline.episodes.records import seal_episode, seal_outcome
+from pipeline.episodes.records import seal_episode
 from pipeline.episodes.recovery import recover
 from tests.pipeline.episodes.forged_logs import sealed
 
@@ -285,23 +285,40 @@ def test_unwritable_folder_is_said(episode, tmp_path):
         EpisodeWriter(tmp_path / "file" / "episode.mcap", episode.info)
 
 
-@pytest.mark.parametrize("overwrite", [False, True])
-def test_a_log_that_is_finished_during_its_recovery_stays(episode, tmp_path, monkeypatch, overwrite):
+def test_a_log_that_is_being_written_is_left_to_its_writer(episode, tmp_path):
     path = tmp_path / "episode.mcap"
     log = episode.writer(path)
     episode.record_steps(log, 0, 14)
-
-    def finished_meanwhile(outcome: EpisodeOutcome) -> dict[str, str]:
-        episode.record_steps(log, 14)
-        log.finish(episode.outcome)
-        return seal_outcome(outcome)
-
-    monkeypatch.setattr("pipeline.episodes.recovery.seal_outcome", finished_meanwhile)
-    with pytest.raises(EpisodeWriteError, match="exists already"):
-        recover(log.partial, path, overwrite=overwrite)
+    with pytest.raises(EpisodeReadError, match="a writer is at work on it; wait until it ends"):
+        recover(log.partial, tmp_path / "saved.mcap")
+    with pytest.raises(EpisodeWriteError, match="another writer is at work on"):
+        episode.writer(path, overwrite=True)
+    episode.record_steps(log, 14)
+    log.finish(episode.outcome)
     assert list(tmp_path.iterdir()) == [path]
     with EpisodeReader(path) as reader:
         assert (len(reader), reader.outcome) == (23, episode.outcome)
+
+
+def test_what_came_in_the_place_of_a_log_meanwhile_stays(episode, tmp_path):
+    path = tmp_path / "episode.mcap"
+    log = episode.writer(path)
+    episode.record_steps(log)
+    whole = episode.write(tmp_path / "other.mcap").rename(path).read_bytes()
+    with pytest.raises(EpisodeWriteError, match="exists already"):
+        log.finish(episode.outcome)
+    assert path.read_bytes() == whole
+    path.unlink()
+    partial = log.partial.rename(tmp_path / "moved")
+    log.partial.write_bytes(b"another's")
+    with pytest.raises(EpisodeWriteError, match="was removed or replaced while it was written"):
+        log.finish(episode.outcome)
+    log.abandon()
+    assert not path.exists()
+    assert log.partial.read_bytes() == b"another's"
+    recover(partial, path)
+    with EpisodeReader(path) as reader:
+        assert len(reader) == 23
 
 
 def test_failed_recovery_leaves_nothing(episode, tmp_path, monkeypatch):
