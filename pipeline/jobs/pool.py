@@ -58,7 +58,7 @@ def make_engine(
     settings, available = _CHOSEN.get()
     if not isinstance(settings, RaySettings | SlurmSettings):
         workers = workers or available_workers()
-        return LocalEngine(folder, Machine.here(workers, available, device), workers, preload)
+        return LocalEngine(Machine.here(workers, available, device), workers, preload)
     from pipeline.jobs.engines.cluster import JOBS, ClusterEngine
 
     place = folder.path.absolute() / JOBS
@@ -112,7 +112,7 @@ def run_jobs(
     for number, job in enumerate(jobs):
         if missing := set(job.after).difference(earlier.key for earlier in jobs[:number]):
             raise ValueError(f"job {job.key} waits for {', '.join(sorted(missing))}: list those before it")
-    todo = _to_do(folder, jobs)
+    todo = folder.pending(jobs, key=lambda job: job.key)
     if todo:
         modules = dict.fromkeys(job.run.__module__ for job in todo)
         engine = make_engine(folder, workers=workers, preload=[*modules, *preload], device=device)
@@ -132,16 +132,6 @@ def run_jobs(
                 "tries these again"
             )
     return {job.key: folder.result_of(job.key) for job in jobs}
-
-
-def _to_do(folder: RunFolder, jobs: Sequence[Job]) -> list[Job]:
-    """The jobs that are not done; what was made from one of those is made again, too."""
-    todo = {job.key for job in folder.pending(jobs, key=lambda job: job.key)}
-    for job in jobs:
-        if job.key not in todo and todo.intersection(job.after):
-            folder.forget(job.key)
-            todo.add(job.key)
-    return [job for job in jobs if job.key in todo]
 
 
 class _Pool:

@@ -15,7 +15,6 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
@@ -24,7 +23,6 @@ from pipeline.jobs.machine import CPU, CUDA, CUDA_CONTEXT_BYTES, VISIBLE
 from pipeline.settings.kinds import sentence
 from pipeline.store.costs import Cost, CostMeter
 from pipeline.store.errors import PipelineError, system_sentence
-from pipeline.store.written_files import noted
 
 _MMAP_THRESHOLD = -3  # M_MMAP_THRESHOLD of malloc.h
 _OF_A_SIMULATION = 12 * 2**20  # bytes; MuJoCo's arenas are larger
@@ -138,14 +136,12 @@ def work(
     run: Callable[[Any, Report], Any],
     given: Any,
     connection: Connection,
-    notes: tuple[Path, Path],
     gpus: tuple[str, ...] = (),
 ) -> None:
     """Runs a job in this process, which is its own.
 
     Args:
         connection: to the stage; its end means that the stage is no more.
-        notes: the stage's folder, and the file where the job's files below it are noted.
         gpus: that it computes on, as `CUDA_VISIBLE_DEVICES` calls them; none: it sees no GPU.
     """
     os.environ[VISIBLE] = ",".join(gpus)  # before torch looks for GPUs, which it does only when it needs one
@@ -169,8 +165,7 @@ def work(
     if "cv2" in sys.modules:
         sys.modules["cv2"].setNumThreads(1)
     try:
-        with noted(*notes):
-            result = run(given, report)
+        result = run(given, report)
     except KeyboardInterrupt:
         pass  # whoever stopped it does not wait for an answer
     except (PipelineError, ValidationError) as error:

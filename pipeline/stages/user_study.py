@@ -12,8 +12,8 @@ from pipeline.printing import written
 from pipeline.settings.kinds import Count, SuccessRadius, shown, validated
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import write_json
+from pipeline.store.manifest import is_inside
 from pipeline.store.provenance import hash_file
-from pipeline.store.written_files import is_inside
 from pipeline.tables import Figure, Results
 from pipeline.task import Task
 

@@ -15,10 +15,10 @@ from pipeline.settings.kinds import sentence, shown
 from pipeline.store.atomic_files import read_json
 from pipeline.store.file_cache import FileCache
 from pipeline.store.provenance import hash_value, software_versions
-from pipeline.store.written_files import is_inside
 
 MANIFEST = "manifest.json"
 MANIFEST_VERSION = 3
+_LONGEST_PART = 255  # bytes of a file's name that a file system takes
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -42,6 +42,12 @@ def _entry(entry: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(entry.get("sha256"), str) or not isinstance(entry.get("bytes"), int):
         raise ValueError(f"needs sha256 and bytes of every file, got {shown(entry)}")
     return entry
+
+
+def is_inside(name: str) -> bool:
+    """Whether a name, with slashes, is a path below a folder that any file can have."""
+    parts = name.split("/")
+    return not any(part in ("", ".", "..") or len(os.fsencode(part)) > _LONGEST_PART or "\0" in part for part in parts)
 
 
 def _relative(name: str) -> str:

@@ -33,7 +33,7 @@ from tqdm import tqdm
 from pipeline.store.atomic_files import remove_unfinished, write_json, write_text
 from pipeline.store.costs import kept_costs
 from pipeline.store.errors import StageError
-from pipeline.store.file_cache import CACHE
+from pipeline.store.file_cache import CACHE, digests_of
 from pipeline.store.finished_items import FinishedItems
 from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.manifest import MANIFEST, Identity, Manifest, files_below, read_manifest
@@ -78,7 +78,7 @@ class RunFolder(FinishedItems):
 
     def __init__(self, path: Path, identity: Identity) -> None:
         super().__init__(path)
-        self.identity = identity
+        self.identity, self._digests = identity, digests_of(path)
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
@@ -133,8 +133,7 @@ class RunFolder(FinishedItems):
         manifest = self.path / MANIFEST
         if not force and not manifest.exists() and self._belong_to(self.identity.fingerprint):
             remove_unfinished(self.path)
-            item_count = self._verify()
-            self._digests.save()
+            item_count = self._count()
             self._note_commit(item_count)
             return item_count
         self._move_aside()
@@ -197,8 +196,7 @@ class RunFolder(FinishedItems):
         """
         todo = self.pending(items, key=key)
         for item in progress(todo, label, done_before=len(items) - len(todo)):
-            with self.noted(key(item)):
-                yield item
+            yield item
             if self.result_of(key(item)) is None:
                 self.mark_done(key(item))
             stop_if_interrupted()

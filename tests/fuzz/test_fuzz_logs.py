@@ -202,7 +202,8 @@ def test_run_folders(rng: random.Random, folder: Path) -> str:
                 return "equal"
             read_manifest(path)
             make(stage)
-            if not right(path):
+            kept = whole == "unfinished" and victim.stem in ITEMS  # what an interrupted stage has done is not compared
+            if not (kept or right(path)):
                 raise BrokenPromiseError("a damaged result was kept")
             if not stage.is_up_to_date():
                 raise BrokenPromiseError("a folder that was just finished is not up to date")

@@ -251,12 +251,11 @@ class ClusterEngine:
         place = self._driver.folder / f"{safe_name(job.key)}-{self._driver.token[:8]}-{number}"
         place.mkdir()
         needs = self._needs(job)
-        notes = self._folder.path.absolute(), self._folder.journal(job.key).absolute()
         carried = {name: value for name, value in os.environ.items() if name.startswith(_CARRIED)}
         task = Task(
             place=str(place), token=self._driver.token, lease_s=self._settings.lease_s,
             python=sys.executable, cwd=os.getcwd(), environment={**carried, **ONE_THREAD},
-            order=pickle.dumps((str(place), notes, needs.gpus > 0, pickle.dumps((job.run, job.given)))),
+            order=pickle.dumps((str(place), needs.gpus > 0, pickle.dumps((job.run, job.given)))),
         )  # fmt: skip
         handle = self._executor.submit(f"{self._folder.path.name} {job.key}", task, needs)
         self._attempts[job.key] = _Attempt(job, number, place, handle, MessageReader(place))

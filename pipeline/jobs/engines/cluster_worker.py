@@ -55,14 +55,14 @@ class _Channel:
 def main(descriptor: int) -> None:
     """Takes the job and does it."""
     task = Connection(descriptor)
-    place, notes, on_gpus, job = pickle.loads(task.recv_bytes())
+    place, on_gpus, job = pickle.loads(task.recv_bytes())
     channel: Any = _Channel(place, task)
     try:
         run, settings = pickle.loads(job)
     except Exception as error:  # a module that this machine cannot import
         channel.send(Message("failed", f"{type(error).__name__}: {error}", traceback=traceback.format_exc()))
         return
-    work(run, settings, channel, notes, tuple(filter(None, os.environ.get(VISIBLE, "0").split(","))) if on_gpus else ())
+    work(run, settings, channel, tuple(filter(None, os.environ.get(VISIBLE, "0").split(","))) if on_gpus else ())
 
 
 if __name__ == "__main__":

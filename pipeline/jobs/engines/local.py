@@ -20,7 +20,6 @@ from typing import Any
 
 from pipeline.jobs.machine import Machine
 from pipeline.jobs.worker import ENDED, STARTED, Job, Message, work
-from pipeline.store.run_folder import RunFolder
 
 SECONDS_TO_JOIN = 60.0  # that a process may take to end once it has closed its connection
 # One thread a process: the jobs already use every core.
@@ -37,9 +36,9 @@ class _Running:
 class LocalEngine:
     """Processes of this machine."""
 
-    def __init__(self, folder: RunFolder, machine: Machine, workers: int, preload: Sequence[str]) -> None:
+    def __init__(self, machine: Machine, workers: int, preload: Sequence[str]) -> None:
         """For so many jobs of a stage at the same time, which share a machine, maybe with those of other stages."""
-        self.capacity, self._folder, self._machine = workers, folder, machine
+        self.capacity, self._machine = workers, machine
         self._running: list[_Running] = []
         self._messages: list[tuple[str, Message]] = []
         self._open = contextlib.ExitStack()
@@ -62,8 +61,7 @@ class LocalEngine:
         if len(self._running) >= self.capacity or (gpus := self._machine.take(job)) is None:
             return False
         ours, theirs = self._context.Pipe()
-        notes = (self._folder.path, self._folder.journal(job.key))
-        arguments = (job.run, job.given, theirs, notes, tuple(gpu.visible for gpu in gpus))
+        arguments = (job.run, job.given, theirs, tuple(gpu.visible for gpu in gpus))
         process = self._context.Process(target=work, args=arguments, name=job.key)
         process.start()
         theirs.close()  # or the end of the job's process would not end the connection

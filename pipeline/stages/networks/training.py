@@ -29,7 +29,6 @@ from pipeline.stages.networks.settings import SEGMENTATION_ROWS, SHIPPED, Shippe
 from pipeline.store.atomic_files import atomic_path, read_json, write_json
 from pipeline.store.errors import StageError
 from pipeline.store.manifest import read_manifest
-from pipeline.store.written_files import note
 from pipeline.tables import Figure, Results
 
 if TYPE_CHECKING:
@@ -103,7 +102,6 @@ def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[
         words += ["--epochs", str(settings.epochs)]
     if settings.processes > 1:
         train_together(module, words, settings.processes, report)
-        note(*(file for file in job.folder.rglob("*") if file.is_file()))
         trained = dict(read_json(table))
         with Curves(job.folder) as curves:
             curves.add_epochs(trained["rows"])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,7 +14,6 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from pipeline.store import file_cache
@@ -25,7 +23,6 @@ from pipeline.store.file_cache import FileCache
 from pipeline.store.manifest import Identity, Manifest, files_below, read_manifest
 from pipeline.store.provenance import hash_file, present_commit, software_versions
 from pipeline.store.run_folder import RunFolder
-from pipeline.store.written_files import note
 
 IDENTITY = Identity("config", {"phantoms": "inputs"}, 1)
 
@@ -131,13 +128,11 @@ def test_an_unreadable_manifest_counts_as_not_run(folder: RunFolder) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["manifest.json", ".progress/item-*.json", ".progress/files-*.txt", "../.cache/digests/phantoms.json", "a.txt"],
+    ["manifest.json", ".progress/item-*.json", "../.cache/digests/phantoms.json", "a.txt"],
 )
 def test_a_pipe_in_place_of_a_file_is_not_waited_for(folder: RunFolder, name: str) -> None:
     build(folder)
-    if name.startswith(".progress"):
-        folder.journal("a").write_text("")
-    else:
+    if not name.startswith(".progress"):
         finish(folder)
         assert folder.is_up_to_date()
     for file in list(folder.path.glob(name)) or [folder.path / name]:
@@ -147,8 +142,6 @@ def test_a_pipe_in_place_of_a_file_is_not_waited_for(folder: RunFolder, name: st
     again = RunFolder(folder.path, folder.identity)
     assert again.is_up_to_date() == name.startswith("../")
     build(again)
-    with again.noted("a"):
-        pass
     finish(again)
     assert again.is_up_to_date()
 
@@ -306,73 +299,6 @@ def test_whatever_is_killed_wherever_the_next_run_ends_as_a_clean_one(
     assert kills > 33
 
 
-@pytest.fixture(scope="module")
-def half_done(small_process: ProcessPoolExecutor, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A stage that was killed as soon as two of its items were done."""
-    path, steps = tmp_path_factory.mktemp("half_done") / "stage", 1
-    while small_process.submit(run_killed, path, IDENTITY, "abc", steps).result():
-        if len(list(path.glob(".progress/item-*.json"))) == 2:
-            return path
-        shutil.rmtree(path, ignore_errors=True)
-        steps += 3
-    raise AssertionError("it was done before")
-
-
-@pytest.mark.parametrize("damage", ["file gone", "file changed", "mark cut", "folder gone", "a file in its place"])
-def test_an_item_whose_files_are_not_as_it_left_them_is_done_again(
-    damage: str, half_done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog
-) -> None:
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
-    path = tmp_path / "stage"
-    clean = outputs(work(tmp_path / "clean", IDENTITY, "abc").path)
-    shutil.copytree(half_done, path)
-    write_json(path / "results.json", "of an earlier attempt")
-    if damage == "file gone":
-        (path / "a" / "direct.txt").unlink()
-    elif damage == "file changed":
-        (path / "a" / "direct.txt").write_text("A")
-    elif damage == "mark cut":
-        (mark,) = path.glob(".progress/item-item_a-*.json")
-        mark.write_bytes(mark.read_bytes()[:-20])
-    else:
-        shutil.rmtree(path / "a")
-        if damage == "a file in its place":
-            (path / "a").write_text("")
-    folder = RunFolder(path, IDENTITY)
-    with folder.locked():
-        assert folder.prepare() == 1
-    assert "so it is done again" in caplog.text
-    assert not (path / "a").exists()
-    assert not (path / "results.json").exists()  # it was made from the item
-    assert (path / "b" / "log.txt").exists()
-    work(path, IDENTITY, "abc")
-    assert outputs(path) == clean
-
-
-def test_a_mark_knows_what_every_attempt_wrote_however_it_was_written(folder: RunFolder) -> None:
-    path = folder.path
-    with folder.locked():
-        folder.prepare()
-        with folder.noted("k"):
-            write_text(path / "first.txt", "an attempt that was stopped")
-        with folder.noted("k"):
-            np.savez(path / "arrays.npz", a=np.zeros(3))
-            write_json(path / "sub" / "b.json", 1)
-            with open(os.open(path / "low.bin", os.O_WRONLY | os.O_CREAT), "wb") as stream:
-                stream.write(b"x")
-            shutil.copyfile(path / "low.bin", path / "copy.bin")
-            os.rename(path / "copy.bin", path / "moved.bin")
-            (path / ".cache").mkdir()
-            (path / ".cache" / "pictures.npy").write_bytes(b"may go at any time")
-            subprocess.run([sys.executable, "-c", f"open({str(path / 'other.txt')!r}, 'w').write('x')"], check=True)
-            note(path / "other.txt")
-            (path / "first.txt").read_text()
-        folder.mark_done("k", {"n": 1})
-        (mark,) = path.glob(".progress/item-*.json")
-        noted = set(json.loads(mark.read_text())["files"])
-    assert noted == {"first.txt", "arrays.npz", "sub/b.json", "low.bin", "moved.bin", "other.txt"}
-
-
 # ---- digests
 
 
@@ -440,20 +366,11 @@ def test_a_lock_that_is_no_file_is_refused_and_its_target_stays(folder: RunFolde
 
 
 @pytest.mark.parametrize("same", [True, False], ids=["goes on", "begins anew"])
-@pytest.mark.parametrize("forged", ["journal", "record", ".progress", "sub", "b.txt", ".cache", "temporary"])
+@pytest.mark.parametrize("forged", [".progress", "sub", "b.txt", ".cache", "temporary"])
 def test_nothing_outside_a_run_folder_is_written_or_removed(folder, precious, forged: str, same: bool) -> None:
     build(folder, "ab")
     progress, cache = folder.path / ".progress", folder.path.parent / ".cache"
-    elsewhere = [f"../{precious.name}/letter.txt", str(precious / "b.txt"), "sub/letter.txt", "sub/../../outside/b.txt"]
-    [record] = [path for path in progress.glob("item-*.json") if json.loads(path.read_text())["key"] == "b"]
-    (folder.path / "b.txt").write_text("changed")  # so that item b and what it wrote are removed
-    if forged == "journal":
-        for path in (progress / f"files-{record.stem.removeprefix('item-')}.txt", progress / "files-x.txt"):
-            path.write_text("\n".join(elsewhere) + "\n")
-    elif forged == "record":
-        item = json.loads(record.read_text())
-        record.write_text(json.dumps({**item, "files": {name: {"sha256": "0", "bytes": 1} for name in elsewhere}}))
-    elif forged == ".progress":
+    if forged == ".progress":
         for path in progress.iterdir():
             shutil.copy(path, precious)
         shutil.rmtree(progress)
@@ -466,7 +383,7 @@ def test_nothing_outside_a_run_folder_is_written_or_removed(folder, precious, fo
         cache.symlink_to(precious)
     elif forged == "temporary":
         (folder.path / f".writing-{os.getpid()}-c.txt").symlink_to(precious / "letter.txt")
-    if forged in ("sub", "journal", "record"):
+    if forged == "sub":
         (folder.path / "sub").symlink_to(precious)
     if forged == "b.txt":
         (folder.path / "b.txt").unlink()
