@@ -1,4 +1,4 @@
-"""Evaluations: what the logs of learning stages say, with the metrics of their arrays, read once and kept in a cache.
+"""Evaluations: what the logs of learning stages say, with the metrics of their arrays.
 
 A log counts by its metadata: `stage`, `row`, `mode` ("deterministic" or "stochastic"), `training_seed` and `variant` of
 its configuration, beside task and wire. Two kinds of episodes stand beside them for comparison: the sampling expert's
@@ -14,7 +14,7 @@ import os
 import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.evaluations.forces import device_of, wall_forces
-from pipeline.store.file_cache import FileCache
 from pipeline.store.interruption import end_with_parent, stop_if_interrupted
 from pipeline.store.provenance import hash_value
 
@@ -221,8 +220,6 @@ def _origin(info: EpisodeInfo, relative: Path) -> dict[str, Any]:
     }
 
 
-CACHE = Path(".cache", "learning.json")  # below the run: a stage's own folder is emptied when it runs again
-METRICS_VERSION = "4"  # raised by hand where the same log gives other metrics
 PARALLEL_FROM = 200  # logs; fewer are read sooner than processes start
 
 _LOGGER = logging.getLogger(__name__)
@@ -237,39 +234,29 @@ class EvaluationSet:
     left_out: dict[str, str] = field(default_factory=dict)  # log -> why it does not count
 
 
-def read_logs(folders: Sequence[Path], *, cache: Path | None = None, processes: int | None = None) -> EvaluationSet:
+def read_logs(folders: Sequence[Path], *, processes: int | None = None) -> EvaluationSet:
     """Reads every log below stage folders of one run; one that cannot be used is left out with a warning.
 
     Returns:
         The evaluations. Of logs of the same episode of the same policy the latest counts.
     """
-    from cathsim.metrics import EpisodeMetrics
     from pipeline.episodes import EpisodeReadError
 
     evaluation_set = EvaluationSet()
     if not folders:
         return evaluation_set
     run_path = folders[0].parent
-    file_cache = FileCache(cache, run_path, version=METRICS_VERSION)
     paths = [path for folder in folders for path in sorted(folder.rglob("*.mcap"))]
-    known = {path: file_cache.recall(path) for path in paths}
-    new = [path for path in paths if known[path] is None]
-    for path, result in zip(new, _read_all(new, run_path, processes), strict=True):
+    evaluations = []
+    for path, result in zip(paths, _read_all(paths, run_path, processes), strict=True):
         if isinstance(result, Evaluation):
-            known[path] = file_cache.compute(path, partial(_values, result))
+            evaluations.append(result)
             continue
         evaluation_set.left_out[path.relative_to(run_path).as_posix()] = str(result)
         words = str(result) if isinstance(result, EpisodeReadError) else f"{path}: {result}"
         _LOGGER.warning("left out: %s", words)
-    file_cache.save()
-    read = [{**values, "metrics": EpisodeMetrics(**values["metrics"])} for values in known.values() if values]
-    evaluations = _named_apart([Evaluation(**values) for values in read])
-    evaluation_set.evaluations = _latest(evaluations, evaluation_set.left_out)
+    evaluation_set.evaluations = _latest(_named_apart(evaluations), evaluation_set.left_out)
     return evaluation_set
-
-
-def _values(evaluation: Evaluation, path: Path) -> dict[str, Any]:
-    return asdict(evaluation)
 
 
 def _read_one(path: Path, run_path: Path) -> Evaluation | ValueError:

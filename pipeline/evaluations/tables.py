@@ -19,7 +19,6 @@ the denominator.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -29,7 +28,6 @@ import numpy as np
 
 from pipeline.evaluations.forces import QUANTITIES, WIRE
 from pipeline.evaluations.logs import (
-    CACHE,
     COMPARED,
     DEMONSTRATION,
     DETERMINISTIC,
@@ -39,10 +37,8 @@ from pipeline.evaluations.logs import (
     Task,
     evaluation_folders,
     read_logs,
-    stage_of,
 )
-from pipeline.store.errors import StageError
-from pipeline.tables import SAMPLES, Cell, Table, format_cell, mean_of
+from pipeline.tables import SAMPLES, Cell, Table, mean_of
 
 OWN_TABLES = {"baselines": "baselines", "enn": "enn", "imitation": "behaviour_cloning", "unseen": "generalisation",
               "expert": "expert", "human": "human"}  # fmt: skip
@@ -63,37 +59,11 @@ _ROW_ORDER = ("H", "sampling_expert", "V", "V+M", "I", "I+V", "I+V+M", "ppo_inte
 Rows = dict[tuple[str, str, str, str], list[Evaluation]]  # stage, phantom, target, row -> its evaluations
 Shortest = Mapping[Task, float]
 
-_LOGGER = logging.getLogger(__name__)
 
-
-def tables_from_logs(folder: Path) -> dict[str, Table]:
-    """Computes the tables of a run, or of one learning stage in it; SPL's shortest paths are those of the whole run."""
-    is_stage = stage_of(folder.name) in LEARNING_STAGES and not evaluation_folders(folder)
-    run_path = folder.parent if is_stage else folder
-    read = read_logs(evaluation_folders(run_path), cache=run_path / CACHE)
-    shortest = shortest_paths(read.evaluations)
-    if not is_stage:
-        return learning_tables(read.evaluations, shortest)
-    own = [one for one in read.evaluations if one.folder == folder.name]
-    tables = learning_tables(own, shortest)
-    if "imitation" in tables:  # it repeats rows of the ablation
-        beside = [one for one in read.evaluations if one.stage == "enn"]
-        tables["imitation"] = learning_tables([*own, *beside], shortest)["imitation"]
-    if not tables:
-        lost = [name for name in read.left_out if name.startswith(f"{folder.name}/")]
-        first = lost and f", {len(lost)} logs cannot be used, the first is {lost[0]} ({read.left_out[lost[0]]})"
-        raise StageError(
-            f"{folder} holds no evaluation to make a table of{first or ''}: "
-            f"run stage {stage_of(folder.name)} again with force=true"
-        )
-    return tables
-
-
-def log_summary(folder: Path) -> None:
-    """Logs success and force of every row of a learning stage that has just run, from its episode logs."""
-    for row, cells in tables_from_logs(folder)[OWN_TABLES[stage_of(folder.name)]].items():
-        success, force = (format_cell(cells.get(column)) or "–" for column in ("success_pct", "force_n"))
-        _LOGGER.info("%s: success %s %%, force %s N, %s episodes", row, success, force, cells[SAMPLES])
+def tables_from_logs(run_path: Path) -> dict[str, Table]:
+    """Computes the tables of a run; SPL's shortest paths are those of all of it."""
+    evaluations = read_logs(evaluation_folders(run_path)).evaluations
+    return learning_tables(evaluations, shortest_paths(evaluations))
 
 
 def learning_tables(evaluations: Sequence[Evaluation], shortest: Shortest) -> dict[str, Table]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 MODES = ("deterministic", "stochastic")
 OPERATOR = "policy"
 POLICY = "policy.pt"  # of a training of enn, in its folder
+
+_LOGGER = logging.getLogger(__name__)
 
 Controller = Callable[[Any, Mapping[str, Any]], np.ndarray]  # observation, info -> action; `reset()` where it has one
 
@@ -121,6 +124,14 @@ def recorded(path: Path, seed: int) -> EpisodeMetrics | None:
             return EpisodeMetrics(**log.outcome.metrics) if log.info.seed == seed else None
     except (EpisodeReadError, TypeError):
         return None
+
+
+def log_success(outcomes: Mapping[str, Mapping[str, Any]]) -> None:
+    """Logs what each of some jobs made of its deterministic episodes, by their `summary`, where it played some."""
+    for name, outcome in outcomes.items():
+        if cells := outcome.get(MODES[0]):
+            words = "%s: success %.0f %%, force %.2g N, %d episodes"
+            _LOGGER.info(words, name, cells["success_pct"], cells["force_n"], cells["n"])
 
 
 def summary(metrics: Sequence[EpisodeMetrics]) -> dict[str, Any]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.evaluations.logs import (
-    CACHE,
     COUNTED,
     LEARNING_STAGES,
     Evaluation,
@@ -50,7 +49,7 @@ def learning_section(run_path: Path, finished: Mapping[str, Manifest], figures: 
     """
     counting = {*finished, *([_HUMAN] if _USER_STUDY in finished else [])}
     folders = [folder for folder in evaluation_folders(run_path) if folder.name in counting]
-    evaluation_set = read_logs(folders, cache=run_path / CACHE)
+    evaluation_set = read_logs(folders)
     selected = run_path / _USER_STUDY / COUNTED
     people = set(read_json(selected)) if selected.is_file() else set()
     evaluations = [one for one in evaluation_set.evaluations if one.stage != _HUMAN or one.log in people]

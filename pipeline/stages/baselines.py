@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 from enn.curves import Curves, chosen_logger
 from pipeline.anatomies.settings import settle
-from pipeline.evaluations.tables import log_summary
 from pipeline.jobs.pool import Job
 from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
@@ -95,7 +94,6 @@ def run_baselines(settings: BaselinesSettings, context: StageContext) -> Results
     followers = path_followers(settings, context) if settings.path_follower else []
     trainings = plan(settings, context)
     run_trainings(trainings, settings, context, beside=followers)
-    log_summary(context.path)
     tables = {"task": {"episode_limit_rl": {"value": settings.task.max_steps}}}
     return Results(tables, notes={"cathsim_results": note(trainings, of_training)})
 

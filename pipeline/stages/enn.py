@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from enn.curves import chosen_logger
 from pipeline.anatomies.settings import settle
-from pipeline.evaluations.tables import log_summary
 from pipeline.settings.kinds import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.aids import note, of_training
@@ -59,7 +58,6 @@ def run_enn(settings: EnnSettings, context: StageContext) -> Results:
             "evaluation_episodes": {"value": settings.evaluation_episodes},
         },
     }
-    log_summary(context.path)
     return Results(tables, notes=dict.fromkeys(("ablation", "training_time_h"), note(trainings, of_training)))
 
 

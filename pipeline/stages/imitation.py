@@ -19,11 +19,10 @@ from typing import TYPE_CHECKING, Any
 
 from enn.curves import Curves
 from pipeline.anatomies.settings import check_anatomies, settle
-from pipeline.evaluations.tables import log_summary
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import OPTIMISER, PHANTOM, Report
 from pipeline.plots.episodes import draw_success
-from pipeline.recording.trials import POLICY, Origin, controllers
+from pipeline.recording.trials import POLICY, Origin, controllers, log_success
 from pipeline.seeds import disturbed_seeds
 from pipeline.settings.kinds import require_modalities
 from pipeline.stages import Stage, StageContext
@@ -158,7 +157,7 @@ def run_imitation(settings: ImitationSettings, context: StageContext) -> Results
         "imitation_episodes": by_episodes(jobs, outcomes),
         "dagger_rounds": by_round(jobs, outcomes),
     }
-    log_summary(context.path)
+    log_success(outcomes)
     return Results(
         {name: table for name, table in tables.items() if table},
         figures(jobs, outcomes, context.path),

@@ -22,7 +22,7 @@ from pipeline.anatomies.settings import check_anatomies
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import OPTIMISER, PHANTOM, Report
 from pipeline.recording.training_films import training_films
-from pipeline.recording.trials import MODES, Controller, Origin, controllers, run_trials, summary
+from pipeline.recording.trials import MODES, Controller, Origin, controllers, log_success, run_trials, summary
 from pipeline.seeds import expert_seeds, held_out_seeds
 from pipeline.stages import StageContext
 from pipeline.stages.job_memory import training_gb, training_gpu_gb
@@ -313,6 +313,7 @@ def run_trainings(
         preload=PRELOAD,
         device=settings.device,
     )
+    log_success(results)
     outcomes = {}
     for training in trainings:
         encoder = training.encoder

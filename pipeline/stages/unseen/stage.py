@@ -17,9 +17,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.anatomies.settings import require_known_entry, require_known_phantoms, require_known_targets, settle
-from pipeline.evaluations.tables import OWN_TABLES, log_summary
+from pipeline.evaluations.tables import OWN_TABLES
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.recording.trials import Origin
+from pipeline.recording.trials import MODES, Origin, log_success
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.job_memory import policy_gb
@@ -338,7 +338,10 @@ def run_unseen(settings: UnseenSettings, context: StageContext) -> Results:
     tables = {"generalisation_curve": curve(jobs, outcomes)}
     if settings.registration_noise_mm:
         tables["registration"] = registration(settings, outcomes[ROADMAP_TESTS]["tests"])
-    log_summary(context.path)
+    log_success({
+        f"{key}/{one['target']}/{one['test_set']}": {MODES[0]: one}
+        for key, outcome in outcomes.items() for one in outcome.get("tests", ()) if one["mode"] == MODES[0]
+    })  # fmt: skip
     notes = dict.fromkeys((*tables, OWN_TABLES["unseen"]), _SHIPPED) if settings.shipped else {}
     return Results(tables, notes=notes)
 

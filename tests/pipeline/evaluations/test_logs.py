@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import os
-import time
 from pathlib import Path
 
 import numpy as np
@@ -19,17 +17,15 @@ from cathsim.metrics.forces import compare_forces
 from pipeline.evaluations import forces
 from pipeline.evaluations.forces import EpisodeForces
 from pipeline.evaluations.logs import (
-    CACHE,
     UnusableLogError,
     changed_settings,
     evaluation_folders,
     read_evaluation,
     read_logs,
 )
-from pipeline.evaluations.tables import learning_tables, log_summary, shortest_paths, tables_from_logs
+from pipeline.evaluations.tables import learning_tables, shortest_paths, tables_from_logs
 from pipeline.plots.forces import draw_heat, draw_quantities
 from pipeline.stages.validate import table_rows
-from pipeline.store.errors import StageError
 from pipeline.tables import check_cell
 from tests.pipeline.evaluations.evaluation_logs import write_evaluation, write_force_log, write_row
 
@@ -94,31 +90,6 @@ def test_an_episode_recorded_twice_counts_once_the_latest(tmp_path: Path) -> Non
     assert [one.folder for one in reading.evaluations] == ["enn", "enn"]
     assert len(reading.left_out) == 2
     assert all("recorded again in enn/type_1" in reason for reason in reading.left_out.values())
-
-
-def test_known_logs_are_not_read_again_until_they_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    paths = write_row(tmp_path, "enn", "I", successes=(True, True, False))
-    cache = tmp_path / CACHE
-    time.sleep(0.2)  # a file that was just written may still change
-    first = read(tmp_path, cache=cache)
-    asked: list[Path] = []
-
-    def watched(path: Path, run_path: Path) -> object:
-        asked.append(path)
-        return read_evaluation(path, run_path)
-
-    monkeypatch.setattr(reading_module, "read_evaluation", watched)
-    assert read(tmp_path, cache=cache) == first
-    assert asked == []
-    write_row(tmp_path, "enn", "I", successes=(True,), force=0.7)
-    os.utime(paths[0], ns=(1, 1))
-    assert read(tmp_path, cache=cache).evaluations[0].metrics.force_max == pytest.approx(0.7)
-    assert asked == [paths[0]]
-    monkeypatch.setattr("pipeline.evaluations.logs.METRICS_VERSION", "other")
-    read(tmp_path, cache=cache)
-    assert len(asked) == 4, "another version computes them again"
-    cache.write_text("{")
-    assert len(read(tmp_path, cache=cache).evaluations) == 3
 
 
 def test_processes_give_the_same_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -231,16 +202,6 @@ def test_a_heat_map_has_the_colour_of_force_only_where_contacts_are(tmp_path: Pa
     assert coloured[1] > coloured[0]
 
 
-def test_a_folder_without_evaluations_is_one_sentence(tmp_path: Path) -> None:
-    (tmp_path / "enn").mkdir()
-    with pytest.raises(StageError, match="enn holds no evaluation"):
-        tables_from_logs(tmp_path / "enn")
-    write_evaluation(tmp_path / "enn" / "a.mcap")
-    with pytest.raises(StageError, match=r"the first is enn/a\.mcap \(its metadata lacks row"):
-        tables_from_logs(tmp_path / "enn")
-    assert tables_from_logs(tmp_path) == {}
-
-
 def test_shortest_way_is_that_of_the_whole_run_and_of_the_same_start_and_end(tmp_path: Path) -> None:
     write_row(tmp_path, "enn", "V", successes=(True, False), way=0.3)
     write_row(tmp_path, "baselines", "sac_image", successes=(True,), way=0.24)
@@ -249,9 +210,7 @@ def test_shortest_way_is_that_of_the_whole_run_and_of_the_same_start_and_end(tmp
     write_row(tmp_path, "baselines", "sac_internal", successes=(True,), way=0.1, task={"success_radius": 0.1})
     demonstration = {"stage": "enn", "row": "V", "mode": "deterministic", "training_seed": 0}
     write_evaluation(tmp_path / "enn/type_1/bca/V/seed0/expert/000.mcap", way=0.15, **demonstration)
-    tables = tables_from_logs(tmp_path / "enn")
-    assert set(tables) == {"ablation", "enn"}
-    row = tables["ablation"]["bca/V"]
+    row = tables_from_logs(tmp_path)["ablation"]["bca/V"]
     assert row["spl_pct"] == pytest.approx(100 * (0.15 / 0.3 + 0) / 2)
     assert row["n"] == 2  # the demonstration belongs to no row, but its way counts
     assert tables_from_logs(tmp_path)["enn"]["type_1/bca/V"]["spl_pct"] == pytest.approx(25)
@@ -330,11 +289,9 @@ def test_imitation_repeats_the_rows_of_the_ablation(tmp_path: Path) -> None:
     for row in ("image_w_enn", "dagger"):
         write_row(tmp_path, "imitation", row, successes=(True,))
     expected = {"bca/enn", "bca/image_wo_enn", "bca/image_w_enn", "bca/dagger"}
-    own = tables_from_logs(tmp_path / "imitation")
-    assert set(own["imitation"]) == expected
-    assert set(own) == {"imitation", "behaviour_cloning"}
-    assert own["imitation"]["bca/image_wo_enn"]["success_pct"] == [0, 0]
-    assert set(tables_from_logs(tmp_path)["imitation"]) == expected
+    table = tables_from_logs(tmp_path)["imitation"]
+    assert set(table) == expected
+    assert table["bca/image_wo_enn"]["success_pct"] == [0, 0]
 
 
 def test_unseen_anatomies_are_rows_by_test_set(tmp_path: Path) -> None:
@@ -367,13 +324,6 @@ def test_weights_of_the_force_are_rows_of_their_own(tmp_path: Path) -> None:
     for seed, weight in enumerate((0.5, 2.0)):
         write_row(tmp_path, "enn", "I+V+M safe", force_weight=weight, seed=seed)
     assert list(tables_from_logs(tmp_path)["ablation"]) == ["bca/I+V+M safe 0.5", "bca/I+V+M safe 2"]
-
-
-def test_a_stage_logs_the_success_of_its_rows(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level("INFO")
-    write_row(tmp_path, "enn", "V", successes=(True, False), force=0.25)
-    log_summary(tmp_path / "enn")
-    assert "type_1/bca/V: success 50 %, force 0.25 N, 2 episodes" in caplog.text
 
 
 def test_each_device_has_a_line_with_its_success_and_forces(tmp_path: Path) -> None:

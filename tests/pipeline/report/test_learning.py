@@ -25,7 +25,6 @@ from tests.pipeline.evaluations.evaluation_logs import write_curve, write_evalua
 def test_report_tabulates_the_logs_beside_what_results_say(tmp_path: Path, run_python: Callable[[str], str]) -> None:
     run = tmp_path / "tried"
     write_row(run, "enn", "V", phantom="mine")
-    tables_from_logs(run / "enn")  # keeps the metrics
     bad = write_row(run, "enn", "V", successes=(True,) * 3, phantom="mine")[2]
     bad.write_bytes(b"")
     write_results(run / "enn", {"own_table": {"a": {"b": 1.0}}})

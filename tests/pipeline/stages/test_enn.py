@@ -162,7 +162,7 @@ def test_a_tiny_run_leaves_policy_curve_logs_and_tables(pipeline_process, expert
     assert not (training / "checkpoint").exists()
     results = json.loads((folder / "results.json").read_text())
     assert results["task"]["evaluation_episodes"]["value"] == 1
-    tables = tables_from_logs(folder)
+    tables = tables_from_logs(expert_run)
     assert tables["ablation"]["bca/I+V+M"]["n"] == 1
     assert tables["enn"]["type_1/bca/I+V+M"]["stochastic_success_pct"] is not None
     assert results["training_time_h"]["enn"]["bca"] > 0
@@ -248,7 +248,7 @@ def test_a_tiny_run_fills_the_table(pipeline_process, expert_run) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr + done.stdout
     folder = expert_run / "baselines"
-    table = tables_from_logs(folder)["cathsim_results"]
+    table = tables_from_logs(expert_run)["cathsim_results"]
     assert set(table) == {"type_1/ppo_image", "type_1/sac_image", "type_1/path_follower"}
     for row in table.values():
         assert row["reward_bca"][0] < 0  # the thesis's reward, not the training's

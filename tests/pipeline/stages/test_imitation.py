@@ -38,11 +38,13 @@ def settings(**changed) -> ImitationSettings:
     return ImitationSettings(**values | rounds | {"task": TASK.task} | changed)
 
 
-def test_a_run_leaves_students_logs_tables_and_a_figure(enn: Path) -> None:
+def test_a_run_leaves_students_logs_tables_and_a_figure(enn: Path, caplog) -> None:
+    caplog.set_level("INFO")
     results = run_here(settings(), enn.parent, imitation)
     folder = enn.parent / "imitation"
     rows = {"image_w_enn_2", "image_w_enn", "image_w_enn_disturbed", "dagger"}
-    assert {row.removeprefix("bca/") for row in tables_from_logs(folder)["imitation"]} == rows
+    assert {row.removeprefix("bca/") for row in tables_from_logs(enn.parent)["imitation"]} == rows
+    assert "type_1/bca/dagger: success " in caplog.text
     assert set(results["imitation_episodes"]) == {"type_1/bca/2 episodes", "type_1/bca/4 episodes"}
     assert results["bc_architecture"]["linear_3"]["parameters"] == 258
     assert results["bc_architecture"]["conv_1"] | {} == {

@@ -143,7 +143,7 @@ def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
     assert learnt.perception.voxels is not None  # what both views show together
     assert learnt.policy.settings.features == 2 * VIEW_SIZE + STEREO_SIZE
 
-    tables = tables_from_logs(tmp_path / "unseen")
+    tables = tables_from_logs(tmp_path)
     names = ("roadmap", "image_true_mask", "xray")
     assert set(tables["generalisation"]) == {f"{name}/lcca/unseen" for name in names}
     wanted = ("roadmap tests", *names[1:])
