@@ -20,7 +20,6 @@ from pipeline.report.tables import as_csv, as_latex, join_sweep, metrics, report
 from pipeline.settings.kinds import validated
 from pipeline.stages import Stage, StageContext, available_stages, settings_of
 from pipeline.store.atomic_files import write_json, write_text
-from pipeline.store.file_cache import digests_of
 from pipeline.store.manifest import Manifest, read_manifest
 from pipeline.store.provenance import machine, present_commit, software_versions
 from pipeline.tables import Table, read_notes, read_results
@@ -138,9 +137,7 @@ def _environment() -> Table:
 def _inputs(run_path: Path) -> dict[str, str]:
     states = {"commit": present_commit()}
     for name, manifest in finished_stages(run_path).items():
-        digests = digests_of(run_path / name)
-        changed = manifest.changed_output(run_path / name, digests)
-        digests.save()
+        changed = manifest.changed_output(run_path / name)
         if changed is not None:
             _LOGGER.warning("%s: run stage=%s again; the report shows what is there", changed, manifest.stage)
         states[name] = manifest.identity.fingerprint + manifest.finished + (changed or "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import stat
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,8 +14,7 @@ from pydantic import AfterValidator, TypeAdapter, ValidationError
 
 from pipeline.settings.kinds import sentence, shown
 from pipeline.store.atomic_files import read_json
-from pipeline.store.file_cache import FileCache
-from pipeline.store.provenance import hash_value, software_versions
+from pipeline.store.provenance import hash_file, hash_value, software_versions
 
 MANIFEST = "manifest.json"
 MANIFEST_VERSION = 3
@@ -86,9 +86,9 @@ class Manifest:
         """Hash of the outputs' contents: what later stages depend on."""
         return hash_value({path: entry["sha256"] for path, entry in self.outputs.items()})
 
-    def changed_output(self, folder: Path, digests: FileCache) -> str | None:
+    def changed_output(self, folder: Path) -> str | None:
         """Finds an output that is not as the stage left it: ``runs/desk/expert/results.json is missing``, or None."""
-        name = digests.first_changed(folder, self.outputs)
+        name = next((name for name, entry in self.outputs.items() if not _holds(folder / name, entry)), None)
         return name and f"{folder / name} {'was changed' if (folder / name).exists() else 'is missing'}"
 
     def foreign_file(self, folder: Path) -> Path | None:
@@ -99,6 +99,22 @@ class Manifest:
 
 
 _MANIFESTS = TypeAdapter(Manifest)
+
+
+def entry_of(file: Path) -> dict[str, Any]:
+    """What a manifest keeps of a file: SHA-256 in hex, bytes, and when its status changed, ns since the epoch."""
+    status = file.stat()
+    return {"sha256": hash_file(file), "bytes": status.st_size, "changed_ns": status.st_ctime_ns}
+
+
+def _holds(file: Path, entry: dict[str, Any]) -> bool:
+    """Whether a file is as its entry says; one whose status has not changed since is not read."""
+    try:
+        status = file.stat()
+        same = stat.S_ISREG(status.st_mode) and status.st_size == entry["bytes"]
+        return same and (status.st_ctime_ns == entry.get("changed_ns") or hash_file(file) == entry["sha256"])
+    except (FileNotFoundError, NotADirectoryError):
+        return False
 
 
 def read_manifest(folder: Path) -> Manifest | None:

@@ -8,8 +8,7 @@ In it:
 - ``.lock``: held while a process works here. The kernel frees it when the process dies, so it never goes stale.
 - other names that begin with a dot: what the stage's parts hand to each other. All of it is gone at the end.
 
-``runs/<name>/.cache/digests/`` remembers the digests of every folder's files. ``runs/<name>/.old/<stage>-<time>/``
-holds results that others replaced: nothing here removes them.
+``runs/<name>/.old/<stage>-<time>/`` holds results that others replaced: nothing here removes them.
 """
 
 from __future__ import annotations
@@ -33,10 +32,9 @@ from tqdm import tqdm
 from pipeline.store.atomic_files import remove_unfinished, write_json, write_text
 from pipeline.store.costs import kept_costs
 from pipeline.store.errors import StageError
-from pipeline.store.file_cache import CACHE, digests_of
 from pipeline.store.finished_items import FinishedItems
 from pipeline.store.interruption import stop_if_interrupted
-from pipeline.store.manifest import MANIFEST, Identity, Manifest, files_below, read_manifest
+from pipeline.store.manifest import MANIFEST, Identity, Manifest, entry_of, files_below, read_manifest
 from pipeline.store.provenance import present_commit
 
 Item = TypeVar("Item")
@@ -78,7 +76,7 @@ class RunFolder(FinishedItems):
 
     def __init__(self, path: Path, identity: Identity) -> None:
         super().__init__(path)
-        self.identity, self._digests = identity, digests_of(path)
+        self.identity = identity
 
     @contextlib.contextmanager
     def locked(self) -> Iterator[None]:
@@ -89,9 +87,6 @@ class RunFolder(FinishedItems):
             raise StageError(f"{place} is no file of this project: remove it")
         if any(self.path.iterdir()) and not place.exists():
             raise StageError(f"{self.path} holds files that no stage wrote: choose another name=… or runs_dir=…")
-        for cache in (self.path.parent / CACHE, self.path.parent / CACHE / "digests"):
-            if cache.is_symlink():
-                cache.unlink()
         with place.open("a+") as lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -111,8 +106,7 @@ class RunFolder(FinishedItems):
         manifest = read_manifest(self.path)
         if manifest is None or manifest.identity != self.identity:
             return False
-        changed = manifest.changed_output(self.path, self._digests)
-        self._digests.save()
+        changed = manifest.changed_output(self.path)
         if changed is not None:
             _LOGGER.warning("%s, so the stage runs again", changed)
             return False
@@ -210,11 +204,10 @@ class RunFolder(FinishedItems):
         manifest = Manifest(
             stage=stage, run=run, budget=budget, seed=seed, config=config, identity=self.identity,
             overrides=list(overrides), variant=list(variant), jobs=kept_costs(self.path), commits=self._commits(),
-            outputs={n: self._digests.entry(self.path / n) for n in files_below(self.path) if n != MANIFEST},
+            outputs={n: entry_of(self.path / n) for n in files_below(self.path) if n != MANIFEST},
             wall_time_s=round(time.monotonic() - started, 3), finished=datetime.now(UTC).isoformat(timespec="seconds"),
         )  # fmt: skip
         write_json(self.path / MANIFEST, asdict(manifest))
-        self._digests.save()
         for entry in self.path.iterdir():
             if entry.name.startswith(".") and entry.name != LOCK and entry.is_dir():
                 shutil.rmtree(entry, ignore_errors=True)

@@ -17,7 +17,6 @@ from pathlib import Path
 
 from pipeline.printing import written
 from pipeline.store.errors import StageError
-from pipeline.store.file_cache import digests_of
 from pipeline.store.manifest import Manifest, read_manifest
 
 _LONGEST_VARIANT = 100
@@ -105,9 +104,7 @@ def _variants(run_path: Path, stage: str) -> dict[Path, Manifest]:
 
 
 def _require_unchanged(folder: Path, manifest: Manifest, reader: str) -> None:
-    digests = digests_of(folder)
-    changed = manifest.changed_output(folder, digests)
-    digests.save()
+    changed = manifest.changed_output(folder)
     if changed is not None:
         in_sweep = bool(manifest.variant) and manifest.variant == manifest.overrides
         again = command(manifest.stage, folder.parent, [*manifest.overrides, "force=true"], in_sweep=in_sweep)

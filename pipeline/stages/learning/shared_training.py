@@ -14,7 +14,6 @@ from typing import Any
 
 from pipeline.recording.trials import POLICY
 from pipeline.store.atomic_files import read_json, write_json, write_text
-from pipeline.store.file_cache import CACHE
 from pipeline.store.provenance import (
     hash_file,
     hash_value,
@@ -23,6 +22,7 @@ from pipeline.store.provenance import (
     uncommitted_changes,
 )
 
+CACHE = ".cache"  # below the run's folder; it may be deleted
 RECORD, CURVE, CHECKPOINT = "training.json", "training.csv", "checkpoint"
 TAKEN_FROM = "taken_from"  # in the policy's and the record's metadata: the folder, below the run's
 _FOLDERS = ("tensorboard", "films")

@@ -16,10 +16,9 @@ from typing import Any
 
 import pytest
 
-from pipeline.store import file_cache
+from pipeline.store import manifest
 from pipeline.store.atomic_files import write_json, write_text
 from pipeline.store.errors import StageError
-from pipeline.store.file_cache import FileCache
 from pipeline.store.manifest import Identity, Manifest, files_below, read_manifest
 from pipeline.store.provenance import hash_file, present_commit, software_versions
 from pipeline.store.run_folder import RunFolder
@@ -128,7 +127,7 @@ def test_an_unreadable_manifest_counts_as_not_run(folder: RunFolder) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["manifest.json", ".progress/item-*.json", "../.cache/digests/phantoms.json", "a.txt"],
+    ["manifest.json", ".progress/item-*.json", "a.txt"],
 )
 def test_a_pipe_in_place_of_a_file_is_not_waited_for(folder: RunFolder, name: str) -> None:
     build(folder)
@@ -140,7 +139,7 @@ def test_a_pipe_in_place_of_a_file_is_not_waited_for(folder: RunFolder, name: st
         file.unlink(missing_ok=True)
         os.mkfifo(file)
     again = RunFolder(folder.path, folder.identity)
-    assert again.is_up_to_date() == name.startswith("../")
+    assert not again.is_up_to_date()
     build(again)
     finish(again)
     assert again.is_up_to_date()
@@ -299,58 +298,34 @@ def test_whatever_is_killed_wherever_the_next_run_ends_as_a_clean_one(
     assert kills > 33
 
 
-# ---- digests
-
-
-def test_an_unchanged_file_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unchanged_output_is_not_read_again(folder: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[str] = []
-    monkeypatch.setattr(file_cache, "hash_file", lambda file: read.append(file.name) or hash_file(file))
-    for name in "abc":
-        (tmp_path / name).write_text(name)
-    time.sleep(0.12)  # younger files might change within a tick of the clock, so they are read again
-    store = tmp_path / "store.json"
-    memory = FileCache(store, tmp_path)
-    digests = {name: memory.digest(tmp_path / name) for name in "abc"}
-    memory.save()
-    again = FileCache(store, tmp_path)
-    assert {name: again.digest(tmp_path / name) for name in "abc"} == digests
-    assert read == ["a", "b", "c"]
-    before = (tmp_path / "b").stat()
-    (tmp_path / "b").write_text("B")  # same size
-    os.utime(tmp_path / "b", ns=(before.st_atime_ns, before.st_mtime_ns))  # and time
-    assert again.digest(tmp_path / "b") == hash_file(tmp_path / "b")
-    assert read == ["a", "b", "c", "b"]
-    assert not again.holds(tmp_path / "b", digests["b"], 1)
-
-
-@pytest.mark.parametrize("damage", [lambda t: t[:40], lambda t: t.replace("a", "b"), lambda t: "[]"])
-def test_a_damaged_memory_condemns_no_good_file_and_passes_no_bad_one(tmp_path: Path, damage) -> None:
-    (tmp_path / "a").write_text("a")
-    time.sleep(0.12)
-    store = tmp_path / "store.json"
-    memory = FileCache(store, tmp_path)
-    digest = memory.digest(tmp_path / "a")
-    memory.save()
-    store.write_text(damage(store.read_text()))
-    assert FileCache(store, tmp_path).holds(tmp_path / "a", digest, 1)
-    assert FileCache(store, tmp_path).digest(tmp_path / "a") == digest
-    (tmp_path / "a").write_text("c")
-    assert not FileCache(store, tmp_path).holds(tmp_path / "a", digest, 1)
+    build(folder)
+    finish(folder)
+    monkeypatch.setattr(manifest, "hash_file", lambda file: read.append(file.name) or hash_file(file))
+    assert folder.is_up_to_date()
+    assert read == []
+    before = (folder.path / "b.txt").stat()
+    for content, same in (("b", True), ("B", False)):
+        (folder.path / "b.txt").write_text(content)
+        os.utime(folder.path / "b.txt", ns=(before.st_atime_ns, before.st_mtime_ns))
+        assert folder.is_up_to_date() == same
+    assert read == ["b.txt", "b.txt"]
 
 
 @pytest.fixture
 def precious(tmp_path: Path) -> Path:
     """A folder outside the run with files that must not change."""
     outside = tmp_path / "outside"
-    (outside / "digests").mkdir(parents=True)
-    for name in ("letter.txt", "identity.json", "b.txt", "digests/phantoms.json"):
+    outside.mkdir()
+    for name in ("letter.txt", "identity.json", "b.txt"):
         (outside / name).write_text("mine")
     return outside
 
 
 def unharmed(outside: Path) -> bool:
     names = sorted(path.relative_to(outside).as_posix() for path in outside.rglob("*") if path.is_file())
-    wanted = ["b.txt", "digests/phantoms.json", "identity.json", "letter.txt"]
+    wanted = ["b.txt", "identity.json", "letter.txt"]
     return names == wanted and all((outside / name).read_text() == "mine" for name in wanted)
 
 
@@ -366,10 +341,10 @@ def test_a_lock_that_is_no_file_is_refused_and_its_target_stays(folder: RunFolde
 
 
 @pytest.mark.parametrize("same", [True, False], ids=["goes on", "begins anew"])
-@pytest.mark.parametrize("forged", [".progress", "sub", "b.txt", ".cache", "temporary"])
+@pytest.mark.parametrize("forged", [".progress", "sub", "b.txt", "temporary"])
 def test_nothing_outside_a_run_folder_is_written_or_removed(folder, precious, forged: str, same: bool) -> None:
     build(folder, "ab")
-    progress, cache = folder.path / ".progress", folder.path.parent / ".cache"
+    progress = folder.path / ".progress"
     if forged == ".progress":
         for path in progress.iterdir():
             shutil.copy(path, precious)
@@ -378,9 +353,6 @@ def test_nothing_outside_a_run_folder_is_written_or_removed(folder, precious, fo
         for path in (*precious.glob("*-*"), precious / "commits.txt"):
             path.unlink()
         (precious / "identity.json").write_text("mine")
-    elif forged == ".cache":
-        shutil.rmtree(cache, ignore_errors=True)
-        cache.symlink_to(precious)
     elif forged == "temporary":
         (folder.path / f".writing-{os.getpid()}-c.txt").symlink_to(precious / "letter.txt")
     if forged == "sub":
