@@ -1,27 +1,23 @@
-"""New logs from others: recovery, all intact chunks of a damaged log under a new name; annotations of a finished one.
-
-An annotation is what becomes known only after an episode, such as a questionnaire.
-"""
+"""Recovery: all intact chunks of a damaged log under a new name."""
 
 from __future__ import annotations
 
 import logging
 import mmap
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema
+from mcap.records import Channel, Metadata, Schema
 
 from pipeline.episodes.camera import Camera
 from pipeline.episodes.encoding import scan
 from pipeline.episodes.encoding.container import McapFile, is_being_written, replacing
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA, STEP_TOPIC
-from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.records import (
     MOST_STEPS,
     ContainerError,
@@ -30,13 +26,10 @@ from pipeline.episodes.records import (
     EpisodeReadError,
     EpisodeWriteError,
     VersionError,
-    damaged,
     open_episode,
     open_outcome,
-    seal,
     seal_episode,
     seal_outcome,
-    unseal,
 )
 from pipeline.episodes.writer import register_topics
 
@@ -252,76 +245,3 @@ def _outcome(outcome: EpisodeOutcome | None, steps: list[int]) -> EpisodeOutcome
         return EpisodeOutcome(success=None, steps=max(recovered_steps), status="interrupted", missing_steps=missing)
     missing = tuple(step for step in range(outcome.steps + 1) if step not in recovered_steps)
     return replace(outcome, missing_steps=missing)
-
-
-def annotation_name(key: str) -> str:
-    """The metadata record of an annotation, e.g. `endonav.questionnaire`; a ValueError if the key is no free word."""
-    name = f"endonav.{key}"
-    if not key.isidentifier() or name in (EPISODE_METADATA, OUTCOME_METADATA):
-        raise ValueError(f"an annotation's key must be a word other than episode and outcome, got {key!r}")
-    return name
-
-
-def annotate(path: str | os.PathLike[str], key: str, values: Mapping[str, Any]) -> None:
-    """Add an annotation to a finished log, or replace the one of that key; the log is exchanged in one instant.
-
-    Raises:
-        ValueError: the key is no word.
-        EpisodeReadError: there is no such log, or it is damaged; it stays as it is.
-        EpisodeWriteError: the new log cannot be written; the old one stays as it is.
-    """
-    path, name = Path(path), annotation_name(key)
-    with EpisodeReader(path):
-        pass  # an episode log, whole and not newer than this software
-    try:
-        with replacing(path, ".annotating") as out:
-            _copy_annotated(path, out, leave_out=name)
-            out.add_metadata(name, seal(values))
-    except OSError as error:
-        raise EpisodeWriteError(f"cannot add to {path}: {error.strerror}; the log is as it was") from error
-    except ContainerError as error:
-        raise damaged(path, error) from error
-
-
-def _copy_annotated(path: Path, out: McapFile, *, leave_out: str) -> None:
-    """Copy chunks and metadata in their order."""
-    with open(scan.open_log(path), "rb") as log:
-        fd = log.fileno()
-        summary = scan.read_summary(fd)
-        counts = dict.fromkeys(summary.channels, 0)
-        renumbered = {}
-        for channel in summary.channels.values():
-            schema = summary.schemas.get(channel.schema_id)
-            if schema is None:
-                raise ContainerError(f"the schema of {channel.topic} is missing")
-            renumbered[channel.id] = out.register(channel.topic, schema.name, schema.data, schema.encoding)
-        parts: list[ChunkIndex | MetadataIndex] = list(summary.chunk_indexes)
-        parts += [index for index in summary.metadata_indexes if index.name != leave_out]
-        for part in sorted(parts, key=_offset):
-            if isinstance(part, MetadataIndex):
-                out.add_metadata(part.name, scan.read_metadata(fd, part).metadata)
-                continue
-            chunk = scan.read_chunk(fd, part)
-            for span in scan.messages(chunk):
-                if span.channel_id not in renumbered:
-                    raise ContainerError(f"a message is of channel {span.channel_id}, which is not declared")
-                # sequence numbers count up along a topic, as the writer's steps do
-                sequence = counts[span.channel_id]
-                counts[span.channel_id] += 1
-                out.add(renumbered[span.channel_id], span.log_time_ns, sequence, chunk[span.start : span.end])
-            out.flush()
-
-
-def _offset(part: ChunkIndex | MetadataIndex) -> int:
-    return part.chunk_start_offset if isinstance(part, ChunkIndex) else part.offset
-
-
-def read_annotation(path: str | os.PathLike[str], key: str) -> dict[str, Any] | None:
-    """Read an annotation of a log: its values, or None when the log has none of that key."""
-    name = annotation_name(key)
-    try:
-        with open(scan.open_log(path), "rb") as log:
-            indexes = [index for index in scan.read_summary(log.fileno()).metadata_indexes if index.name == name]
-            return unseal(scan.read_metadata(log.fileno(), indexes[-1]).metadata) if indexes else None
-    except ContainerError as error:
-        raise damaged(Path(path), error) from error

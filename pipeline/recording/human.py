@@ -11,7 +11,6 @@ import numpy as np
 
 from cathsim.console.recorder import OPERATION, OPERATOR, OperationTotals, episode_path, write_answers
 from pipeline.episodes import EpisodeOutcome, EpisodeWriter
-from pipeline.episodes.recovery import annotate
 from pipeline.recording.record import describe_episode, logged_pictures, open_log, phantom_mesh, step_record
 
 if TYPE_CHECKING:
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
 
 FOLDER = "human"  # of a run: the episodes, which no stage may clear away
 SUFFIX = ".mcap"
-QUESTIONNAIRE = "questionnaire"  # the annotation's key
 ENDS_AT_FORCE_LIMIT = "ends_at_force_limit"  # key of a log's configuration
 
 
@@ -112,10 +110,8 @@ class McapRecorder:
         return log.finish(EpisodeOutcome(success=metrics.success, steps=self._steps, metrics=all_metrics))
 
     def answer(self, episode: Path, answers: Mapping[str, Any]) -> Path:
-        """Keeps a questionnaire, as `cathsim.console.check_answers` gives it, in the log, and in a JSON file."""
-        beside = write_answers(episode, answers)
-        annotate(episode, QUESTIONNAIRE, answers)
-        return beside
+        """Keeps a questionnaire, as `cathsim.console.check_answers` gives it, in a JSON file beside the log."""
+        return write_answers(episode, answers)
 
 
 def _operation(info: Mapping[str, Any]) -> dict[str, float]:

@@ -11,7 +11,7 @@ from pipeline.evaluations.logs import COUNTED
 from pipeline.printing import written
 from pipeline.settings.kinds import Count, SuccessRadius, shown, validated
 from pipeline.stages import Stage, StageContext
-from pipeline.store.atomic_files import write_json
+from pipeline.store.atomic_files import read_json, write_json
 from pipeline.store.manifest import is_inside
 from pipeline.store.provenance import hash_file
 from pipeline.tables import Figure, Results
@@ -63,7 +63,7 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
         try:
             info, finished, answered = _read(path)
             radius_mm = _MM * float(info.configuration.get("success_radius", 0.0))
-        except (EpisodeReadError, TypeError, ValueError, OverflowError) as error:
+        except (EpisodeReadError, KeyError, TypeError, ValueError, OverflowError) as error:
             reason = error if isinstance(error, EpisodeReadError) else f"{path} says what cannot be used ({error})"
             _LOGGER.warning("left out: %s", reason)
             study.unreadable += 1
@@ -88,16 +88,15 @@ def gather(logs: list[Path], settings: UserStudySettings) -> Study:
 def _read(path: Path) -> tuple[EpisodeInfo, bool, dict[str, Any] | None]:
     """What a log holds: its information, whether the procedure was finished, and the questionnaire."""
     from cathsim.console.questionnaire import check_answers
-    from cathsim.console.recorder import OPERATOR, TOTALS
+    from cathsim.console.recorder import OPERATOR, QUESTIONNAIRE_SUFFIX, TOTALS
     from cathsim.metrics import EpisodeMetrics
     from cathsim.metrics.episodes import ENDING
     from pipeline.episodes import EpisodeReader, EpisodeReadError
-    from pipeline.episodes.recovery import read_annotation
-    from pipeline.recording.human import QUESTIONNAIRE
 
     with EpisodeReader(path) as log:
         info, outcome = log.info, log.outcome
-    answered = read_annotation(path, QUESTIONNAIRE)
+    beside = path.with_name(path.stem + QUESTIONNAIRE_SUFFIX)
+    answered = read_json(beside)["answers"] if beside.is_file() else None
     if info.operator != OPERATOR:
         raise EpisodeReadError(f"{path} is an episode of {info.operator}")
     for name, value in outcome.metrics.items():
@@ -163,8 +162,11 @@ def figures(study: Study, folder: Path, settings: UserStudySettings) -> list[Fig
 
 
 def recordings(run_path: Path) -> dict[str, str]:
-    """Hashes of the human's logs of a run."""
-    return {f"human/{path.relative_to(run_path).as_posix()}": hash_file(path) for path in logs_of(run_path)}
+    """Hashes of the human's logs of a run, and of what was answered."""
+    from pipeline.recording.human import FOLDER
+
+    files = sorted(path for path in (run_path / FOLDER).rglob("*") if path.suffix in (".mcap", ".json"))
+    return {f"human/{path.relative_to(run_path).as_posix()}": hash_file(path) for path in files}
 
 
 STAGE = Stage(settings=UserStudySettings, run=run_user_study, seeded=False, further_inputs=recordings)

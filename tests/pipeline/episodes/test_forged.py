@@ -22,7 +22,7 @@ from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.scan import open_chunk
 from pipeline.episodes.encoding.step_codec import FIXED64, VARINT, decode_step, tag, varint
 from pipeline.episodes.records import ContainerError, _checksum, open_episode, open_outcome
-from pipeline.episodes.recovery import annotate, read_annotation, recover
+from pipeline.episodes.recovery import recover
 from tests.pipeline.episodes.forged_logs import FORGED, FOUND_BY_CHECK_ALONE, FOUND_LATER, LARGE, Content
 
 
@@ -165,8 +165,7 @@ def test_recovery_takes_time_in_proportion_to_the_file(forged: bytes, log_path: 
 def test_a_log_is_a_regular_file(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.mcap")
     for path in (tmp_path / "pipe.mcap", tmp_path, Path("/dev/zero"), tmp_path / "a\0b"):
-        for use in (EpisodeReader, lambda path: recover(path, tmp_path / "x.mcap"), lambda p: read_annotation(p, "a"),
-                    lambda path: annotate(path, "a", {})):  # fmt: skip
+        for use in (EpisodeReader, lambda path: recover(path, tmp_path / "x.mcap")):
             with pytest.raises(EpisodeReadError, match="cannot open") as refused:
                 use(path)
             assert "\n" not in str(refused.value)

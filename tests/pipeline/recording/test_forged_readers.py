@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
+from cathsim.console.recorder import write_answers
 from pipeline.episodes import EpisodeInfo, EpisodeOutcome, EpisodeReader, EpisodeReadError, EpisodeWriter
-from pipeline.episodes.recovery import annotate
 from pipeline.evaluations.forces import read_forces
 from pipeline.evaluations.logs import read_logs
 from pipeline.recording.record import record_episode
@@ -100,7 +100,7 @@ def test_a_user_study_leaves_out_what_it_cannot_use(log: Path, tmp_path: Path, c
     with EpisodeReader(log) as reader:
         kept = dict(reader.outcome.metrics)
     answered = rewritten(log, tmp_path / "answered.mcap")
-    annotate(answered, "questionnaire", {"ease": "very"})
+    write_answers(answered, {"ease": "very"})
     metrics = ({**kept, "steps": "many"}, {**kept, "force_mean": [1], "steps": None}, {"unknown": 1}, {"target": "bca"})
     bad = [rewritten(log, tmp_path / f"{k}.mcap", outcome={"metrics": one}) for k, one in enumerate(metrics)]
     names = [(field, name) for field in ("target", "phantom") for name in ("a/b", "..", "", "a" * 300, "a\0b")]

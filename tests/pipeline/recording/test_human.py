@@ -1,11 +1,10 @@
-"""A human's logs: as whole as any other's, marked, with the questionnaire inside and beside."""
+"""A human's logs: as whole as any other's, marked, with the questionnaire beside."""
 
 from __future__ import annotations
 
 import json
 import logging
 import re
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,10 +18,9 @@ from cathsim.console.questionnaire import CRITERIA
 from cathsim.console.recorder import OPERATION, TOTALS
 from cathsim.console.setup.operator_setup import ForceLimit
 from cathsim.console.xray.room import XRayStep
-from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriter
+from pipeline.episodes import EpisodeReader, EpisodeWriter
 from pipeline.episodes.__main__ import main as show
 from pipeline.episodes.checking import check
-from pipeline.episodes.recovery import annotate, read_annotation
 from pipeline.evaluations.logs import COUNTED
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.recording.human import McapRecorder
@@ -182,38 +180,13 @@ def test_a_procedure_that_ends_at_the_force_limit_is_not_in_the_study(environmen
     assert (study.counted, study.other_settings) == ([], 1)
 
 
-def test_a_questionnaire_is_in_the_log_and_beside_it(procedure: Procedure) -> None:
+def test_a_questionnaire_is_beside_the_log(procedure: Procedure) -> None:
     path = procedure.path
     assert path is not None
-    before = EpisodeReader(path).load_arrays()
     beside = procedure.answer(ANSWERS)
     assert beside == path.with_name("000.questionnaire.json")
     assert json.loads(beside.read_text())["answers"] == ANSWERS
-    assert read_annotation(path, "questionnaire") == ANSWERS
-    assert check(path).problems == []
-    after = EpisodeReader(path).load_arrays()
-    assert before.keys() == after.keys()
-    for name, values in before.items():
-        np.testing.assert_array_equal(values, after[name])
-    annotate(path, "questionnaire", {**ANSWERS, "motion_accuracy": 1})
-    assert (read_annotation(path, "questionnaire") or {})["motion_accuracy"] == 1
-    assert read_annotation(path, "remarks") is None
     assert [entry.name for entry in sorted(path.parent.iterdir())] == ["000.mcap", "000.questionnaire.json"]
-
-
-def test_annotations_have_names_of_their_own_and_need_a_sound_log(procedure: Procedure, tmp_path: Path) -> None:
-    assert procedure.path is not None
-    path = Path(shutil.copy(procedure.path, tmp_path))
-    for key in ("outcome", "episode", "", "two words"):
-        with pytest.raises(ValueError, match="an annotation's key must be a word"):
-            annotate(path, key, {})
-    with pytest.raises(EpisodeReadError, match="cannot open"):
-        annotate(tmp_path / "none.mcap", "questionnaire", {})
-    content = path.read_bytes()
-    path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(EpisodeReadError, match="has no index"):
-        annotate(path, "questionnaire", {})
-    assert path.read_bytes() == content[: len(content) // 2]
 
 
 def test_the_study_counts_finished_procedures_under_its_own_settings(environment: NavigateEnv, tmp_path: Path) -> None:
