@@ -22,7 +22,7 @@ from pipeline.episodes.encoding import schema
 from pipeline.episodes.encoding.container import MAX_CHUNK_BYTES, McapFile, is_being_written
 from pipeline.episodes.encoding.png import encode_image, encode_mask
 from pipeline.episodes.encoding.scene import PhantomMesh, encode_wire_line, encode_wire_points
-from pipeline.episodes.encoding.step_codec import delimited, encode_devices, encode_step, timestamp
+from pipeline.episodes.encoding.step_codec import encode_devices, encode_step
 from pipeline.episodes.records import (
     EpisodeInfo,
     EpisodeOutcome,
@@ -43,7 +43,6 @@ _IMAGE_TYPES = (np.dtype(np.uint8),)
 _MASK_TYPES = (np.dtype(np.bool_), np.dtype(np.uint8))
 _STREAMS = ("image", "mask")
 _Picture = tuple[str, str, Callable[[Any], bytes], NDArray[Any]]  # topic, camera, encoder, pixels
-_IMAGE_FIELDS = CompressedImage.DESCRIPTOR.fields_by_name
 
 
 @cache
@@ -131,11 +130,6 @@ class EpisodeWriter:
         except OSError as error:
             raise EpisodeWriteError(f"cannot write {self.partial}: {error.strerror}; choose another folder") from error
         self._channels = register_topics(self._file, self.cameras, devices=info.has_catheter)
-        self._image_tails = {
-            name: delimited(_IMAGE_FIELDS["format"].number, b"png")
-            + delimited(_IMAGE_FIELDS["frame_id"].number, camera_frame(name).encode())
-            for name in self.cameras
-        }
         try:
             self._begin(phantom_mesh)
         except OSError as error:
@@ -240,10 +234,10 @@ class EpisodeWriter:
                 (channels[schema.CATHETER_TOPIC], encode_wire_line(catheter, time_ns, "catheter")),
                 (channels[schema.CATHETER_POINTS_TOPIC], encode_wire_points(catheter, time_ns)),
             ]
-        head = timestamp(_IMAGE_FIELDS["timestamp"].number, time_ns)
         for topic, camera, encode, picture in pictures:
-            payload = head + delimited(_IMAGE_FIELDS["data"].number, encode(picture)) + self._image_tails[camera]
-            batch.append((channels[topic], payload))
+            message = CompressedImage(frame_id=camera_frame(camera), format="png", data=encode(picture))
+            message.timestamp.FromNanoseconds(time_ns)
+            batch.append((channels[topic], message.SerializeToString()))
         return batch
 
     def _check(self, record: StepRecord, pictures: Mapping[str, Mapping[str, Any]]) -> None:

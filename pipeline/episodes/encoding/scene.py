@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
@@ -18,7 +20,6 @@ from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrim
 from numpy.typing import NDArray
 
 from pipeline.episodes.encoding.schema import WORLD_FRAME
-from pipeline.episodes.encoding.step_codec import DELIMITED, delimited, timestamp
 
 FloatArray = NDArray[np.float64]
 
@@ -31,27 +32,9 @@ _TARGET_COLOUR = Color(r=0.1, g=0.7, b=0.2, a=0.8)
 _ENTRY_COLOUR = Color(r=0.2, g=0.4, b=0.9, a=0.8)
 _SPHERE_DIAMETER = 0.004
 
-_POINT_BYTES = 29
-"""A Point3 within a repeated field numbered below 16: key, length 27, then three keyed doubles."""
 
-
-@lru_cache(maxsize=64)
-def _point_rows(number: int, count: int) -> NDArray[np.uint8]:
-    """Lay out so many points of a repeated Point3 field, coordinates yet to be filled in."""
-    assert number < 16  # so that its key is one byte
-    row = np.zeros(_POINT_BYTES, np.uint8)
-    row[:2] = number << 3 | DELIMITED, _POINT_BYTES - 2
-    row[[2, 11, 20]] = 0x09, 0x11, 0x19  # keys of the doubles x, y and z
-    return np.tile(row, (count, 1))
-
-
-def _points_field(number: int, points: FloatArray) -> bytes:
-    """Serialise points as a repeated Point3 field, for all points at once."""
-    count = len(points)
-    rows = _point_rows(number, count).copy()
-    coordinates = np.ascontiguousarray(points, dtype="<f8").view(np.uint8).reshape(count, 3, 8)
-    rows[:, 2:].reshape(count, 3, 9, copy=False)[:, :, 1:] = coordinates
-    return rows.tobytes()
+def _points(points: FloatArray) -> list[Point3]:
+    return [Point3(x=x, y=y, z=z) for x, y, z in points.tolist()]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -82,27 +65,22 @@ class PhantomMesh:
                 raise ValueError(f"{name} must have shape (3,), got {getattr(self, name).shape}")
 
     @cached_property
-    def _triangles(self) -> bytes:
-        fields = TriangleListPrimitive.DESCRIPTOR.fields_by_name
-        body = _points_field(fields["points"].number, self.vertices)
-        body += delimited(fields["indices"].number, self.faces.astype("<u4").tobytes())
-        body += delimited(fields["color"].number, _WALL_COLOUR.SerializeToString())
-        body += delimited(fields["pose"].number, _identity_pose().SerializeToString())
-        return delimited(SceneEntity.DESCRIPTOR.fields_by_name["triangles"].number, body)
+    def _triangles(self) -> TriangleListPrimitive:
+        indices = self.faces.ravel().tolist()
+        return TriangleListPrimitive(
+            points=_points(self.vertices), indices=indices, color=_WALL_COLOUR, pose=_identity_pose()
+        )
 
     def scene(self, time_ns: int) -> bytes:
         """Serialise as `foxglove.SceneUpdate` with the entities "phantom", "target" and "entry"."""
-        entities = SceneUpdate.DESCRIPTOR.fields_by_name["entities"].number
-        update = delimited(entities, _entity_head("phantom", time_ns) + self._triangles)
+        entities = [_entity("phantom", time_ns, triangles=[self._triangles])]
         for name, centre, colour in (("target", self.target, _TARGET_COLOUR), ("entry", self.entry, _ENTRY_COLOUR)):
             sphere = SpherePrimitive(color=colour, pose=_identity_pose())
             x, y, z = centre.tolist()
             sphere.pose.position.x, sphere.pose.position.y, sphere.pose.position.z = x, y, z
             sphere.size.x = sphere.size.y = sphere.size.z = _SPHERE_DIAMETER
-            spheres = SceneEntity.DESCRIPTOR.fields_by_name["spheres"].number
-            body = delimited(spheres, sphere.SerializeToString())
-            update += delimited(entities, _entity_head(name, time_ns) + body)
-        return update
+            entities.append(_entity(name, time_ns, spheres=[sphere]))
+        return bytes(SceneUpdate(entities=entities).SerializeToString())
 
 
 def decode_phantom(data: bytes) -> PhantomMesh:
@@ -133,50 +111,27 @@ def _identity_pose() -> Pose:
     return pose
 
 
-def _entity_head(entity_id: str, time_ns: int) -> bytes:
-    fields = SceneEntity.DESCRIPTOR.fields_by_name
-    return timestamp(fields["timestamp"].number, time_ns) + _entity_names(entity_id)
-
-
-@lru_cache(maxsize=16)
-def _entity_names(entity_id: str) -> bytes:
-    fields = SceneEntity.DESCRIPTOR.fields_by_name
-    return delimited(fields["frame_id"].number, WORLD_FRAME.encode()) + delimited(
-        fields["id"].number, entity_id.encode()
-    )
-
-
-@lru_cache(maxsize=2)
-def _line_style(device: str) -> bytes:
-    """All of a line but its points."""
-    colour, width = _LINES[device]
-    line = LinePrimitive(type=LinePrimitive.LINE_STRIP, thickness=width, scale_invariant=True, color=colour)
-    line.pose.CopyFrom(_identity_pose())
-    return bytes(line.SerializeToString())
-
-
-_LINE_POINTS = LinePrimitive.DESCRIPTOR.fields_by_name["points"].number
-_ENTITIES = SceneUpdate.DESCRIPTOR.fields_by_name["entities"].number
-_ENTITY_LINES = SceneEntity.DESCRIPTOR.fields_by_name["lines"].number
-_CLOUD_TIME = PointCloud.DESCRIPTOR.fields_by_name["timestamp"].number
-_CLOUD_DATA = PointCloud.DESCRIPTOR.fields_by_name["data"].number
+def _entity(name: str, time_ns: int, **shapes: Any) -> SceneEntity:
+    entity = SceneEntity(id=name, frame_id=WORLD_FRAME, **shapes)
+    entity.timestamp.FromNanoseconds(time_ns)
+    return entity
 
 
 def encode_wire_line(points: FloatArray, time_ns: int, device: str = "wire") -> bytes:
     """Serialise a device, (n, 3) m, world, tip first, as a `foxglove.SceneUpdate` that replaces the line before."""
-    line = delimited(_ENTITY_LINES, _points_field(_LINE_POINTS, points) + _line_style(device))
-    return delimited(_ENTITIES, _entity_head(device, time_ns) + line)
-
-
-@lru_cache(maxsize=1)
-def _cloud_layout() -> bytes:
-    cloud = PointCloud(frame_id=WORLD_FRAME, point_stride=12, pose=_identity_pose())
-    for axis, name in enumerate("xyz"):
-        cloud.fields.add(name=name, offset=4 * axis, type=PackedElementField.FLOAT32)
-    return bytes(cloud.SerializeToString())
+    colour, width = _LINES[device]
+    line = LinePrimitive(
+        type=LinePrimitive.LINE_STRIP, thickness=width, scale_invariant=True, color=colour, pose=_identity_pose(),
+        points=_points(points),
+    )  # fmt: skip
+    return bytes(SceneUpdate(entities=[_entity(device, time_ns, lines=[line])]).SerializeToString())
 
 
 def encode_wire_points(points: FloatArray, time_ns: int) -> bytes:
     """Serialise a device, (n, 3) m, world, tip first, as a `foxglove.PointCloud` of float32; `/step` is exact."""
-    data = delimited(_CLOUD_DATA, points.astype("<f4").tobytes())
-    return timestamp(_CLOUD_TIME, time_ns) + _cloud_layout() + data
+    data = points.astype("<f4").tobytes()
+    cloud = PointCloud(frame_id=WORLD_FRAME, point_stride=12, pose=_identity_pose(), data=data)
+    cloud.timestamp.FromNanoseconds(time_ns)
+    for axis, name in enumerate("xyz"):
+        cloud.fields.add(name=name, offset=4 * axis, type=PackedElementField.FLOAT32)
+    return bytes(cloud.SerializeToString())

@@ -20,12 +20,27 @@ from mcap.writer import Writer
 from PIL import Image
 
 from pipeline.episodes.encoding.schema import Step
-from pipeline.episodes.encoding.step_codec import FIXED64, VARINT, delimited, tag, varint
 from pipeline.episodes.records import _checksum
 
 IMAGE, MASK, SIDE = "/camera/frontal/image", "/camera/frontal/mask", "/camera/side/image"
 CALIBRATION = "/camera/frontal/calibration"
 Message = tuple[str, int, bytes]  # topic, log time, payload
+VARINT, FIXED64, DELIMITED = 0, 1, 2  # wire types of protobuf
+
+
+def varint(value: int) -> bytes:
+    """A number above 0 as protobuf writes it."""
+    return bytes(Step(step=value).SerializeToString()[1:])
+
+
+def tag(number: int, wire_type: int) -> bytes:
+    """What stands before a field whose number is below 16."""
+    return bytes((number << 3 | wire_type,))
+
+
+def delimited(number: int, payload: bytes) -> bytes:
+    """A field of text, bytes, or a message."""
+    return tag(number, DELIMITED) + varint(len(payload)) + payload
 
 
 def sealed(text: str, schema_version: str = "1") -> dict[str, str]:

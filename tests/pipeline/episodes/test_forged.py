@@ -20,10 +20,20 @@ from pipeline.episodes import EpisodeReader, EpisodeReadError, EpisodeWriter
 from pipeline.episodes.__main__ import main
 from pipeline.episodes.checking import check
 from pipeline.episodes.encoding.scan import open_chunk
-from pipeline.episodes.encoding.step_codec import FIXED64, VARINT, decode_step, tag, varint
+from pipeline.episodes.encoding.step_codec import decode_step
 from pipeline.episodes.records import ContainerError, _checksum, open_episode, open_outcome
 from pipeline.episodes.recovery import recover
-from tests.pipeline.episodes.forged_logs import FORGED, FOUND_BY_CHECK_ALONE, FOUND_LATER, LARGE, Content
+from tests.pipeline.episodes.forged_logs import (
+    FIXED64,
+    FORGED,
+    FOUND_BY_CHECK_ALONE,
+    FOUND_LATER,
+    LARGE,
+    VARINT,
+    Content,
+    tag,
+    varint,
+)
 
 
 @pytest.fixture
