@@ -1,4 +1,4 @@
-"""The check of a log: every checksum, every step, every picture, and that all topics show the same episode."""
+"""The check of a log: every checksum, every step, every picture, and that all topics are of the same steps."""
 
 from __future__ import annotations
 
@@ -10,25 +10,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
-from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 from mcap.records import Channel, DataEnd, MessageIndex, Schema
 
-from pipeline.episodes.camera import Camera, camera_frame
 from pipeline.episodes.encoding import schema
 from pipeline.episodes.encoding.scan import MessageSpan, check_magic, messages, open_chunk, parse_record, walk
 from pipeline.episodes.encoding.step_codec import decode_devices, decode_with_norm
 from pipeline.episodes.reader import EpisodeReader
-from pipeline.episodes.records import ContainerError, DeviceRecord, EpisodeReadError, StepRecord, damaged
+from pipeline.episodes.records import ContainerError, EpisodeReadError, damaged
 from pipeline.episodes.recovery import mapped
 
 _MAGIC_BYTES = 8
 _MAX_PROBLEMS = 20
-_TOLERANCE = 1e-9
 
 
 @dataclass
@@ -62,9 +55,9 @@ def check(path: Path) -> CheckReport:
                 raise damaged(path, error) from error
         with EpisodeReader(path) as log:
             _check_index(log, section, report)
-            records = _check_steps(log, report)
-            _check_times(log, [record.step for record in records], report)
-            _check_drawings(log, records, report)
+            _check_times(log, _check_steps(log, report), report)
+            if log.info.has_catheter:
+                _check_devices(log, report)
             _check_pictures(log, report)
             mesh = log.phantom_mesh()
             if mesh is None:
@@ -135,11 +128,11 @@ def _check_index(log: EpisodeReader, section: _DataSection, report: CheckReport)
             _add(report, f"the index declares {type(one).__name__.lower()} {one.id} otherwise than the data section")
 
 
-def _check_steps(log: EpisodeReader, report: CheckReport) -> list[StepRecord]:
-    """Verify that steps follow each other, stand at their time and hold finite numbers; give them with devices."""
+def _check_steps(log: EpisodeReader, report: CheckReport) -> list[int]:
+    """Verify that steps follow each other, stand at their time and hold finite numbers; give their indices."""
     missing = set(log.outcome.missing_steps)
     expected, shapes = 0, None
-    records = []
+    steps: list[int] = []
     for time_ns, payload in log.payloads(schema.STEP_TOPIC):
         try:
             record, norm = decode_with_norm(payload)
@@ -166,13 +159,13 @@ def _check_steps(log: EpisodeReader, report: CheckReport) -> list[StepRecord]:
         shapes = shapes or record_shapes
         if record_shapes != shapes:
             _add(report, f"step {record.step} has shapes {record_shapes}, the first record {shapes}")
-        records.append(record)
-    report.records = len(records)
+        steps.append(record.step)
+    report.records = len(steps)
     while expected in missing:
         expected += 1
     if expected - 1 != log.outcome.steps:
         _add(report, f"the outcome counts {log.outcome.steps} steps, the records {expected - 1}")
-    return records
+    return steps
 
 
 def _check_times(log: EpisodeReader, steps: Sequence[int], report: CheckReport) -> None:
@@ -198,79 +191,13 @@ def _check_times(log: EpisodeReader, steps: Sequence[int], report: CheckReport) 
                 _add(report, f"{channel.topic} has {len(times)} messages for {len(due_times)}, odd from {number} on")
 
 
-def _check_drawings(log: EpisodeReader, records: Sequence[StepRecord], report: CheckReport) -> None:
-    """Verify that what viewers draw is what the records and the cameras say."""
-    devices: list[DeviceRecord] = []
-    if log.info.has_catheter:
-        devices = _check_devices(log, report)
-    wires = [one.wire_points for one in (devices or records)]
-    drawings = [(schema.WIRE_TOPIC, schema.WIRE_POINTS_TOPIC, wires)]
-    drawings += (
-        [(schema.CATHETER_TOPIC, schema.CATHETER_POINTS_TOPIC, [one.catheter_points for one in devices])]
-        if devices
-        else []
-    )
-    try:
-        for line_topic, cloud_topic, curves in drawings:
-            for topic, points_of in ((line_topic, _line_points), (cloud_topic, _cloud_points)):
-                payloads = log.payloads(topic) if log.holds(topic) else ()
-                for (time_ns, payload), points in zip(payloads, curves, strict=False):
-                    drawn = points_of(payload, time_ns)
-                    record_points = points if topic == line_topic else points.astype("<f4")
-                    if not np.array_equal(drawn, record_points, equal_nan=True):
-                        _add(report, f"{topic} shows another device than the record at {time_ns} ns")
-        for name in log.cameras:
-            _check_camera(log, name, log.camera(name), report)
-    except (DecodeError, ValueError, IndexError) as error:
-        if isinstance(error, EpisodeReadError):
-            raise
-        _add(report, f"what viewers draw cannot be decoded: {error}")
-
-
-def _line_points(payload: bytes, time_ns: int) -> Any:
-    (entity,) = SceneUpdate.FromString(payload).entities
-    (line,) = entity.lines
-    if entity.timestamp.ToNanoseconds() != time_ns:
-        raise ValueError(f"a line at {time_ns} ns is of another time")
-    return np.reshape([(point.x, point.y, point.z) for point in line.points], (-1, 3))
-
-
-def _cloud_points(payload: bytes, time_ns: int) -> Any:
-    cloud = PointCloud.FromString(payload)
-    if cloud.timestamp.ToNanoseconds() != time_ns:
-        raise ValueError(f"a cloud at {time_ns} ns is of another time")
-    return np.frombuffer(cloud.data, "<f4").reshape(-1, 3)
-
-
-def _check_camera(log: EpisodeReader, name: str, camera: Camera, report: CheckReport) -> None:
-    """Verify that the messages of a camera say what its matrix does."""
-    start, topic = log.info.start_time_ns, schema.camera_topic(name, "calibration")
-    calibration = CameraCalibration.FromString(camera.calibration(name, start))
-    if log.holds(topic) and any(CameraCalibration.FromString(one) != calibration for _, one in log.payloads(topic)):
-        _add(report, f"{topic} is another calibration than the metadata's")
-    pose = camera.transform(name, start)
-    for _, payload in log.payloads(schema.TRANSFORM_TOPIC) if log.holds(schema.TRANSFORM_TOPIC) else ():
-        transforms = [
-            one for one in FrameTransforms.FromString(payload).transforms if one.child_frame_id == camera_frame(name)
-        ]
-        same = len(transforms) == 1 and transforms[0].parent_frame_id == pose.parent_frame_id
-        moved, turned = (
-            [[getattr(getattr(one, part), axis) for axis in axes] for one in (*transforms[:1], pose)]
-            for part, axes in (("translation", "xyz"), ("rotation", "wxyz"))
-        )
-        same = same and bool(np.allclose(moved[0], moved[1], atol=_TOLERANCE))
-        if not same or not np.isclose(abs(np.dot(turned[0], turned[1])), 1.0, atol=_TOLERANCE):
-            _add(report, f"{schema.TRANSFORM_TOPIC} gives camera {name} another pose than the metadata")
-
-
-def _check_devices(log: EpisodeReader, report: CheckReport) -> list[DeviceRecord]:
+def _check_devices(log: EpisodeReader, report: CheckReport) -> None:
     """Verify that every record has both devices, at its time and with finite numbers."""
-    records: list[DeviceRecord] = []
-    for time_ns, payload in log.payloads(schema.DEVICES_TOPIC):
+    for number, (time_ns, payload) in enumerate(log.payloads(schema.DEVICES_TOPIC)):
         try:
             step, devices = decode_devices(payload)
         except ValueError as error:
-            _add(report, f"the devices of record {len(records)} cannot be decoded: {error}")
+            _add(report, f"the devices of record {number} cannot be decoded: {error}")
             continue
         if time_ns != log.info.time_ns(step):
             _add(report, f"the devices of step {step} have log time {time_ns}, expected {log.info.time_ns(step)}")
@@ -279,8 +206,6 @@ def _check_devices(log: EpisodeReader, report: CheckReport) -> list[DeviceRecord
             value = np.asarray(getattr(devices, name, step))
             if not np.isfinite(value[device_mask] if name == "tip_rotations" else value).all():
                 _add(report, f"step {step} has a non-finite number in {name} of its devices")
-        records.append(devices)
-    return records
 
 
 def _check_pictures(log: EpisodeReader, report: CheckReport) -> None:

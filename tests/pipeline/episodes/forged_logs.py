@@ -11,10 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from PIL import Image
@@ -23,7 +20,6 @@ from pipeline.episodes.encoding.schema import Step
 from pipeline.episodes.records import _checksum
 
 IMAGE, MASK, SIDE = "/camera/frontal/image", "/camera/frontal/mask", "/camera/side/image"
-CALIBRATION = "/camera/frontal/calibration"
 Message = tuple[str, int, bytes]  # topic, log time, payload
 VARINT, FIXED64, DELIMITED = 0, 1, 2  # wire types of protobuf
 
@@ -218,10 +214,6 @@ FORGED: dict[str, Forge] = {
     "grey mask": lambda c: pixels(c, lambda _: png(np.full((20, 33), 9, np.uint8)), MASK),
     "picture said to be a JPEG": lambda c: c.alter(IMAGE, CompressedImage, lambda m: setattr(m, "format", "jpeg")),
     "steps of another schema": exchanged_schema,
-    "another calibration": lambda c: c.alter(CALIBRATION, CameraCalibration, lambda m: m.ClearField("K"), 0),
-    "another pose": lambda c: c.alter("/tf", FrameTransforms, lambda m: m.transforms[0].ClearField("translation"), 0),
-    "another cloud": lambda c: c.alter("/wire/points", PointCloud, lambda m: setattr(m, "data", m.data[::-1])),
-    "wires exchanged": lambda c: c.put("/wire", c.payloads("/wire")[::-1]),
     "NaN": lambda c: c.alter("/step", Step, lambda m: setattr(m, "reward", float("nan"))),
     "actions of another width": lambda c: c.alter("/step", Step, lambda m: m.action.append(1.0)),
     "another force norm": lambda c: c.alter("/step", Step, lambda m: setattr(m, "resultant_force_norm", 7.0)),
@@ -231,8 +223,7 @@ FORGED: dict[str, Forge] = {
 }  # fmt: skip
 # What only viewers look at, or what is no number or field that arrays are made of: the check alone finds it.
 FOUND_BY_CHECK_ALONE = {
-    "a wire 1 ns late", "two phantoms", "another calibration", "another pose", "another cloud",
-    "wires exchanged", "NaN", "another force norm", "an attachment",
+    "a wire 1 ns late", "two phantoms", "NaN", "another force norm", "an attachment",
 }  # fmt: skip
 
 
