@@ -19,7 +19,6 @@ import logging
 import os
 import re
 import shutil
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
@@ -27,8 +26,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from tqdm import tqdm
-
+from pipeline.jobs.display import JobDisplay, JobState
 from pipeline.store.atomic_files import remove_unfinished, write_json, write_text
 from pipeline.store.costs import kept_costs
 from pipeline.store.errors import StageError
@@ -40,32 +38,6 @@ from pipeline.store.provenance import present_commit
 Item = TypeVar("Item")
 
 _LOGGER = logging.getLogger(__name__)
-_SECONDS_BETWEEN_LINES = 5.0
-
-
-def progress(items: Sequence[Item], label: str, *, done_before: int = 0) -> Iterator[Item]:
-    """Passes items on and says how far it is; items `done_before` count in the total, not in the estimate."""
-    total = done_before + len(items)
-    if sys.stderr.isatty():
-        yield from tqdm(items, desc=label, initial=done_before, total=total, dynamic_ncols=True, leave=False)
-        return
-    start = last_line = time.monotonic()
-    for count, item in enumerate(items):
-        yield item
-        now = time.monotonic()
-        is_last = count + 1 == len(items)
-        if is_last or now - last_line >= _SECONDS_BETWEEN_LINES:
-            last_line = now
-            _LOGGER.info("%s", progress_line(label, done_before + count + 1, total, now - start, count + 1))
-
-
-def progress_line(label: str, done: int, total: int, elapsed_s: float, done_now: int) -> str:
-    """Words one line of progress, such as ``phantoms 2/6, 8 s, about 16 s left``; `done_now` is at least one."""
-    left_s = elapsed_s / done_now * (total - done)
-    rest = f", about {left_s:.0f} s left" if done < total else ""
-    return f"{label} {done}/{total}, {elapsed_s:.0f} s{rest}"
-
-
 LOCK = ".lock"
 _COMMITS, _COMMIT = "commits.txt", re.compile(r"\w{1,40}\+?")
 OLD = ".old"  # below the run
@@ -189,11 +161,16 @@ class RunFolder(FinishedItems):
         to the summary calls ``mark_done(key, result)`` itself, as its last act.
         """
         todo = self.pending(items, key=key)
-        for item in progress(todo, label, done_before=len(items) - len(todo)):
-            yield item
-            if self.result_of(key(item)) is None:
-                self.mark_done(key(item))
-            stop_if_interrupted()
+        states = [JobState(key(item), done=item not in todo) for item in items]
+        with JobDisplay(label, states, workers=1) as display:
+            for item in todo:
+                display.states[key(item)].start()
+                yield item
+                if self.result_of(key(item)) is None:
+                    self.mark_done(key(item))
+                display.states[key(item)].finish()
+                display.show()
+                stop_if_interrupted()
 
     def finish(
         self, *, stage: str, run: str, budget: str, seed: int, config: dict[str, Any], started: float,

@@ -1,4 +1,4 @@
-"""Files that are written whole, where results come from, and progress."""
+"""Files that are written whole, and where results come from."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import pytest
 from pipeline.store.atomic_files import atomic_path, remove_unfinished, write_json, write_text
 from pipeline.store.errors import is_no_room
 from pipeline.store.provenance import hash_file, hash_value, machine, present_commit, software_versions
-from pipeline.store.run_folder import progress, progress_line
 
 
 def write_half(target: Path) -> None:
@@ -86,10 +85,3 @@ def test_versions_commit_and_machine_are_recorded() -> None:
     assert re.fullmatch(r"[0-9a-f]{12}\+?|unknown", present_commit())
     assert set(machine()) == {"operating_system", "processor", "cores", "memory_gb", "gpu"}
     assert int(machine()["cores"]) >= 1
-
-
-def test_progress_passes_everything_on_and_estimates_the_rest() -> None:
-    assert list(progress([3, 1, 2], "numbers")) == [3, 1, 2]
-    assert progress_line("phantoms", 2, 6, 8.0, 2) == "phantoms 2/6, 8 s, about 16 s left"
-    assert progress_line("phantoms", 4, 6, 4.0, 1) == "phantoms 4/6, 4 s, about 8 s left"  # three were done before
-    assert progress_line("phantoms", 6, 6, 9.0, 3) == "phantoms 6/6, 9 s"
