@@ -196,6 +196,10 @@ def _obey(connection: Connection, report: Report) -> None:
 
 PHANTOM = ("scipy.ndimage", "trimesh")  # to preload for jobs that open a phantom, which imports these when it has to
 OPTIMISER = "torch._dynamo"  # to preload for jobs that train: 1.4 s of imports of the first optimiser of a process
+POLICIES = (  # to preload for jobs that train policies or play episodes, each of which imports a part of these
+    *PHANTOM, "cathsim.rehearsal.environment", "enn.encoder", "enn.force.evaluation", "enn.imitation.advised_episodes",
+    "enn.imitation.distillation", "enn.reinforcement.rehearsal", "pipeline.recording.record", OPTIMISER,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 
 from pipeline.anatomies.settings import require_known_phantoms
 from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.worker import POLICIES
 from pipeline.plots.episodes import draw_calibration, draw_shares
 from pipeline.settings.kinds import require_modalities
 from pipeline.stages import Stage, StageContext
@@ -16,7 +17,6 @@ from pipeline.stages.job_memory import LEARNT_BATCH, policy_gb
 from pipeline.stages.learning.aids import note_of, of_force
 from pipeline.stages.learning.expert_episodes import expert_folder, require_expert
 from pipeline.stages.learning.force import (
-    PRELOAD,
     TEST_EVERY,
     ForceJob,
     RecordingJob,
@@ -56,7 +56,7 @@ def run_force(settings: ForceSettings, context: StageContext) -> Results:
         [*recordings, *fits, *shapes],
         workers=settings.workers,
         label="force jobs",
-        preload=PRELOAD,
+        preload=POLICIES,
         device=settings.device,
     )
     rows = {f"{job.given.inputs}, {job.given.samples:,} samples": of_force(job.given, settings.task) for job in fits}

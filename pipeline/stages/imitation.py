@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from enn.curves import Curves
 from pipeline.anatomies.settings import check_anatomies, settle
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.jobs.worker import OPTIMISER, PHANTOM, Report
+from pipeline.jobs.worker import POLICIES, Report
 from pipeline.plots.episodes import draw_success
 from pipeline.recording.trials import POLICY, Origin, controllers, log_success
 from pipeline.seeds import disturbed_seeds
@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     from enn.imitation.dagger import DaggerSettings
 
 
-PRELOAD = (*PHANTOM, "cathsim", "enn.imitation.distillation", "enn.policy", "pipeline.recording.record", OPTIMISER)
 _FITTING = 0.6  # share of a job's time
 
 
@@ -149,7 +148,7 @@ def check_imitation(settings: ImitationSettings) -> None:
 def run_imitation(settings: ImitationSettings, context: StageContext) -> Results:
     jobs = plan(settings, context)
     outcomes = run_jobs(
-        context.folder, jobs, workers=settings.workers, label="students", preload=PRELOAD, device=settings.device
+        context.folder, jobs, workers=settings.workers, label="students", preload=POLICIES, device=settings.device
     )
     tables = {
         "bc_architecture": architecture(),

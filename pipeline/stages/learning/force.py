@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from enn.curves import Curves
-from pipeline.jobs.worker import OPTIMISER, PHANTOM, Report
+from pipeline.jobs.worker import Report
 from pipeline.recording.record import record_episode
 from pipeline.recording.trials import recorded
 from pipeline.seeds import force_seed
@@ -28,15 +28,6 @@ if TYPE_CHECKING:
     from enn.trajectory import Trajectory
 
 
-PRELOAD = (
-    *PHANTOM,
-    "cathsim",
-    "enn.force.evaluation",
-    "enn.policy",
-    "enn.imitation.dagger",
-    "pipeline.recording.record",
-    OPTIMISER,
-)
 OPERATOR = "disturbed_policy"
 RECORD, PREDICTOR = "force.json", "predictor.pt"
 TEST_EVERY = 4  # of the episodes, one in so many is not learnt from

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.anatomies.settings import check_anatomies
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.jobs.worker import OPTIMISER, PHANTOM, Report
+from pipeline.jobs.worker import POLICIES, Report
 from pipeline.recording.training_films import training_films
 from pipeline.recording.trials import MODES, Controller, Origin, controllers, log_success, run_trials, summary
 from pipeline.seeds import expert_seeds, held_out_seeds
@@ -78,15 +78,6 @@ def evaluate(
     return outcome
 
 
-# What every job imports: once, before the jobs' processes are forked.
-PRELOAD = (
-    *PHANTOM,
-    "cathsim",
-    "enn.reinforcement.training.training",
-    "enn.encoder",
-    "pipeline.recording.record",
-    OPTIMISER,
-)
 _SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the estimate of the end
 _SECONDS_A_DECISION = 1e-2
 
@@ -310,7 +301,7 @@ def run_trainings(
         [*jobs, *beside],
         workers=settings.workers,
         label=f"{settings.name} trainings",
-        preload=PRELOAD,
+        preload=POLICIES,
         device=settings.device,
     )
     log_success(results)

@@ -21,7 +21,7 @@ import numpy as np
 from enn.curves import Curves
 from enn.imitation.advised_rounds import forget_rounds, last_policy, read_episodes, teach, write_episodes
 from pipeline.episodes.records import EpisodeReadError
-from pipeline.jobs.worker import OPTIMISER, PHANTOM, Report
+from pipeline.jobs.worker import Report
 from pipeline.recording.trials import Origin
 from pipeline.seeds import further_expert_seeds, navigation_episode_seeds
 from pipeline.stages.navigation.perception import load_perception
@@ -50,15 +50,6 @@ if TYPE_CHECKING:
 Tell = Callable[[float, str], None]  # the share done, and a few words
 
 NAVIGATOR, RECORD, LOGS = "navigator.pt", "training.json", "episodes"
-PRELOAD = (
-    *PHANTOM,
-    "cathsim",
-    "enn.imitation.advised_episodes",
-    "splineformer.navigation.navigator_perception",
-    "skimage.graph",
-    "pipeline.recording.record",
-    OPTIMISER,
-)
 HINT_KEY = "roadmap"
 _TRAINING = 0.7  # of a job's time
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from pipeline.anatomies.settings import check_anatomies, require_known_phantoms, require_known_targets, settle
 from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.worker import POLICIES
 from pipeline.recording.trials import POLICY, Origin
 from pipeline.seeds import perception_arches, training_arches, unseen_arches
 from pipeline.stages import Stage, StageContext
@@ -21,7 +22,7 @@ from pipeline.stages.learning.expert_episodes import (
     require_expert,
 )
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.navigation.jobs import LOGS, PRELOAD, Course, LogsJob, NavigatorJob, navigate, see_logs
+from pipeline.stages.navigation.jobs import LOGS, Course, LogsJob, NavigatorJob, navigate, see_logs
 from pipeline.stages.navigation.perception import PERCEPTION, PerceptionJob, fine_tune_perception
 from pipeline.stages.navigation.scene import NAMED, Anatomy, TrialSet
 from pipeline.stages.navigation.settings import NavigationSettings
@@ -68,8 +69,9 @@ def check_navigation(settings: NavigationSettings) -> None:
 
 def run_navigation(settings: NavigationSettings, context: StageContext) -> Results:
     jobs = plan(settings, context)
+    preload = (*POLICIES, "splineformer.navigation.navigator_perception", "skimage.graph")
     outcomes = run_jobs(
-        context.folder, jobs, workers=settings.workers, label="navigators", preload=PRELOAD, device=settings.device
+        context.folder, jobs, workers=settings.workers, label="navigators", preload=preload, device=settings.device
     )
     notes = {"navigation": note((job.given for job in jobs if isinstance(job.given, NavigatorJob)), of_navigator)}
     return Results(tables(settings, context, outcomes), figures(settings, context.path, outcomes), notes)

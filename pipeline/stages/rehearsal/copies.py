@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from enn.curves import chosen_logger
 from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.jobs.engines.local import available_workers
-from pipeline.jobs.worker import OPTIMISER, PHANTOM
 from pipeline.recording.trials import Origin
 from pipeline.seeds import training_copies
 from pipeline.stages.learning.settings import with_hyperparameters
@@ -27,15 +26,6 @@ if TYPE_CHECKING:
 
 
 SCAN, COPIES = "scan", "copies"  # sets of tests, and their folders
-# Modules that every job needs.
-PRELOAD = (
-    *PHANTOM,
-    "pipeline.stages.rehearsal.training",
-    "cathsim.rehearsal.environment",
-    "enn.reinforcement.rehearsal",
-    "pipeline.recording.record",
-    OPTIMISER,
-)
 
 
 @dataclass(frozen=True)

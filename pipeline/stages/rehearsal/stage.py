@@ -15,12 +15,13 @@ from pipeline.anatomies.anatomy_file import load_anatomy
 from pipeline.anatomies.devices import fitted_steps, fitted_task, with_catheter_where_steep
 from pipeline.anatomies.settings import check_anatomies, settle
 from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.worker import POLICIES
 from pipeline.recording.trials import POLICY, Origin
 from pipeline.seeds import held_out_copies
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.job_memory import policy_gb
 from pipeline.stages.learning.settings import with_hyperparameters
-from pipeline.stages.rehearsal.copies import COPIES, PRELOAD, SCAN, RehearsalJob
+from pipeline.stages.rehearsal.copies import COPIES, SCAN, RehearsalJob
 from pipeline.stages.rehearsal.episodes import film_scan, play
 from pipeline.stages.rehearsal.settings import RehearsalSettings
 from pipeline.stages.rehearsal.start import (
@@ -85,7 +86,7 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> Results
     jobs = plan(settings, context, task, target, start, advisers, statistics)
     label = f"rehearsal in {phantom.name}"
     outcomes = run_jobs(
-        context.folder, jobs, workers=settings.workers, label=label, preload=PRELOAD, device=settings.device
+        context.folder, jobs, workers=settings.workers, label=label, preload=POLICIES, device=settings.device
     )
     played = (AFTER,) if start is None else (BEFORE, AFTER)
     rows = {

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING
 from enn.device_trials import Trial, TrialStatistics, gentlest, try_in_copies, try_until_gentle
 from pipeline.anatomies.devices import CATHETER, SOFTER_WIRES, WITH_POLICIES, softened, with_catheter_where_steep
 from pipeline.jobs.pool import Job, run_jobs
-from pipeline.jobs.worker import Report, map_simulations
+from pipeline.jobs.worker import POLICIES, Report, map_simulations
 from pipeline.recording.trials import POLICY, Origin
 from pipeline.seeds import device_trial_seed, training_copies
-from pipeline.stages.rehearsal.copies import PRELOAD, RehearsalJob, copies_environment
+from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment
 from pipeline.stages.rehearsal.settings import PRESSING, SAC, RehearsalSettings
 from pipeline.stages.unseen.task import ROADMAP, ROADMAP_KEYS
 from pipeline.stages.unseen.trials import policy_folder
@@ -59,7 +59,7 @@ def with_chosen_devices(
     def play(names: Sequence[str], turn: int) -> list[list[Trial]]:
         parts = [[_part(name, jobs[name], PARTS * turn + k) for k in range(PARTS)] for name in names]
         part_jobs, label = [job for both in parts for job in both], f"devices in {phantom.name}"
-        outcomes = run_jobs(context.folder, part_jobs, workers=settings.workers, label=label, preload=PRELOAD)
+        outcomes = run_jobs(context.folder, part_jobs, workers=settings.workers, label=label, preload=POLICIES)
         return [[trial for job in both for trial in outcomes[job.key]] for both in parts]
 
     def softer() -> Sequence[str]:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from enn.curves import chosen_logger
-from pipeline.jobs.worker import OPTIMISER, PHANTOM, Report, map_simulations
+from pipeline.jobs.worker import Report, map_simulations
 from pipeline.recording.training_films import training_films
 from pipeline.recording.trials import POLICY, controllers
 from pipeline.seeds import arch_demonstration_seed
@@ -233,16 +233,6 @@ def policy_to_start_from(settings: UnseenSettings) -> Policy | None:
         values = ", ".join(f"stage.task.{name}={getattr(task, name)}" for name in differing)
         raise ConfigurationError(f"stage.policy={settings.policy} was trained with {values}: give the stage the same")
     return policy
-
-
-PRELOAD = (
-    *PHANTOM,
-    "cathsim.many_anatomies",
-    "enn.reinforcement.training.training",
-    "enn.imitation.advised_episodes",
-    "pipeline.recording.record",
-    OPTIMISER,
-)
 
 
 @dataclass(frozen=True)

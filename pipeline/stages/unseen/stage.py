@@ -19,6 +19,7 @@ import numpy as np
 from pipeline.anatomies.settings import require_known_entry, require_known_phantoms, require_known_targets, settle
 from pipeline.evaluations.tables import OWN_TABLES
 from pipeline.jobs.pool import Job, run_jobs
+from pipeline.jobs.worker import POLICIES
 from pipeline.recording.trials import MODES, Origin, log_success
 from pipeline.seeds import training_arches, unseen_arches, validation_arches
 from pipeline.stages import Stage, StageContext
@@ -27,7 +28,6 @@ from pipeline.stages.unseen.image_policy import ImagePolicyJob, train_image_poli
 from pipeline.stages.unseen.roadmap import (
     DEMONSTRATIONS,
     EVALUATIONS,
-    PRELOAD,
     STARTS,
     AnatomiesJob,
     DemonstrationsJob,
@@ -332,7 +332,7 @@ def run_unseen(settings: UnseenSettings, context: StageContext) -> Results:
         jobs,
         workers=settings.workers,
         label="anatomies and policies",
-        preload=PRELOAD,
+        preload=POLICIES,
         device=settings.device,
     )
     tables = {"generalisation_curve": curve(jobs, outcomes)}
