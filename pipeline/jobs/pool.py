@@ -197,7 +197,7 @@ class _Pool:
     def _take(self, key: str, message: Message) -> None:
         state = self._display.states[key]
         if message.cost is not None:
-            keep_cost(self._folder.path, key, message.cost, self._taken[key].after)
+            keep_cost(self._folder.path, key, message.cost)
         if message.kind == STARTED:
             state.start()
         elif message.kind == AGAIN:

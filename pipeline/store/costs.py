@@ -6,7 +6,6 @@ import os
 import resource
 import sys
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,6 @@ _FILE = "jobs.json"
 _MB = 1e6
 _RSS_UNIT = 1 if sys.platform == "darwin" else 1024  # bytes
 OK = "ok"
-AFTER = "after"  # key of the jobs that a job waited for, where there are any
 OWN_PROCESS = ""  # key of the stage's own process
 
 
@@ -67,10 +65,9 @@ def _gpu() -> tuple[int, str]:
     return int(torch.cuda.max_memory_allocated()), str(torch.cuda.get_device_name())
 
 
-def keep_cost(folder: Path, key: str, cost: Cost, after: Sequence[str] = ()) -> None:
-    """Adds a job's cost, and keys of those it waited for, to its stage's, which an interrupted stage finds again."""
-    entry = {**asdict(cost), **({AFTER: list(after)} if after else {})}
-    write_json(folder / COSTS / _FILE, {**kept_costs(folder), key: entry})
+def keep_cost(folder: Path, key: str, cost: Cost) -> None:
+    """Adds a job's cost to its stage's, which an interrupted stage finds again."""
+    write_json(folder / COSTS / _FILE, {**kept_costs(folder), key: asdict(cost)})
 
 
 def kept_costs(folder: Path) -> dict[str, dict[str, Any]]:
