@@ -45,7 +45,6 @@ class OwnPhantom:
     name: kinds.FolderName | None = None  # a named anatomy, random_7, or random with a seed
     seed: kinds.Seed | None = None
     file: kinds.PathText | None = None  # any that cathsim imports: surface, label volume, folder
-    mesh: kinds.PathText | None = None  # the same
     unit: str | None = None  # of a surface: m, cm, mm or inch; detected when left out
     names: kinds.BranchNames = None
     labels: kinds.VesselLabels = None
@@ -100,7 +99,6 @@ def register_schemas(stages: Iterable[str] | None = None) -> None:
     """
     # Hydra makes its folder of these names before the values are checked.
     OmegaConf.register_new_resolver("hydra_folder", _hydra_folder, replace=True)
-    OmegaConf.register_new_resolver("own_file", _own_file, replace=True)
     _register_run()
     for name in available_stages() if stages is None else stages:
         _register_stage(name)
@@ -135,12 +133,6 @@ def _register_sizes(owner: str) -> None:
 @functools.cache
 def _sizes() -> dict[str, Any]:
     return {file.stem: OmegaConf.load(file) for file in (CONFIG_DIRECTORY / "sizes").glob("*.yaml")}
-
-
-def _own_file(_root_: DictConfig) -> str | None:
-    """The path of the anatomy of one's own, under either key."""
-    path = _root_.phantom.mesh if _root_.phantom.file is None else _root_.phantom.file
-    return None if path is None else str(path)
 
 
 def _hydra_folder(runs_dir: str, name: str, stage: str) -> str:

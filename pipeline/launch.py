@@ -218,8 +218,7 @@ def refusal(arguments: list[str]) -> str:
     try:
         with initialize_config_dir(str(CONFIG_DIRECTORY), version_base="1.3"):
             config = run_config(compose("config", overrides=arguments))
-        own_file = config.phantom.file or config.phantom.mesh
-        if own_file is None:  # else only reading it shows what its anatomy has
+        if config.phantom.file is None:  # else only reading it shows what its anatomy has
             load_stage(config.stage.name).check(config.stage)
     except Exception as error:
         if not is_foreseen(error):

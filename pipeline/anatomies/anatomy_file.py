@@ -20,7 +20,7 @@ KINDS = (  # of files and folders
 )
 RESOLUTION = 1e-3  # m, of the distance grid
 _LONGEST_NAME = 60  # letters of a name that is made of a path
-TEST_SETS = {"unseen", "real_mesh", "unseen_arches", "unseen_arches_clutter"}  # of stages, beside anatomies by name
+TEST_SETS = {"unseen", "unseen_arches", "unseen_arches_clutter"}  # of stages, beside anatomies by name
 _KEPT = 4  # phantoms of files that a process keeps
 _MM = 1e3
 

@@ -29,8 +29,8 @@ TARGETS = ("bca", "lcca", "lsa")  # that stages navigate to by themselves
 GENERATED_TARGETS = (*TARGETS, "rsa", "rcca")  # that every generated arch has
 
 
-def require_known_phantoms(names: Sequence[str], *, hint: str = "") -> None:
-    """Refuses unknown names and lists the valid ones, then the hint; random arches hold their seeds: random_7."""
+def require_known_phantoms(names: Sequence[str]) -> None:
+    """Refuses unknown names and lists the valid ones; random arches hold their seeds: random_7."""
     from cathsim.anatomy import PHANTOMS
     from cathsim.anatomy.generator.recipe import RANDOM
     from cathsim.anatomy.library import seed_in_name
@@ -43,7 +43,7 @@ def require_known_phantoms(names: Sequence[str], *, hint: str = "") -> None:
     unknown = [name for name in names if name not in PHANTOMS and seed_in_name(name)[1] is None]
     if unknown:
         raise ConfigurationError(
-            f"unknown phantom {', '.join(map(repr, unknown))}: choose from {', '.join(PHANTOMS)}, random_7{hint}"
+            f"unknown phantom {', '.join(map(repr, unknown))}: choose from {', '.join(PHANTOMS)}, random_7"
         )
 
 

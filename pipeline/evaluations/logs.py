@@ -37,7 +37,7 @@ COUNTED = "counted.json"  # of the stage user_study: people's logs that count, r
 MODES = DETERMINISTIC, STOCHASTIC = "deterministic", "stochastic"
 DEMONSTRATION = "demonstration"  # mode of what belongs to no row
 # Overrides of a sweep that choose which cells a job fills, and change none of them.
-_CHOOSING = {"seed", "target", "modality", "phantom.name", "phantom.seed", "phantom.file", "phantom.mesh",
+_CHOOSING = {"seed", "target", "modality", "phantom.name", "phantom.seed", "phantom.file",
              "stage.phantoms", "stage.targets", "stage.modalities", "stage.seeds", "task.catheter",
              "stage.catheter"}  # fmt: skip
 

@@ -13,7 +13,7 @@ from annotated_types import Ge, Le
 
 from pipeline.anatomies.anatomy_file import AnatomyFile, in_settings
 from pipeline.anatomies.settings import FileSettings, require_known_phantoms
-from pipeline.settings.kinds import UNIQUE, FolderNames, Seed, validated
+from pipeline.settings.kinds import FolderNames, validated
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import atomic_path, read_json, write_json
 from pipeline.store.errors import ConfigurationError
@@ -42,34 +42,28 @@ class PhantomsSettings(FileSettings):
     phantoms: FolderNames = field(  # named anatomies
         default_factory=lambda: ["type_1", "type_2", "type_1_aneurysm", "low_tortuosity", "type_3", "bovine"]
     )
-    random_seeds: Annotated[list[Seed], UNIQUE] = field(default_factory=list)  # one random anatomy a seed
     resolution_mm: Annotated[float, Ge(0.1), Le(COARSEST_RESOLUTION_MM)] = 1.0  # spacing of the signed distance grid
     wall_thickness_mm: Annotated[float, Ge(0.1), Le(10)] = 1.5
     picture: bool = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.file is None and not self.phantoms and not self.random_seeds:
+        if self.file is None and not self.phantoms:
             raise ConfigurationError("stage.phantoms is empty: name at least one")
 
 
 @dataclass(frozen=True)
 class Anatomy:
-    """One aorta to write: a named phantom, a random one by its seed, or a file's."""
+    """One aorta to write: a named phantom, or a file's."""
 
-    phantom: str
-    seed: int | None = None
+    label: str
     file: AnatomyFile | None = None
-
-    @property
-    def label(self) -> str:
-        return self.phantom if self.seed is None else f"{self.phantom}_{self.seed}"
 
 
 def check_phantoms(settings: PhantomsSettings) -> None:
     """Refuses unknown phantoms, and a file that cannot be imported, with a `ConfigurationError`."""
     if (file := settings.anatomy_file) is None:
-        require_known_phantoms(settings.phantoms, hint="; random ones by stage.random_seeds=[0,1]")
+        require_known_phantoms(settings.phantoms)
         return
     _LOGGER.info("phantoms: reading %s, a minute for a new file", file.path)
     try:
@@ -81,7 +75,6 @@ def check_phantoms(settings: PhantomsSettings) -> None:
 
 def run_phantoms(settings: PhantomsSettings, context: StageContext) -> Results:
     anatomies = [Anatomy(name) for name in settings.phantoms]
-    anatomies += [Anatomy("random", seed) for seed in settings.random_seeds]
     if (file := settings.anatomy_file) is not None:
         anatomies = [Anatomy(file.name, file=file)]
     for anatomy in context.folder.resumable(anatomies, key=lambda a: a.label, label="phantoms"):
@@ -133,7 +126,7 @@ def _build(anatomy: Anatomy, settings: PhantomsSettings) -> Phantom:
     resolution = settings.resolution_mm / _MM
     if anatomy.file is not None:
         return anatomy.file.load(resolution)
-    return load_phantom(anatomy.phantom, seed=anatomy.seed, resolution=resolution)
+    return load_phantom(anatomy.label, resolution=resolution)
 
 
 def _write_grid(grid: SignedDistanceGrid, path: Path) -> None:

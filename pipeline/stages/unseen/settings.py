@@ -13,7 +13,7 @@ from pipeline.settings import kinds
 from pipeline.stages.learning.settings import StartingPolicySettings
 from pipeline.stages.unseen.task import TEST_PHANTOM, TRAINING_KINDS, VARIETY, require_clutter_fits
 from pipeline.store.errors import ConfigurationError
-from pipeline.store.provenance import hash_anatomy, hash_file
+from pipeline.store.provenance import hash_file
 from pipeline.task import DESCENDING, NO_WIRE, Task, task_in_random_arches
 
 if TYPE_CHECKING:
@@ -93,9 +93,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
         default_factory=lambda: ["type_1", "type_2", "type_3", "bovine", "type_1_aneurysm"]
     )
     named_episodes: kinds.Episodes = 5  # on each, for each target
-    mesh: kinds.PathText | None = None  # scanned anatomy; left out where the file is missing
-    mesh_sha256: str | None = None  # of that, filled in
-    mesh_episodes: Annotated[int, Ge(1), Le(500)] = 10
+    mesh_episodes: Annotated[int, Ge(1), Le(500)] = 10  # in a file's anatomy
     # further wires: presets, "softer", "stiffer"
     wires: kinds.FolderNames = field(default_factory=lambda: ["thesis", "softer", "stiffer"])
     wire_anatomies: kinds.Count = 10  # unseen arches that each is tried on
@@ -107,7 +105,6 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
         """Takes the choices of the command line over."""
         ChosenAnatomies.__post_init__(self)
         self.navigator_sha256 = None
-        self.mesh_sha256 = hash_anatomy(Path(self.mesh)) if self.mesh and Path(self.mesh).exists() else None
         if self.shipped:
             self._take_shipped()
         StartingPolicySettings.__post_init__(self)
@@ -131,10 +128,10 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
             raise ConfigurationError(
                 "with a catheter stage unseen trains no policy by images and the true mask: give stage.image=false"
             )
-        if self.arches == VARIETY and (self.phantoms or self.mesh is not None):
+        if self.arches == VARIETY and self.phantoms:
             raise ConfigurationError(
                 f"with stage.arches={VARIETY} policies are trained and tested in any such arches and in no others: "
-                "give stage.phantoms=[] stage.mesh=null"
+                "give stage.phantoms=[]"
             )
 
     def _take_shipped(self) -> None:

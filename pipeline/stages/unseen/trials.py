@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -113,14 +112,11 @@ def run_tests(
     return rows
 
 
-REAL_MESH = "real_mesh"
 UNSEEN, MISREGISTERED, CLUTTERED = "unseen", "misregistered", "unseen clutter"  # sets of tests
-
-_LOGGER = logging.getLogger(__name__)
 
 
 def test_sets(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
-    """A policy's tests: unseen random arches first, named phantoms, the mesh if it is there, other wires."""
+    """A policy's tests: unseen random arches first, named phantoms or a file, other wires."""
     unseen = tuple(unseen_arches(settings.test_anatomies))
     wire = settings.task.wire
     tests = [HeldOutSet(UNSEEN, unseen, wire=wire, modes=("deterministic", "stochastic"))]
@@ -128,11 +124,6 @@ def test_sets(settings: UnseenSettings) -> tuple[HeldOutSet, ...]:
     for name in settings.phantoms:
         count = settings.mesh_episodes if name == settings.file_name else settings.named_episodes
         tests.append(HeldOutSet(name, (settings.anatomy(name),), count, **own))
-    if settings.mesh is not None:
-        if Path(settings.mesh).exists():
-            tests.append(HeldOutSet(REAL_MESH, (AnatomyFile(settings.mesh),), settings.mesh_episodes, wire))
-        else:
-            _LOGGER.warning("there is no mesh %s: the test on a scanned anatomy is left out", settings.mesh)
     tests += [HeldOutSet(f"{UNSEEN} {kind}", unseen[: settings.wire_anatomies], wire=kind) for kind in settings.wires]
     return tuple(tests)
 

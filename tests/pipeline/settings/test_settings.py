@@ -32,7 +32,7 @@ ZERO_IS_LEGAL = {
     "annotation_noise_px", "arches", "dagger_rounds", "demonstrations", "disturbed_episodes", "disturbed_images",
     "clutter", "drawn_episodes",
     "embed_limit_mb", "encoder_epochs", "epochs", "expert_episodes", "feature_matching", "field_mm",
-    "film_episodes", "noise", "path_penalty", "random_seeds", "perception_arches", "perception_epochs",
+    "film_episodes", "noise", "path_penalty", "perception_arches", "perception_epochs",
     "registration_noise_mm", "spell_chance", "split_seed", "start_jitter_mm",
     "start_rotation_deg", "test_arches", "test_images", "threads", "updates", "validation_noise_px", "wire_length_mm",
     "workers", "walls_mm", "shift_mm", "turn_deg", "stiffness_pct", "friction_pct", "breathing_mm", "phantom_seed",
@@ -41,7 +41,7 @@ ZERO_IS_LEGAL = {
 ZERO_IS_REFUSED_THERE = {("unseen", "epochs"), ("navigation", "epochs")}
 # Texts that are no names: paths, which may lie anywhere, and what is filled in.
 NOT_NAMES = {"mesh", "unit", "root", "image_root", "calibration", "pretrained", "root_sha256", "ct", "ct_sha256",
-             "catheter", "file", "file_sha256", "mesh_sha256", "pretrained_sha256", "policy", "policy_sha256",
+             "catheter", "file", "file_sha256", "pretrained_sha256", "policy", "policy_sha256",
              "navigator_sha256", "shipped_sha256", "entry", "own_entry"}  # fmt: skip
 BAD_NAMES = ("../elsewhere", "/etc", "a/b", "..", "a b", "", "a" * 300, "a\\b")
 
@@ -153,7 +153,7 @@ def test_a_target_may_lie_at_a_depth_of_its_branch(resolved: dict[str, DictConfi
 def test_branch_names_are_a_mapping_or_a_list(composed: dict[str, DictConfig], tmp_path: Path) -> None:
     (tmp_path / "own.stl").write_bytes(b"solid")
     config = composed["phantoms"].copy()
-    OmegaConf.update(config, "phantom.mesh", str(tmp_path / "own.stl"))
+    OmegaConf.update(config, "phantom.file", str(tmp_path / "own.stl"))
     for names in ("5", "[]", "[../x]", "{lcca: 5}", "{lcca: a/b}", "[[a]]"):
         with pytest.raises(ConfigurationError, match=r"^phantom\.names (must be a mapping|cannot be)"):
             given(config, f"phantom.names={names}")

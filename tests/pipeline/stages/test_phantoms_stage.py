@@ -87,9 +87,7 @@ def test_stage_ends_at_once_when_up_to_date_and_runs_again_when_told_or_changed(
 
 
 def test_random_phantoms_and_pictures_are_written_and_offered_to_the_report(pipeline_process) -> None:
-    done = pipeline_process.run_here(
-        "stage=phantoms", "stage.phantoms=[]", "stage.random_seeds=[5]", "stage.resolution_mm=2.5"
-    )
+    done = pipeline_process.run_here("stage=phantoms", "stage.phantoms=[random_5]", "stage.resolution_mm=2.5")
     assert done.returncode == 0, done.stderr
     folder = pipeline_process.runs / "desk" / "phantoms"
     assert (folder / "random_5" / "lumen.stl").is_file()
@@ -119,7 +117,7 @@ def arch(phantom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_mesh_is_built_once(arch: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]):
     arguments = [
         "stage=phantoms",
-        f"phantom.mesh='{arch}'",
+        f"phantom.file='{arch}'",
         "phantom.names={rsa: right_arm}",
         "stage.resolution_mm=2.0",
         f"runs_dir={tmp_path / 'runs'}",
@@ -139,7 +137,7 @@ def test_a_mesh_is_built_once(arch: Path, tmp_path: Path, capfd: pytest.CaptureF
     assert main(arguments) == 0
     assert manifest.stat().st_mtime_ns == written
     (tmp_path / "text.stl").write_text("no mesh at all")
-    assert main(["stage=phantoms", f"phantom.mesh={tmp_path / 'text.stl'}", arguments[-1]]) == 2
+    assert main(["stage=phantoms", f"phantom.file={tmp_path / 'text.stl'}", arguments[-1]]) == 2
     assert manifest.stat().st_mtime_ns == written, "earlier results stay where they are"
 
 
@@ -163,7 +161,7 @@ def test_what_is_no_mesh_is_refused_and_leaves_nothing(tmp_path: Path, capsys: p
         PhantomsSettings(file=str(tmp_path / "pipe.stl"))
     text = tmp_path / "text.stl"
     text.write_text("no mesh at all\n" * 20)
-    arguments = ["stage=phantoms", f"phantom.mesh={text}", f"runs_dir={tmp_path / 'runs'}"]
+    arguments = ["stage=phantoms", f"phantom.file={text}", f"runs_dir={tmp_path / 'runs'}"]
     for further, message in (([], "text.stl cannot be read as a mesh"), (["phantom.unit=foot"], "unknown unit 'foot'")):
         assert main([*arguments, *further]) == 2
         assert message in capsys.readouterr().err
