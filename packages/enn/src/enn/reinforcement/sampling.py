@@ -267,18 +267,9 @@ class Sampling:
         for env in self.envs:
             env.close()
 
-    def get_attr(self, attr_name: str, indices: Sequence[int]) -> list[Any]:
-        """An attribute of some environments."""
-        return [getattr(self.envs[index], attr_name) for index in indices]
-
-    def set_attr(self, attr_name: str, value: Any, indices: Sequence[int]) -> None:
-        """Sets an attribute of some environments."""
-        for index in indices:
-            setattr(self.envs[index], attr_name, value)
-
-    def env_method(self, method_name: str, *method_args: Any, indices: Sequence[int], **named: Any) -> list[Any]:
-        """Calls a method of some environments."""
-        return [getattr(self.envs[index], method_name)(*method_args, **named) for index in indices]
+    def each_of(self, read: Callable[[Any], Any], indices: Sequence[int]) -> list[Any]:
+        """What a function gives of some environments."""
+        return [read(self.envs[index]) for index in indices]
 
 
 def without_checks(env: gymnasium.Env[Any, Any]) -> gymnasium.Env[Any, Any]:

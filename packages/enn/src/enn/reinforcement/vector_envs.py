@@ -12,6 +12,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection
+from operator import attrgetter, methodcaller
 from typing import Any
 
 import gymnasium
@@ -32,24 +33,24 @@ _OWN_PAGES = {"MALLOC_MMAP_THRESHOLD_": str(12 * 2**20)}
 _MAIN = "import sys; sys.path[:] = {path!r}; from enn.reinforcement.environment_process import serve; serve({number})"
 
 
-class SampledEnvs(Sampling, VecEnv):
-    """`Sampling` in this process, for stable-baselines3."""
+class _Reached(VecEnv):
+    """What stable-baselines3 asks of single environments."""
 
-    def __init__(self, factories: Sequence[Callable[[], gymnasium.Env[Any, Any]]], **settings: Any) -> None:
-        Sampling.__init__(self, factories, **settings)
-        VecEnv.__init__(self, self.num_envs, self.observation_space, self.action_space)
+    def each_of(self, read: Callable[[Any], Any], indices: Sequence[int]) -> list[Any]:
+        """As of `Sampling`."""
+        raise NotImplementedError
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """An attribute of each environment."""
-        return super().get_attr(attr_name, list(self._get_indices(indices)))
+        return self.each_of(attrgetter(attr_name), [*self._get_indices(indices)])
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Sets an attribute of each environment."""
-        super().set_attr(attr_name, value, list(self._get_indices(indices)))
+        self.each_of(methodcaller("__setattr__", attr_name, value), [*self._get_indices(indices)])
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
         """Calls a method of each environment."""
-        return super().env_method(method_name, *method_args, indices=[*self._get_indices(indices)], **method_kwargs)
+        return self.each_of(methodcaller(method_name, *method_args, **method_kwargs), [*self._get_indices(indices)])
 
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
@@ -58,7 +59,15 @@ class SampledEnvs(Sampling, VecEnv):
         return [False for _ in self._get_indices(indices)]
 
 
-class SubprocessEnvs(VecEnv):
+class SampledEnvs(Sampling, _Reached):
+    """`Sampling` in this process, for stable-baselines3."""
+
+    def __init__(self, factories: Sequence[Callable[[], gymnasium.Env[Any, Any]]], **settings: Any) -> None:
+        Sampling.__init__(self, factories, **settings)
+        VecEnv.__init__(self, self.num_envs, self.observation_space, self.action_space)
+
+
+class SubprocessEnvs(_Reached):
     """`SampledEnvs` in another process; gives exactly what they would give here.
 
     The process starts at once and makes its environments while this one goes on; `reset` waits for it. It ends with
@@ -133,22 +142,11 @@ class SubprocessEnvs(VecEnv):
         """An attribute of each environment."""
         if attr_name == "render_mode":
             return [self._render_mode for _ in self._get_indices(indices)]
-        return self._ask("get_attr", attr_name, list(self._get_indices(indices)))
+        return super().get_attr(attr_name, indices)
 
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Sets an attribute of each environment."""
-        self._ask("set_attr", attr_name, value, list(self._get_indices(indices)))
-
-    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
-        """Calls a method of each environment."""
-        chosen = list(self._get_indices(indices))
-        return self._ask("env_method", method_name, *method_args, indices=chosen, **method_kwargs)
-
-    def env_is_wrapped(
-        self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Any = None
-    ) -> list[bool]:
-        """As of `SampledEnvs.env_is_wrapped`."""
-        return [False for _ in self._get_indices(indices)]
+    def each_of(self, read: Callable[[Any], Any], indices: Sequence[int]) -> list[Any]:
+        """As of `Sampling`."""
+        return self._ask("each_of", read, indices)
 
     def close(self) -> None:
         """Ends the process and the threads."""
