@@ -169,20 +169,17 @@ def test_another_architecture_is_one_clear_sentence(folder: Path, point_env: Any
         Training(SAC, point_env, folder, seed=1).run()
 
 
-@pytest.mark.parametrize("kind", ["state", "piece", "index", "format"])
+@pytest.mark.parametrize("kind", ["state", "piece", "index"])
 def test_a_damaged_checkpoint_is_one_clear_sentence(kind: str, folder: Path, point_env: Any) -> None:
     checkpoint = folder / "checkpoint"
     if kind == "index":
         (checkpoint / "index.json").write_text('{"format": "enn-ch')
-    elif kind == "format":
-        (checkpoint / "index.json").write_text('{"format": "enn-checkpoint-1", "number": 3}')
     else:
         file = next(checkpoint.glob("state-*.pt" if kind == "state" else "observation_*.npy"))
         data = bytearray(file.read_bytes())
         data[len(data) // 2] ^= 0xFF
         file.write_bytes(data)
-    expected = "is of an older format, enn-checkpoint-1" if kind == "format" else "is damaged"
-    with pytest.raises(CheckpointError, match=f"{expected}.*remove it to train from the start"):
+    with pytest.raises(CheckpointError, match=r"is damaged.*remove it to train from the start"):
         Training(SAC, point_env, folder, seed=0).run()
 
 

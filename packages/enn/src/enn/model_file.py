@@ -28,10 +28,6 @@ Network = TypeVar("Network", bound=nn.Module)
 LARGEST_BYTES = 4 << 30
 
 
-class OlderFormatError(ValueError):
-    """A file of torch's own format, which has no digest: earlier versions wrote these."""
-
-
 def encoded(content: Any) -> bytes:
     """The bytes of a file, which opens on any device.
 
@@ -47,11 +43,8 @@ def decoded(data: bytes) -> Any:
     """The content of what `encoded` gave.
 
     Raises:
-        OlderFormatError: it is a file without a digest.
         ValueError: a byte is missing or differs.
     """
-    if data.startswith(b"PK"):
-        raise OlderFormatError("a file of an older format, without a digest")
     body = memoryview(data)[len(_digest_line(b"")) :]
     if data[: len(data) - len(body)] != _digest_line(body):
         raise ValueError("its digest does not match")
@@ -110,14 +103,12 @@ def read_model(path: Path, form: str, *, kind: str, verb: str) -> dict[str, Any]
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, of an older format, holds something else, or a weight is NaN or infinite.
+        ValueError: the file is damaged, holds something else, or a weight is NaN or infinite.
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no {kind} {path}: {verb} one first")
     try:
         content = decoded(read_bytes(path))
-    except OlderFormatError as error:
-        raise ValueError(f"{path} is {error}: {verb} it again") from error
     except OSError as error:
         raise ValueError(f"{path} cannot be read ({error.strerror}): look at the disk, or {verb} it again") from error
     except Exception as error:

@@ -10,8 +10,6 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import enn
-
 if TYPE_CHECKING:
     import torch
 
@@ -61,18 +59,10 @@ def read_policy(path: Path, device: torch.device | str = "cpu") -> Policy | Imag
     """
     from enn.imitation.images.policy import ImagePolicy
     from enn.imitation.recurrent_policy import FORMAT as IMAGE_FORMAT
-    from enn.policy import FORMAT, Policy
+    from enn.policy import Policy
 
-    readers: dict[str, Any] = {FORMAT: Policy.load, IMAGE_FORMAT: ImagePolicy.load}
-    form = _format_of(path)
-    if form is not None and form not in readers:
-        raise ValueError(
-            f"the model {path.stem!r} has format {form}, but enn {enn.__version__} reads {' and '.join(readers)}: "
-            "install the version of enn that it was shipped with"
-        )
-    # a file without a format is damaged: the reader says so
-    policy: Policy | ImagePolicy = readers.get(str(form), Policy.load)(path, device)
-    return policy
+    # a file of no known format is damaged: the reader says so
+    return ImagePolicy.load(path, device) if _format_of(path) == IMAGE_FORMAT else Policy.load(path, device)
 
 
 def weight_files() -> list[Path]:
@@ -97,12 +87,11 @@ def _sentence(name: str) -> str:
     return " ".join(f"\n{card(name)}".split("\n# ", 1)[1].split("\n\n")[1].split())
 
 
-def _format_of(path: Path) -> str | None:
+def _format_of(path: Path) -> Any:
     from enn.model_file import decoded, read_bytes
 
     try:
         content = decoded(read_bytes(path))
     except Exception:  # a damaged file: what torch raises is not of one kind
         return None
-    form = content.get("format") if isinstance(content, dict) else None
-    return None if form is None else str(form)
+    return content.get("format") if isinstance(content, dict) else None

@@ -6,9 +6,7 @@ it was trained on, how well it did, and where it fails. splineformer keeps its o
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,33 +44,26 @@ def load(name: str) -> Reader | SegmentationPredictor | ShapePredictor:
         ValueError: there is none of this name, or its file is damaged or of a format that this version does not read.
     """
     with shipped_file(name) as path:
+        from guide3d.learning.model_file import read_content
         from guide3d.learning.predictor import SegmentationPredictor, ShapePredictor
         from guide3d.reading.maps import KIND, Reader
 
         readers: dict[str, Any] = {KIND: Reader, **{one.kind: one for one in (SegmentationPredictor, ShapePredictor)}}
-        # of a damaged file no kind is known: any reader says what is wrong
-        return readers.get(_content(path).get("kind", ""), Reader).load(path)
+        try:
+            kind = read_content(path)["kind"]
+        except Exception:  # what torch raises is not of one kind
+            kind = KIND  # of a damaged file any reader says what is wrong
+        return readers.get(kind, Reader).load(path)
 
 
-@contextmanager
-def shipped_file(name: str, package: str = PACKAGE) -> Iterator[Path]:
+def shipped_file(name: str, package: str = PACKAGE) -> AbstractContextManager[Path]:
     """The file of a shipped network, as long as the context lasts.
 
     Raises:
-        ValueError: there is none of this name, or it has a format that this version does not read.
+        ValueError: there is none of this name.
     """
-    from guide3d.learning.model_file import FORMAT
-
     _require(name, package)
-    with as_file(files(f"{package}.weights") / (name + _SUFFIX)) as path:
-        form = _content(path).get("format", FORMAT)
-        if form != FORMAT:
-            version = importlib.import_module(package).__version__
-            raise ValueError(
-                f"the model {name!r} has format {form}, but {package} {version} reads {FORMAT}: install the version of "
-                f"{package} that it was shipped with"
-            )
-        yield path
+    return as_file(files(f"{package}.weights") / (name + _SUFFIX))
 
 
 def _names(package: str) -> list[str]:
@@ -89,14 +80,3 @@ def _require(name: str, package: str) -> None:
 def _sentence(text: str) -> str:
     """The first paragraph below the title of a card."""
     return " ".join(f"\n{text}".split("\n# ", 1)[1].split("\n\n")[1].split())
-
-
-def _content(path: Path) -> dict[str, Any]:
-    """What a file holds; nothing where it is damaged, which its reader says."""
-    from guide3d.learning.model_file import read_content
-
-    try:
-        content = read_content(path)
-    except Exception:  # what torch raises is not of one kind
-        return {}
-    return content if isinstance(content, dict) else {}

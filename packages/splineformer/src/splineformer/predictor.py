@@ -126,7 +126,7 @@ class Predictor:
                 network = from_spec(content["network"])
             network.load_state_dict(content["weights"])
             source_px = int(content["preprocessing"]["source_px"])
-            input = str(content["preprocessing"].get("input", "levels"))
+            input = str(content["preprocessing"]["input"])
             if input not in INPUTS:
                 raise ValueError(f"unknown input '{input}'")
         except UNFIT as error:

@@ -25,7 +25,6 @@ Place = tuple[Any, ...]
 
 
 FORMAT: Final = "enn-checkpoint-2"
-OLDER = ("enn-checkpoint-1",)
 INDEX = "index.json"
 
 
@@ -239,15 +238,10 @@ class CheckpointFolder:
     def _index(self) -> _Index:
         try:
             content = json.loads((self.folder / INDEX).read_text(encoding="utf-8"))
-            form = content.get("format")  # which earlier versions had here
-            if form is None and content["sha256"] == _digest(content["index"]):
+            if content["sha256"] == _digest(content["index"]):
                 return _Index.model_validate(content["index"])
-        except (AttributeError, KeyError, OSError, RecursionError, TypeError, ValueError) as error:
+        except (KeyError, OSError, RecursionError, TypeError, ValueError) as error:
             raise self.unusable(INDEX) from error
-        if form in OLDER:
-            raise CheckpointError(
-                f"the checkpoint in {self.folder} is of an older format, {form}: remove it to train from the start"
-            )
         raise self.unusable(f"{INDEX}: its digest does not match")
 
 

@@ -36,10 +36,6 @@ LARGEST_BYTES = 4 << 30
 _PARTS = ("network", "preprocessing", "metadata", "weights")
 
 
-class OlderFormatError(ValueError):
-    """A file of torch's own format, which has no digest: earlier versions wrote these."""
-
-
 def write_content(path: Path | str, content: Any) -> None:
     """Writes numbers, strings, lists, tuples, dictionaries and tensors; a reader sees the former file or this one."""
     stream = io.BytesIO()
@@ -54,13 +50,10 @@ def read_content(path: Path | str) -> Any:
 
     Raises:
         OSError: it cannot be read.
-        OlderFormatError: it is a file without a digest.
         ValueError: it is no regular file, a byte is missing or differs, or it holds something else than plain numbers.
     """
     with open_regular(Path(path), LARGEST_BYTES) as file:
         data = file.read()
-    if data.startswith(b"PK"):
-        raise OlderFormatError("a file of an older format, without a digest")
     body = memoryview(data)[len(_digest_line(b"")) :]
     if data[: len(data) - len(body)] != _digest_line(body):
         raise ValueError("its digest does not match")
@@ -101,15 +94,13 @@ def read_model(path: Path | str, kind: str) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, of an older format, holds something else, or a weight is NaN or infinite.
+        ValueError: the file is damaged, holds something else, or a weight is NaN or infinite.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"there is no network {path}: train one first")
     try:
         content = read_content(path)
-    except OlderFormatError as error:
-        raise ValueError(f"{path} is {error}: train it again") from error
     except OSError as error:
         raise ValueError(f"{path} cannot be read ({error.strerror}): look at the disk, or train it again") from error
     except Exception as error:

@@ -206,10 +206,8 @@ class ImagePerception:
         """
         segmenter = LumenSegmenter(*content["segmenter"]["settings"])
         segmenter.load_state_dict(content["segmenter"]["weights"])
-        wire, catheter = _read(content["wire"]), _read(content.get("catheter"))
-        # what files of older versions do not say
-        older: dict[str, Any] = {"subtracts": False, "cameras": ONE_CAMERA, "field": None, "projections": None}
-        further = {name: content.get(name, value) for name, value in older.items()}
+        wire, catheter = _read(content["wire"]), _read(content["catheter"])
+        further: dict[str, Any] = {name: content[name] for name in ("subtracts", "cameras", "field", "projections")}
         return cls(segmenter.eval(), wire, device, catheter=catheter, **further)
 
 
