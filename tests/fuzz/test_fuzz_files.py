@@ -15,7 +15,7 @@ import SimpleITK
 import trimesh
 import yaml
 
-from cathsim.anatomy import import_mesh
+from cathsim.anatomy import import_anatomy
 from cathsim.anatomy.mesh.parts.vessel_parts import read_parts
 from cathsim.anatomy.volume.files.reading import read_labels
 from cathsim.devices.catheter import Catheter
@@ -144,7 +144,7 @@ def test_surfaces_imported(rng: random.Random, mesh: trimesh.Trimesh, folder: Pa
     else:
         remade(mesh, rng).export(path)
     try:
-        phantom = import_mesh(path, resolution=COARSE, cache_dir=folder / "cache")
+        phantom = import_anatomy(path, resolution=COARSE, cache_dir=folder / "cache")
     except ValueError as error:
         return refused(error)
     ends = np.array([target.position for target in phantom.targets.values()])

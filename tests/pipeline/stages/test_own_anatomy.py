@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from cathsim import load_phantom
-from cathsim.anatomy import import_mesh
+from cathsim.anatomy import import_anatomy
 from pipeline.anatomies.anatomy_file import AnatomyFile
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.records import EpisodeReadError
@@ -105,7 +105,7 @@ def run(mesh: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_stage_leaves_episodes_in_the_file_s_anatomy(run: Path, mesh: Path) -> None:
-    made = import_mesh(mesh, unit="mm", names={"lcca": TARGET}, resolution=COARSE)
+    made = import_anatomy(mesh, unit="mm", names={"lcca": TARGET}, resolution=COARSE)
     for stage in ("expert", "baselines", "enn", "imitation", "navigation"):
         logs = sorted((run / stage).rglob("*.mcap"))
         assert logs, stage
@@ -162,7 +162,7 @@ def test_unseen_tests_in_the_file_what_it_learnt(mesh: Path, tmp_path: Path, mon
 
 def test_points_lie_in_the_file_s_axes(mesh: Path) -> None:
     file = (f"phantom.file='{mesh}'", "phantom.unit=mm", NAMES)
-    made = import_mesh(mesh, unit="mm", names={"lcca": TARGET}, resolution=COARSE)
+    made = import_anatomy(mesh, unit="mm", names={"lcca": TARGET}, resolution=COARSE)
     report = made.imported
     assert report is not None
     place = made.tree["bca"].point_at(made.tree["bca"].length - 0.02)

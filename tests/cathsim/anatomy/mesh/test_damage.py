@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from cathsim.anatomy import MeshRefusedError, Phantom, import_mesh
+from cathsim.anatomy import MeshRefusedError, Phantom, import_anatomy
 from cathsim.anatomy.mesh.lattice import Budget, lattice_spacing
 from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.reading import Size, Triangles, detect_unit
@@ -30,7 +30,7 @@ def surface() -> Surface:
 def imported(surface: Surface, folder: Path, unit: str | None = None) -> Phantom:
     path = folder / "damaged.ply"
     trimesh.Trimesh(*surface, process=False).export(path)
-    return import_mesh(path, unit=unit, resolution=COARSE, cache_dir=folder)
+    return import_anatomy(path, unit=unit, resolution=COARSE, cache_dir=folder)
 
 
 def with_loose_triangles(surface: Surface) -> Surface:

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from cathsim.anatomy import ImportReport, MeshRefusedError, Phantom, import_mesh, load_phantom
+from cathsim.anatomy import ImportReport, MeshRefusedError, Phantom, import_anatomy, importing, load_phantom
 from cathsim.anatomy.library import phantom_from_spec, phantom_to_spec
-from cathsim.anatomy.mesh import importer
 from cathsim.anatomy.mesh.reading import Triangles, clean_triangles
 from cathsim.anatomy.mesh.samples import sample_surface
 from cathsim.anatomy.surface import _cut, open_ends
@@ -79,7 +78,7 @@ DISGUISES = {
 @pytest.fixture(scope="module")
 def thick(phantom: Phantom, cache: Path) -> tuple[Path, Phantom]:
     path = next(iter(DISGUISES.values())).write(phantom, cache / "arch_0.stl")
-    return path, import_mesh(path, resolution=COARSE, cache_dir=cache)
+    return path, import_anatomy(path, resolution=COARSE, cache_dir=cache)
 
 
 @pytest.mark.parametrize("number", range(len(DISGUISES)), ids=list(DISGUISES))
@@ -87,7 +86,7 @@ def test_a_disguised_phantom_comes_back(number: int, phantom: Phantom, cache: Pa
     disguise = list(DISGUISES.values())[number]
     path = disguise.write(phantom, cache / f"arch_{number}.stl")
     unit = "inch" if disguise.unit == "inch" else None
-    found = import_mesh(path, unit=unit, resolution=COARSE, cache_dir=cache)
+    found = import_anatomy(path, unit=unit, resolution=COARSE, cache_dir=cache)
     report = found.imported
     assert report.unit == disguise.unit
     # as small in centimetres as a child's: an inch must be given
@@ -144,11 +143,11 @@ def test_it_can_be_described_and_a_changed_file_is_refused(thick: tuple[Path, Ph
 
 def test_it_is_cached_with_its_report(thick: tuple[Path, Phantom], cache: Path, monkeypatch: pytest.MonkeyPatch):
     path, found = thick
-    assert import_mesh(path, resolution=COARSE, cache_dir=cache) is found
+    assert import_anatomy(path, resolution=COARSE, cache_dir=cache) is found
     assert load_phantom(path, resolution=COARSE, cache_dir=cache, unit=None) is found
-    importer._load.cache_clear()
-    monkeypatch.setattr(importer, "_build", None)  # building again would fail
-    again = import_mesh(path, resolution=COARSE, cache_dir=cache)
+    importing._load.cache_clear()
+    monkeypatch.setattr(importing, "build_surface_phantom", None)  # building again would fail
+    again = import_anatomy(path, resolution=COARSE, cache_dir=cache)
     assert again is not found
     assert again.imported == found.imported
     assert again.hash == found.hash
@@ -160,7 +159,7 @@ def test_it_is_cached_with_its_report(thick: tuple[Path, Phantom], cache: Path, 
 
 @pytest.mark.skipif(not REAL.is_file(), reason="../shared/real is not there")
 def test_a_real_thick_walled_mesh(tmp_path: Path):
-    found = import_mesh(REAL, resolution=COARSE, cache_dir=tmp_path)
+    found = import_anatomy(REAL, resolution=COARSE, cache_dir=tmp_path)
     assert found.imported.unit == "m"
     assert found.imported.kind == "tunnel"
     assert {"aorta", "bca", "lcca", "lsa"} == set(found.tree.names)
@@ -187,7 +186,7 @@ def test_what_cannot_work_is_refused_with_a_picture(name: str, tmp_path: Path):
     path = tmp_path / f"{name}.stl"
     mesh.export(path)
     with pytest.raises(MeshRefusedError, match=reason) as refusal:
-        import_mesh(path, unit=unit, resolution=COARSE, cache_dir=tmp_path)
+        import_anatomy(path, unit=unit, resolution=COARSE, cache_dir=tmp_path)
     picture = refusal.value.picture
     if picture is not None:  # needs matplotlib, an extra
         assert picture.read_bytes().startswith(b"\x89PNG")
@@ -200,21 +199,21 @@ def test_what_is_no_mesh_is_refused(tmp_path: Path):
         ("text.stl", b"no mesh at all\n" * 20, "text.stl cannot be read as a mesh"),
         ("text.ply", b"no mesh", "text.ply cannot be read as a mesh: expected a triangle mesh in PLY format"),
         ("text.obj", b"no mesh\n", "text.obj holds no surface"),
-        ("notes.txt", b"no mesh", r"notes.txt is none of .stl, .obj, .ply"),
+        ("notes.txt", b"no mesh", r"notes.txt is no file of a kind that is read"),
     ):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(MeshRefusedError, match=message) as refusal:
-            import_mesh(tmp_path / name, cache_dir=tmp_path)
+            import_anatomy(tmp_path / name, cache_dir=tmp_path)
         assert refusal.value.picture is None
 
 
 def test_wrong_arguments(tmp_path: Path):
     with pytest.raises(MeshRefusedError, match=r"there is no file .*none\.stl"):
-        import_mesh(tmp_path / "none.stl")
+        import_anatomy(tmp_path / "none.stl")
     with pytest.raises(MeshRefusedError, match="unknown unit 'foot'; choose from m, cm, mm, inch"):
-        import_mesh(tmp_path / "none.stl", unit="foot")
+        import_anatomy(tmp_path / "none.stl", unit="foot")
     with pytest.raises(ValueError, match=r"resolution must lie in \[0.0005, 0.0025\] m for a mesh, got 0.01"):
-        import_mesh(tmp_path / "none.stl", resolution=0.01)
+        import_anatomy(tmp_path / "none.stl", resolution=0.01)
 
 
 def test_too_many_faces_are_thinned_out(phantom: Phantom):

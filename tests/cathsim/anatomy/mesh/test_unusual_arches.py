@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
 
-from cathsim.anatomy import Branch, MeshRefusedError, Phantom, VesselTree, import_mesh
+from cathsim.anatomy import Branch, MeshRefusedError, Phantom, VesselTree, import_anatomy
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.mesh.aortic_ends import aortic_ends
 from cathsim.anatomy.mesh.arches.arch_naming import name_vessels
@@ -58,7 +58,7 @@ def branch(
 
 def imported_in_metres(tree: VesselTree, path: Path) -> Phantom:
     lumen_surface(build_lumen(tree, resolution=1e-3, fillet_radius=3e-3)).export(path)
-    return import_mesh(path, unit="m", resolution=2e-3, cache_dir=path.parent / "cache")
+    return import_anatomy(path, unit="m", resolution=2e-3, cache_dir=path.parent / "cache")
 
 
 @pytest.mark.parametrize("ascending", [ASCENDING, 0.015])
@@ -126,7 +126,7 @@ def test_an_aorta_without_an_arch_has_no_branches_to_head_and_arms_and_does_not_
     mesh = lumen_surface(build_lumen(VesselTree((root, *sides)), resolution=1e-3, fillet_radius=3e-3))
     mesh.apply_scale(100).export(tmp_path / "straight.stl")
     for unit in ("cm", None):  # given, and detected: it could be a carotid artery's in millimetres
-        phantom = import_mesh(tmp_path / "straight.stl", unit=unit, resolution=2e-3, cache_dir=tmp_path / "cache")
+        phantom = import_anatomy(tmp_path / "straight.stl", unit=unit, resolution=2e-3, cache_dir=tmp_path / "cache")
         assert set(phantom.tree.names) == {"aorta", "branch_1", "branch_2"}
         assert phantom.target("branch_1").branch == "branch_1"
         notes = phantom.imported.notes  # type: ignore[union-attr]
@@ -144,7 +144,7 @@ def _imported(mesh: trimesh.Trimesh | VesselTree, folder: Path, fillet: float = 
     if isinstance(mesh, VesselTree):
         mesh = lumen_surface(build_lumen(mesh, resolution=1e-3, fillet_radius=fillet))
     mesh.apply_scale(1000).export(folder / "drawn.stl")
-    return import_mesh(folder / "drawn.stl", resolution=COARSE, cache_dir=folder)
+    return import_anatomy(folder / "drawn.stl", resolution=COARSE, cache_dir=folder)
 
 
 def _in_file(phantom: Phantom, points: np.ndarray) -> np.ndarray:
@@ -173,7 +173,7 @@ def test_short_branches_are_kept_and_the_aorta_is_whole(tmp_path: Path):
     assert sum("extended by" in note for note in found.imported.notes) == 3
     assert check_lumen(found) == []
     with pytest.raises(MeshRefusedError, match="import it with extend=True"):
-        import_mesh(tmp_path / "drawn.stl", extend=False, resolution=COARSE, cache_dir=tmp_path)
+        import_anatomy(tmp_path / "drawn.stl", extend=False, resolution=COARSE, cache_dir=tmp_path)
 
 
 def test_a_trunk_that_parts_early_has_a_target_and_coronary_arteries_do_not_hide_the_aortas_end(tmp_path: Path):
@@ -244,7 +244,7 @@ def test_a_closed_aorta_is_refused(tmp_path: Path):
 @pytest.mark.skipif(not REAL.is_dir(), reason="../shared/real/aortas is not there")
 @pytest.mark.parametrize(("name", "unit"), [("patient1", "mm"), ("feelpp_aorta2", "cm")])
 def test_real_arches_with_short_branches(name: str, unit: str, tmp_path: Path):
-    found = import_mesh(REAL / f"{name}.stl", resolution=COARSE, cache_dir=tmp_path)
+    found = import_anatomy(REAL / f"{name}.stl", resolution=COARSE, cache_dir=tmp_path)
     assert found.imported.unit == unit
     assert found.imported.borders == 5
     assert found.tree.names == ("aorta", "bca", "lcca", "lsa")
@@ -281,7 +281,7 @@ def ring(link: np.ndarray, cache: Path) -> Phantom:
     corners, faces, *_ = marching_cubes(lumen, 0.0)
     path = cache / "ring.stl"
     trimesh.Trimesh((low + corners * SPACING) * 1e3, faces[:, ::-1]).export(path)
-    return import_mesh(path, unit="mm", resolution=SPACING, cache_dir=cache)
+    return import_anatomy(path, unit="mm", resolution=SPACING, cache_dir=cache)
 
 
 def _in_import(points: np.ndarray, ring: Phantom) -> np.ndarray:

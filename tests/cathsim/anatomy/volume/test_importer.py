@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy import Phantom, import_anatomy, load_phantom
+from cathsim.anatomy.importing import _load
 from cathsim.anatomy.library import phantom_from_spec, phantom_to_spec
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.surface import open_ends
 from cathsim.anatomy.vessel_tree import nearest_on_branch
-from cathsim.anatomy.volume.importer import _load, _volume_notes
+from cathsim.anatomy.volume.importer import _volume_notes
 from tests.cathsim.anatomy.generator.drawn_arch import arch_tree
 from tests.cathsim.anatomy.lumen_report import check_lumen
 from tests.cathsim.anatomy.volume.rasterising import IDS, oblique, rasterise, save_nifti, save_slicer

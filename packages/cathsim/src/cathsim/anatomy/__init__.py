@@ -14,14 +14,12 @@ if TYPE_CHECKING:
     from cathsim.anatomy.importing import import_anatomy as import_anatomy
     from cathsim.anatomy.library import PHANTOMS as PHANTOMS
     from cathsim.anatomy.library import load_phantom as load_phantom
-    from cathsim.anatomy.mesh.importer import import_mesh as import_mesh
     from cathsim.anatomy.mesh.report import ImportReport as ImportReport
     from cathsim.anatomy.mesh.report import MeshRefusedError as MeshRefusedError
     from cathsim.anatomy.phantom import Phantom as Phantom
     from cathsim.anatomy.phantom import Target as Target
     from cathsim.anatomy.vessel_tree import Branch as Branch
     from cathsim.anatomy.vessel_tree import VesselTree as VesselTree
-    from cathsim.anatomy.volume.importer import import_volume as import_volume
 
 __getattr__, __dir__, __all__ = lazy_names(
     __name__,
@@ -31,10 +29,8 @@ __getattr__, __dir__, __all__ = lazy_names(
         "generator.arch_parameters": "Aneurysm ArchParameters",
         "importing": "import_anatomy",
         "library": "PHANTOMS load_phantom",
-        "mesh.importer": "import_mesh",
         "mesh.report": "ImportReport MeshRefusedError",
         "phantom": "Phantom Target",
         "vessel_tree": "Branch VesselTree",
-        "volume.importer": "import_volume",
     },
 )

@@ -145,7 +145,7 @@ def phantom_to_spec(phantom: Phantom) -> dict[str, Any]:
     description = {"name": phantom.name, "hash": phantom.hash, "resolution": phantom.grid.spacing}
     if phantom.source is not None:
         mesh = dict(phantom.source)
-        return {**description, "resolution": mesh.pop("resolution", phantom.grid.spacing), "mesh": mesh}
+        return {**description, "resolution": mesh.pop("resolution"), "mesh": mesh}
     parameters = phantom.parameters
     if parameters is None or phantom_hash(parameters, phantom.grid.spacing) != phantom.hash:
         raise ValueError(

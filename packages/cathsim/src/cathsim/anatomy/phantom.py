@@ -97,7 +97,7 @@ class Phantom:
     targets: dict[str, Target]
     entries: dict[str, Entry]  # the aorta's ends, by name; `entry` knows more places to come in
     imported: ImportReport | None = None  # the account of the import, for a phantom from a mesh
-    # what it was imported with, for a phantom from a mesh: path, unit, names
+    # what it was imported with, of a phantom from files: the arguments of `import_anatomy`
     source: Mapping[str, Any] | None = field(default=None, repr=False)
     _load_field: Callable[[str], LatticeField | None] | None = field(default=None, repr=False)
     _save_field: Callable[[str, LatticeField], None] | None = field(default=None, repr=False)

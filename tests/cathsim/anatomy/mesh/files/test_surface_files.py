@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from cathsim.anatomy import import_anatomy, import_mesh
-from cathsim.anatomy.mesh.importer import mesh_digest
+from cathsim.anatomy import import_anatomy
+from cathsim.anatomy.importing import import_digest
 from cathsim.anatomy.mesh.parts import vessel_parts
 from cathsim.anatomy.mesh.parts.vessel_parts import read_parts, surface_files
 from cathsim.anatomy.mesh.reading import read_surfaces
@@ -65,7 +65,7 @@ def test_the_note_of_a_file_reaches_the_import(tmp_path: Path):
     path = tmp_path / "arch.stl"
     arch_mesh(0.03).export(path)
     path.write_bytes(b"3D Slicer output. SPACE=RAS".ljust(80) + path.read_bytes()[80:] + b"\n\n\n")
-    report = import_mesh(path, unit="m", resolution=2.5e-3, cache_dir=tmp_path).imported
+    report = import_anatomy(path, unit="m", resolution=2.5e-3, cache_dir=tmp_path).imported
     assert any("3 bytes behind" in note for note in report.notes)
     np.testing.assert_array_equal(report.rotation, np.diag([-1.0, -1.0, 1.0]))
 
@@ -119,9 +119,9 @@ def test_the_data_of_a_scene_is_part_of_its_hash(tmp_path: Path):
     path, data = _gltf(tmp_path)
     assert read_parts(path).faces == COUNT
     assert surface_files(path) == [path, data]
-    before = mesh_digest(path, "mm", None, 1e-3)
+    before = import_digest({"path": path}, 1e-3)
     data.write_bytes(data.read_bytes()[:-4] + b"\0\0\0\0")
-    assert mesh_digest(path, "mm", None, 1e-3) != before
+    assert import_digest({"path": path}, 1e-3) != before
 
 
 def test_the_data_of_a_scene_stays_in_its_folder(tmp_path: Path):
@@ -133,11 +133,11 @@ def test_the_data_of_a_scene_stays_in_its_folder(tmp_path: Path):
         (data.parent / data.name).symlink_to(outside)
         path.write_text(text.replace(data.name, name))
         with pytest.raises(MeshRefusedError, match=r"model\.gltf refers to .* no file of its own folder; put the file"):
-            import_mesh(path)
+            import_anatomy(path)
     data.unlink()
     os.mkfifo(data)
     with pytest.raises(MeshRefusedError, match=r"\.bin is no regular file"):
-        import_mesh(path)
+        import_anatomy(path)
 
 
 def test_a_scene_of_too_many_nodes_or_triangles_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -8,7 +8,7 @@ import trimesh
 from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 
-from cathsim.anatomy import Branch, MeshRefusedError, VesselTree, import_mesh
+from cathsim.anatomy import Branch, MeshRefusedError, VesselTree, import_anatomy
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.mesh.lattice import Budget
 from cathsim.anatomy.mesh.parts.union import unite
@@ -45,7 +45,7 @@ def test_a_folder_with_a_file_a_vessel(vessels: dict[str, trimesh.Trimesh], tmp_
     trimesh.creation.icosphere(3, 3.0).apply_translation(within_aorta).export(folder / "RSA.stl")
     assert is_folder_of_parts(folder)
     assert not is_folder_of_parts(tmp_path)
-    found = import_mesh(folder, resolution=COARSE, cache_dir=tmp_path / "cache")
+    found = import_anatomy(folder, resolution=COARSE, cache_dir=tmp_path / "cache")
     assert set(found.tree.names) == {"aorta", "bca", "lcca", "lsa"}
     assert check_lumen(found) == []
     report = found.imported
@@ -160,7 +160,7 @@ def test_vessels_that_touch_without_overlapping_are_united_and_a_vein_beside_the
         made.append(_tube(tree.root.points[0] + [side * 0.003, 0.0, 0.008] + way, np.full(61, 4.6e-3)))
     vein = trimesh.creation.capsule(90.0, 5.0).apply_translation([0.0, 30.0, -40.0])
     trimesh.util.concatenate([*made, vein]).export(tmp_path / "labels.stl")
-    found = import_mesh(tmp_path / "labels.stl", resolution=COARSE, cache_dir=tmp_path / "cache")
+    found = import_anatomy(tmp_path / "labels.stl", resolution=COARSE, cache_dir=tmp_path / "cache")
     # the aorta goes on into one of the two, which are alike
     assert set(found.tree.names) - {"iliac_left", "iliac_right"} == {"aorta", "bca", "lcca", "lsa"}
     assert len(found.tree.names) == 5
@@ -201,9 +201,9 @@ def test_an_aorta_that_is_torn_is_refused():
 
 
 def test_a_folder_without_surfaces_or_without_an_aorta_is_refused(vessels: dict[str, trimesh.Trimesh], tmp_path: Path):
-    with pytest.raises(MeshRefusedError, match="holds no surface"):
-        import_mesh(tmp_path)
+    with pytest.raises(MeshRefusedError, match="holds no file of a kind that is read"):
+        import_anatomy(tmp_path)
     vessels["bca"].export(tmp_path / "bca.stl")
     vessels["lsa"].export(tmp_path / "lsa.stl")
     with pytest.raises(MeshRefusedError, match="none of them an aorta's"):
-        import_mesh(tmp_path)
+        import_anatomy(tmp_path)

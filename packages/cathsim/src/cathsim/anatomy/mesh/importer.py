@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,102 +13,41 @@ from cathsim.anatomy.mesh.lattice import Budget, lattice_spacing
 from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.parts.union import unite
 from cathsim.anatomy.mesh.parts.vessel_parts import Part, read_parts, surface_files
-from cathsim.anatomy.mesh.reading import (
-    UNITS,
-    Size,
-    check_unit,
-    clean_triangles,
-    detect_unit,
-    measure_size,
-)
+from cathsim.anatomy.mesh.reading import UNITS, Size, clean_triangles, detect_unit, measure_size
 from cathsim.anatomy.mesh.report import MeshRefusedError, draw_refusal
-from cathsim.anatomy.mesh.request import ONE_AT_A_TIME, check_resolution, content_digest, hashable_names, names_of
-from cathsim.anatomy.mesh.surface_import import Names, SurfaceFacts, phantom_of_surface
+from cathsim.anatomy.mesh.request import Request, content_digest
+from cathsim.anatomy.mesh.surface_import import SurfaceFacts, phantom_of_surface
 from cathsim.anatomy.phantom import Phantom
-from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
-from cathsim.anatomy.pictures.import_picture import vessels_named, with_picture_of_doubts
+from cathsim.anatomy.pictures.import_picture import vessels_named
 from cathsim.anatomy.vessel_names import ACCESS, AORTA
 
 IMPORT_VERSION = 23  # raise it whenever the same file gives another phantom
 _MEASURED = 4  # parts whose width is measured for the unit
 
 
-def import_mesh(
-    path: str | Path,
-    *,
-    unit: str | None = None,
-    names: Names = None,
-    extend: bool = True,
-    resolution: float = 1e-3,
-    cache_dir: Path | None = None,
-) -> Phantom:
-    """Makes a phantom of the surface of a lumen, or of a thick-walled model of one; cached by content.
-
-    Args:
-        path: an STL, OBJ, PLY, OFF, VTP, VTK or GLB file, or a folder with one such file a vessel, named after it.
-        unit: "m", "cm", "mm" or "inch"; detected from the vessels' width where it is left out.
-        names: names of your own: a mapping from automatic names, or a list for the aorta's branches from the heart on.
-        extend: branches that end less than 35 mm behind their ostium, cut by the file, are extended to that by a
-            straight tube; False: they are left as they are.
-        resolution: m between lattice points of the distance grid; half of it for a child's vessels.
-        cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
-
-    Returns:
-        The phantom, in the patient's frame as far as the vessels show it; `phantom.imported` is the account of the
-        import.
-
-    Raises:
-        MeshRefusedError: a ValueError with the reason, and where there is something to see a picture.
-        ValueError: for an impossible resolution.
-    """
-    check_unit(unit)
-    resolution = check_resolution(resolution, "mesh")
-    path = Path(path).expanduser()
-    directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
-    hashable = hashable_names(names)
-    with ONE_AT_A_TIME:
-        digest = mesh_digest(path, unit, hashable, resolution, extend)
-        return _load(path, digest, unit, hashable, resolution, directory, extend)
-
-
-def mesh_digest(path: Path, unit: str | None, names: tuple | None, resolution: float, extend: bool = True) -> str:
+def surface_digest(request: Request) -> str:
     """The hash of the phantom that an import gives: of the content of its files and the settings.
 
     Raises:
         MeshRefusedError: a file is missing, too large, no regular file or not of the folder.
     """
     settings: dict[str, Any] = {
-        "importer": IMPORT_VERSION, "unit": unit, "names": names, "resolution": resolution, "extend": extend
+        "importer": IMPORT_VERSION, "unit": request.unit, "names": request.names, "resolution": request.resolution,
+        "extend": request.extend,
     }  # fmt: skip
-    return content_digest(settings, surface_files(path), in_folder=path.is_dir())
+    return content_digest(settings, surface_files(request.path), in_folder=request.path.is_dir())
 
 
-@lru_cache(maxsize=16)
-def _load(
-    path: Path, digest: str, unit: str | None, names: tuple | None, resolution: float, directory: Path, extend: bool
-) -> Phantom:
-    cache = PhantomCache(directory)
-    phantom = cache.read(path.stem, digest, None)
-    if phantom is None:
-        picture = directory / "refused" / f"{path.stem}-{digest[:12]}.png"
-        phantom = _build(path, digest, unit, names, resolution, picture, extend)
-        phantom = with_picture_of_doubts(phantom, directory / "imports" / picture.name)
-        phantom = cache.write(phantom)
-    return replace(
-        phantom,
-        source={
-            "path": str(path.resolve()),
-            "unit": unit,
-            "names": names,
-            "resolution": resolution,
-            "extend": extend,
-        },
-    )
+def build_surface_phantom(request: Request, digest: str, picture: Path) -> Phantom:
+    """Builds the phantom of a surface, or of a folder of them, without any cache.
 
+    Args:
+        picture: PNG file to draw where it is refused.
 
-def _build(
-    path: Path, digest: str, unit: str | None, names: tuple | None, resolution: float, picture: Path, extend: bool
-) -> Phantom:
+    Raises:
+        MeshRefusedError: with the reason, and where there is something to see the picture.
+    """
+    path, unit, resolution = request.path, request.unit, request.resolution
     surface = read_parts(path)
     parts, notes = surface.parts, surface.notes
     unit_name, reason = unit, "given"
@@ -135,8 +73,8 @@ def _build(
             resolution=resolution,
             frame=surface.frame,
             label_of=label_of,
-            names=names_of(names),
-            extend=extend,
+            names=request.own_names,
+            extend=request.extend,
             picture=picture,
         )
         return _with_note_of_lost_parts(phantom, {part.name for part in parts} - {"", *ACCESS})

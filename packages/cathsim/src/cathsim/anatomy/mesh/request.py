@@ -1,4 +1,4 @@
-"""What imports of surfaces and of label volumes have in common: resolution, names of one's own, hash of the files."""
+"""What is imported and how: an anatomy's files with the arguments of `import_anatomy`, and their hash."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import hashlib
 import json
 import math
 import os
-import threading
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,33 @@ from cathsim.anatomy.mesh.surface_import import Names
 from cathsim.guarded_reading import open_regular
 
 FINEST, COARSEST = 5e-4, 2.5e-3  # m, resolutions
-ONE_AT_A_TIME = threading.Lock()  # an import takes much memory
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is imported, and how; it can be hashed. Attributes without a word here are arguments of `import_anatomy`.
+
+    Attributes:
+        labels: pairs of a volume's label and its vessel.
+        names: of the user's own: in order along the arch, or pairs with the automatic name first.
+    """
+
+    path: Path
+    unit: str | None
+    labels: tuple | None
+    names: tuple | None
+    transform: str | None
+    extend: bool
+    resolution: float
+
+    @property
+    def own_names(self) -> Names:
+        """The names as the user gave them."""
+        return dict(self.names) if self.names and isinstance(self.names[0], tuple) else self.names
+
+    def to_json(self) -> dict[str, Any]:
+        """The arguments of `import_anatomy`, the path as it is from everywhere."""
+        return {**vars(self), "path": str(self.path.resolve())}
 
 
 def check_resolution(resolution: float, kind: str) -> float:
@@ -30,18 +56,6 @@ def check_resolution(resolution: float, kind: str) -> float:
     if not (isinstance(resolution, int | float) and math.isfinite(resolution) and FINEST <= resolution <= COARSEST):
         raise ValueError(f"resolution must lie in [{FINEST:g}, {COARSEST:g}] m for a {kind}, got {resolution!r}.")
     return float(resolution)
-
-
-def hashable_names(names: Names) -> tuple | None:
-    """Names of one's own as a tuple, of pairs where they are a mapping; None without any."""
-    if not names:
-        return None
-    return tuple(names.items()) if isinstance(names, Mapping) else tuple(names)
-
-
-def names_of(names: tuple | None) -> Names:
-    """What `hashable_names` was given."""
-    return dict(names) if names and isinstance(names[0], tuple) else names
 
 
 def content_digest(settings: Mapping[str, Any], files: Iterable[Path], *, in_folder: bool) -> str:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,11 +22,10 @@ from cathsim.anatomy.entry import Entry, locate_entries
 from cathsim.anatomy.mesh.naming import propose_targets
 from cathsim.anatomy.mesh.parts.vessel_parts import read_parts
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.mesh.request import content_digest
+from cathsim.anatomy.mesh.request import Request, content_digest
 from cathsim.anatomy.mesh.surface_import import SurfaceFacts, closed_lumen
 from cathsim.anatomy.mesh.tree import STEP, measured_radii
 from cathsim.anatomy.phantom import Phantom
-from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
 from cathsim.anatomy.published.curves import ENDING, Array, Curve, read_curve
 from cathsim.anatomy.vessel_tree import JOIN_TOLERANCE, Branch, VesselTree, nearest_on_branch
 
@@ -114,44 +112,31 @@ def published_curves(folder: Path) -> dict[str, Curve]:
     return curves
 
 
-def load_published(folder: Path, *, resolution: float = 1e-3, cache_dir: Path | None = None) -> Phantom:
-    """Makes the phantom of the published files; cached by their content.
+def published_digest(request: Request) -> str:
+    """The hash of the phantom, of the files' content and the resolution."""
+    files = [request.path / SURFACE, *sorted((request.path / CURVES).glob("*" + ENDING))]
+    return content_digest({NAME: VERSION, "resolution": request.resolution}, files, in_folder=True)
 
-    Args:
-        resolution: m between lattice points of the distance grid.
+
+def build_published_phantom(request: Request, digest: str) -> Phantom:
+    """Builds the phantom of the published files without any cache.
 
     Raises:
         ValueError: a file is missing or is not the published one.
     """
-    digest = published_digest(folder, resolution)
-    return _load(folder.resolve(), digest, resolution, default_cache_directory() if cache_dir is None else cache_dir)
-
-
-def published_digest(folder: Path, resolution: float) -> str:
-    """The hash of the phantom, of the files' content and the resolution."""
-    files = [folder / SURFACE, *sorted((folder / CURVES).glob("*" + ENDING))]
-    return content_digest({NAME: VERSION, "resolution": resolution}, files, in_folder=True)
-
-
-@lru_cache(maxsize=2)
-def _load(folder: Path, digest: str, resolution: float, directory: Path) -> Phantom:
-    cache = PhantomCache(directory)
-    phantom = cache.read(NAME, digest, None) or cache.write(_build(folder, digest, resolution))
-    # not in the cache, which knows no entry amid a vessel
-    entries = {**phantom.entries, "descending": Entry("descending", ENTRY, DIRECTION, amid=True)}
-    source = {"path": str(folder), "unit": None, "names": None, "resolution": resolution}
-    return replace(phantom, entries=entries, source=source)
-
-
-def _build(folder: Path, digest: str, resolution: float) -> Phantom:
-    curves = published_curves(folder)
-    surface = read_parts(folder / SURFACE)
+    curves = published_curves(request.path)
+    surface = read_parts(request.path / SURFACE)
     if len(surface.parts) != 1:
         raise MeshRefusedError(f"{SURFACE} has {len(surface.parts)} parts instead of one; get the file again.")
     facts = SurfaceFacts(SURFACE, "mm", scale=MM, faces=surface.faces)
-    grid = closed_lumen(surface.parts[0].mesh.scaled(MM), facts, ROTATION, resolution)
+    grid = closed_lumen(surface.parts[0].mesh.scaled(MM), facts, ROTATION, request.resolution)
     tree = build_tree(curves, grid)
     return Phantom(NAME, digest, None, tree, grid, propose_targets(tree)[0], locate_entries(tree))
+
+
+def with_published_entry(phantom: Phantom) -> Phantom:
+    """The phantom with the task's entry, which the cache does not hold: it knows no entry amid a vessel."""
+    return replace(phantom, entries={**phantom.entries, "descending": Entry("descending", ENTRY, DIRECTION, amid=True)})
 
 
 def target_points(phantom: Phantom) -> Array:

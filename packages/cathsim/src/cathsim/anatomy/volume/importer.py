@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,19 +13,15 @@ from cathsim.anatomy.extension import extend_short_branches
 from cathsim.anatomy.mesh.naming import ordered_names, pose_doubts, propose_entries, propose_targets, renamed
 from cathsim.anatomy.mesh.reading import Triangles
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
-from cathsim.anatomy.mesh.request import ONE_AT_A_TIME, check_resolution, content_digest, hashable_names, names_of
+from cathsim.anatomy.mesh.request import Request, content_digest
 from cathsim.anatomy.mesh.surface_import import LEAST_WIDTH, Names, SurfaceFacts, phantom_of_surface
 from cathsim.anatomy.mesh.tree import grow_tree
 from cathsim.anatomy.phantom import Phantom
-from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
-from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 from cathsim.anatomy.vessel_names import vessel_name
 from cathsim.anatomy.volume.dicom.files import dicom_files
 from cathsim.anatomy.volume.files.detached import with_detached_data
-from cathsim.anatomy.volume.files.nifti import TRANSFORMS
 from cathsim.anatomy.volume.files.reading import FORMATS, LabelVolume, file_stem, read_labels, volume_files
 from cathsim.anatomy.volume.labels.checks import check_labels
-from cathsim.anatomy.volume.labels.choice import Labels
 from cathsim.anatomy.volume.lumen.labelled import LabelledLumen
 from cathsim.anatomy.volume.lumen.smoothing import smooth_vessel
 from cathsim.guarded_reading import UnreadableFileError, check_regular
@@ -41,58 +35,11 @@ _LEAST_CHANGES = 8  # between slices along an axis, that tell how often slices a
 _LEAST_PART = 0.5  # of the voxels must hang together
 
 
-def import_volume(
-    path: str | Path,
-    *,
-    labels: Labels = None,
-    names: Names = None,
-    transform: str | None = None,
-    extend: bool = True,
-    resolution: float = 1e-3,
-    cache_dir: Path | None = None,
-) -> Phantom:
-    """Makes a phantom of a segmentation: a file, or a folder with one file a vessel; cached by content.
-
-    Args:
-        labels: which label is which vessel, by its number, by its name in the file, or by a folder's file without its
-            ending; None leaves a label out. It overrules names in the file and published numbers.
-        names: names of the user's own: a mapping from the names that were found, or a list for the aorta's branches
-            from the heart on.
-        transform: of NIfTI files, "sform" or "qform": which of their affines is taken; None: the sform where there is
-            one, with a note where the qform differs.
-        extend: as of `import_mesh`.
-        resolution: m between lattice points of the distance grid.
-        cache_dir: where built phantoms are kept; by default $CATHSIM_CACHE, else the user's cache directory.
-
-    Returns:
-        The phantom in the patient's axes, as the file's affine has them; `phantom.imported` is the account of the
-        import.
-
-    Raises:
-        MeshRefusedError: a ValueError with the reason.
-        ValueError: for an impossible resolution or transform.
-    """
-    if transform not in (None, *TRANSFORMS):
-        raise ValueError(f"transform must be one of {', '.join(TRANSFORMS)}, got {transform!r}.")
-    resolution = check_resolution(resolution, "volume")
-    path = Path(path).expanduser()
-    directory = default_cache_directory() if cache_dir is None else Path(cache_dir)
-    hashable = hashable_names(names)
-    if labels is not None and not isinstance(labels, Mapping):
-        raise MeshRefusedError(f"labels is a mapping such as {{1: 'aorta', 2: 'lsa'}}, got {labels!r}.")
-    hashable_labels = None if not labels else tuple(labels.items())
-    with ONE_AT_A_TIME:
-        digest = volume_digest(path, hashable_labels, hashable, resolution, transform, extend)
-        return _load(path, digest, hashable_labels, hashable, resolution, directory, transform, extend)
-
-
-def volume_digest(
-    path: Path, labels: tuple | None, names: tuple | None, resolution: float, transform: str | None = None,
-    extend: bool = True,
-) -> str:  # fmt: skip
+def volume_digest(request: Request) -> str:
     """The hash of the phantom that an import gives: of the files' content and the settings."""
+    path = request.path
     if path.is_dir():
-        label_names = {str(label) for label, _ in labels or ()}
+        label_names = {str(label) for label, _ in request.labels or ()}
         volumes = volume_files(path)
         files = [f for f in volumes if vessel_name(file_stem(f)) or file_stem(f) in label_names] or dicom_files(path)
     elif path.exists():
@@ -103,43 +50,29 @@ def volume_digest(
         files = [path]
     else:
         raise MeshRefusedError(f"there is no file {path}; give a file in {FORMATS} format, or a folder of them.")
-    settings: dict[str, Any] = {"volume": VOLUME_VERSION, "labels": labels, "names": names, "resolution": resolution}
-    settings["extend"] = extend
-    if transform is not None:
-        settings["transform"] = transform
+    settings: dict[str, Any] = {
+        "volume": VOLUME_VERSION, "labels": request.labels, "names": request.names, "resolution": request.resolution,
+        "extend": request.extend,
+    }  # fmt: skip
+    if request.transform is not None:
+        settings["transform"] = request.transform
     if path.is_dir():
         settings["files"] = [file.name for file in volume_files(path)]  # notes say which are not taken
     return content_digest(settings, with_detached_data(files), in_folder=path.is_dir())
 
 
-@lru_cache(maxsize=16)
-def _load(
-    path: Path, digest: str, labels: tuple | None, names: tuple | None, resolution: float, directory: Path,
-    transform: str | None, extend: bool,
-) -> Phantom:  # fmt: skip
-    cache = PhantomCache(directory)
-    phantom = cache.read(file_stem(path), digest, None)
-    if phantom is None:
-        phantom = build_volume_phantom(
-            path, digest, dict(labels) if labels else None, names_of(names), resolution, transform, extend
-        )
-        picture = directory / "imports" / f"{file_stem(path)}-{digest[:12]}.png"
-        phantom = with_picture_of_doubts(phantom, picture)
-        phantom = cache.write(phantom)
-    source = {"path": str(path.resolve()), "unit": None, "names": names, "labels": labels, "transform": transform,
-              "extend": extend}  # fmt: skip
-    return replace(phantom, source=source)
+def build_volume_phantom(request: Request, digest: str) -> Phantom:
+    """Builds the phantom of a volume, or of a folder with one a vessel, without any cache.
 
-
-def build_volume_phantom(
-    path: Path, digest: str, labels: Labels, names: Names, resolution: float, transform: str | None = None,
-    extend: bool = True,
-) -> Phantom:  # fmt: skip
-    """Builds the phantom of a volume without any cache."""
-    volume = join_repeated(read_labels(path, labels, transform))
+    Raises:
+        MeshRefusedError: with the reason.
+    """
+    name, names, resolution = file_stem(request.path), request.own_names, request.resolution
+    labels = dict(request.labels) if request.labels else None
+    volume = join_repeated(read_labels(request.path, labels, request.transform))
     volume = replace(volume, notes=(*volume.notes, *check_labels(volume)))
     if not volume.named:
-        return _of_one_piece(volume, file_stem(path), digest, names, resolution, extend)
+        return _of_one_piece(volume, name, digest, names, resolution, request.extend)
     lumen = LabelledLumen(volume, resolution)
     grid, aorta, automatic_names, volumes = lumen.build()
     own = names if names is None or isinstance(names, Mapping) else None
@@ -155,7 +88,7 @@ def build_volume_phantom(
             f"({least * 1e3:.2f} mm at this resolution); check the labels and the size of the voxels."
         )
     extended: tuple[str, ...] = ()
-    if extend:
+    if request.extend:
         tree, grid, extended = extend_short_branches(tree, grid)
     targets, shortened = propose_targets(tree)
     if not targets:
@@ -163,7 +96,7 @@ def build_volume_phantom(
             f"{volume.file} has no branch of the aorta that is wide and long enough for a wire and a target; export "
             "the branches of the arch, too."
         )
-    phantom = Phantom(file_stem(path), digest, None, tree, grid, targets, propose_entries(tree))
+    phantom = Phantom(name, digest, None, tree, grid, targets, propose_entries(tree))
     frame = volume.frame
     report = ImportReport(
         file=volume.file,

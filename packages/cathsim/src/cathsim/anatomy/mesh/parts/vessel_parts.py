@@ -87,8 +87,6 @@ def surface_files(path: Path) -> list[Path]:
         MeshRefusedError: one of them is missing, too large, no regular file or not of the folder.
     """
     files = folder_files(path) if path.is_dir() else [path]
-    if not files:
-        raise MeshRefusedError(f"{path.name} holds no surface ({', '.join(SUFFIXES)}); give a folder that does.")
     for file in files:
         check_file(file)
     scenes = [file for file in files if file.suffix.lower() in SCENES]
