@@ -16,7 +16,7 @@ from stable_baselines3 import SAC, HerReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback, EveryNTimesteps
 
 from cathsim import load_phantom
-from cathsim.robot.pace import Pace
+from cathsim.presets import Pace
 
 HELD_OUT = range(10_000, 10_050)  # seeds of the goals of evaluation
 

@@ -10,7 +10,7 @@ import torch
 from stable_baselines3 import SAC
 
 from cathsim import NavigateEnv, load_phantom
-from cathsim.robot.pace import Pace
+from cathsim.presets import Pace
 
 SUCCESS_RADIUS = 0.008  # m
 

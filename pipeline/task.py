@@ -155,7 +155,7 @@ def entry_place(entry: str) -> str | tuple[float, float, float]:
 
 def decision_steps(task: Task) -> int:
     """Steps that a policy holds an action: those of 0.3 s."""
-    from cathsim.robot.pace import named_pace
+    from cathsim.presets import named_pace
 
     return max(round(_DECISION_S / named_pace(task.pace).interval), 1)
 

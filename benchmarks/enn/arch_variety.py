@@ -39,9 +39,8 @@ from cathsim.anatomy.generator.variety_arch import ARCH_TYPES
 from cathsim.arch_variety import TEST_SEEDS, TEST_STEPS, ArchVarietyEnv, ArchVarietyTask
 from cathsim.metrics.episodes import wilson_interval
 from cathsim.observations.xray import XrayEnvironment
-from cathsim.rehearsal.environment import NavigateCopiesEnv
-from cathsim.rehearsal.perturbation import Perturbation
-from cathsim.robot.pace import PACES
+from cathsim.presets import PACES
+from cathsim.rehearsal.environment import NavigateCopiesEnv, Perturbation
 from enn.device_trials import TRIALS, TrialStatistics, best_devices, try_in_copies
 from enn.policy import Policy
 from enn.retrying import RetryingController

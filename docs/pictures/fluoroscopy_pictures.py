@@ -9,10 +9,9 @@ from PIL import Image
 
 from cathsim import NavigateEnv
 from cathsim.fluoroscopy import BiplaneFluoroscope, Box, Ellipsoid, Projector, XRayCamera, expose_depth, guide3d_pair
-from cathsim.fluoroscopy.body import body_depth
 from cathsim.fluoroscopy.materials import ATTENUATION
 from cathsim.fluoroscopy.radiograph import DepthFunction
-from cathsim.fluoroscopy.scene import XRayScene
+from cathsim.fluoroscopy.scene import XRayScene, body_depth
 from cathsim.observations.fluoroscopes import points_to_border
 from cathsim.planning.sampling import SamplingExpert
 

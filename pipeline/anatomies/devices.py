@@ -39,7 +39,7 @@ def fitted_task(task: Task, phantom: Phantom, targets: Sequence[Any]) -> Task:
 def fitted_steps(task: Task, phantom: Phantom, target: Any) -> Task:
     """The task with three times a straight way's steps, in hundreds, where its own are less than twice them."""
     from cathsim.anatomy.entry import entry_name
-    from cathsim.robot.pace import named_pace
+    from cathsim.presets import named_pace
 
     way = phantom.way_length(target, entry_name(entry_place(task.entry), target))
     straight = way / named_pace(task.pace).translation
@@ -124,8 +124,7 @@ def best_in_copies(
     policies: Sequence[Policy], tasks: Sequence[Task], phantom: Phantom, target: TargetLike, *, usual: int, seed: int
 ) -> int:
     """Number of the policy whose devices, their wires as long as the way asks for, do best in copies of an anatomy."""
-    from cathsim.rehearsal.environment import NavigateCopiesEnv
-    from cathsim.rehearsal.perturbation import Perturbation
+    from cathsim.rehearsal.environment import NavigateCopiesEnv, Perturbation
     from enn.device_trials import TRIALS, TrialStatistics, best_devices, try_in_copies
 
     def trial_statistics(policy: Policy, task: Task, copies: int) -> TrialStatistics:

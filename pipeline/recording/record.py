@@ -132,7 +132,7 @@ def describe_episode(
 ) -> EpisodeInfo:
     """What is known of an episode before its first step: operator, task, devices, and a further configuration."""
     from cathsim.navigation import reward_name
-    from cathsim.robot.pace import PACES
+    from cathsim.presets import PACES
 
     return EpisodeInfo(
         phantom=environment.phantom.name,

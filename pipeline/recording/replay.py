@@ -138,8 +138,7 @@ def _environment(
 ) -> NavigateEnv:
     """The environment that an episode was recorded in, with another observation and reward."""
     from cathsim import NavigateEnv, NavigationTask
-    from cathsim.presets import Accuracy
-    from cathsim.robot.pace import Pace
+    from cathsim.presets import Accuracy, Pace
 
     fields = {field.name for field in dataclasses.fields(NavigationTask)}
     with checked_values(info, "task"):

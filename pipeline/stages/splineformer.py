@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 
 PRELOAD = (
-    "splineformer.learning.training_command",
+    "splineformer.learning.training",
     "splineformer.comparison.fluoroscopy_figures",
     "guide3d.learning.predictor",
     OPTIMISER,
@@ -49,7 +49,7 @@ def learn_variant(job: TrainingJob, report: Report) -> dict[str, Any]:
     if file.is_file():
         return dict(read_json(file))
     training = train(
-        "splineformer.learning.training_command", job, ["--variant", job.network], ("images", "calibration"), report
+        "splineformer.learning.training", job, ["--variant", job.network], ("images", "calibration"), report
     )
     from guide3d.dataset.dataset import images_of, split
     from splineformer.comparison.fluoroscopy_figures import kind_accuracy, round_trips, speed

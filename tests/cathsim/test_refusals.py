@@ -34,9 +34,8 @@ from cathsim.observations.xray import XrayEnvironment
 from cathsim.planning.path import plan_path
 from cathsim.planning.plan_trials import ExpertSettings
 from cathsim.planning.sampling import SamplingExpert
-from cathsim.presets import Accuracy
+from cathsim.presets import Accuracy, Pace
 from cathsim.rehearsal.environment import NavigateCopiesEnv
-from cathsim.robot.pace import Pace
 from tests.cathsim.drawn_vessels import tube
 
 C_ARM: dict[str, Any] = {"centre": (0.0, 0.0, 0.0), "field_of_view": 0.2}

@@ -13,6 +13,7 @@ from PIL import Image
 from scipy import ndimage
 
 from guide3d.dataset.frame import eight_bits
+from guide3d.files import numbers_in, read_json, read_text
 from guide3d.image_file import (
     ImageError,
     encode_png,
@@ -23,7 +24,6 @@ from guide3d.image_file import (
 )
 from guide3d.image_filters import sampled
 from guide3d.opencv import cv2
-from guide3d.text_file import numbers_in, read_json, read_text
 
 GREY = np.random.default_rng(0).integers(0, 256, (40, 56), np.uint8)
 

@@ -14,11 +14,10 @@ import pytest
 import cathsim
 from cathsim.devices.catheter import Catheter
 from cathsim.devices.pair import DevicePair
-from cathsim.fluoroscopy.body import Box, Ellipsoid
 from cathsim.fluoroscopy.distortion import DetectorDistortion
 from cathsim.fluoroscopy.materials import Section, WireMaterial
 from cathsim.fluoroscopy.projector import Projector
-from cathsim.fluoroscopy.scene import SCENES
+from cathsim.fluoroscopy.scene import SCENES, Box, Ellipsoid
 from cathsim.presets import ACCURACY
 from enn.imitation.recurrent_policy import RecurrentPolicySettings
 from enn.reinforcement.training.settings import TrainingSettings

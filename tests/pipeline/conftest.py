@@ -17,7 +17,7 @@ OF_ANY_JOB = (
     "enn.imitation.recurrent_policy", "enn.reinforcement.rehearsal", "enn.reinforcement.training.training",
     "guide3d.learning.evaluation", "guide3d.train", "pipeline.recording.record", "pipeline.stages.imitation",
     "pipeline.stages.learning.training", "pipeline.stages.navigation.jobs", "pipeline.stages.rehearsal.training",
-    "pipeline.stages.splineformer", "pipeline.stages.unseen.image_policy", "splineformer.learning.training_command",
+    "pipeline.stages.splineformer", "pipeline.stages.unseen.image_policy", "splineformer.learning.training",
     "torch._dynamo",
 )  # fmt: skip
 

@@ -231,7 +231,7 @@ def task_of_log(log: Path, like: Task | None = None) -> LearningTask:
 
 def _pace_name(log: Path, recorded: Mapping[str, Any]) -> str:
     """The name of the pace that an episode was recorded at."""
-    from cathsim.robot.pace import PACES, Pace
+    from cathsim.presets import PACES, Pace
 
     own = Pace(**recorded.get("pace", {}))
     for name, pace in PACES.items():

@@ -78,7 +78,7 @@ def _steered(
 ) -> list[Frame]:
     """Pictures of episodes that a teacher steers, each with a share of noise in its actions, from none to all."""
     from cathsim.observations.c_arm_view import with_shaft
-    from enn.imitation.perturbed_controller import PerturbedController
+    from enn.imitation.dagger import PerturbedController
     from enn.policy import Policy
 
     policy = Policy.load(teacher, device)

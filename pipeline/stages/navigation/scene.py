@@ -267,7 +267,7 @@ def run_tests(
         A row for each set and target: success, mean time of successful trials, forces, failure modes, number, and in
         how many anatomies the target lies outside the cameras' images, where there is no trial.
     """
-    from cathsim.robot.pace import named_pace
+    from cathsim.presets import named_pace
 
     rows = []
     cells = [(test, target) for test in tests for target in settings.targets]

@@ -114,7 +114,7 @@ def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[
         report(0.9 * now.epoch / now.epochs, f"epoch {now.epoch}, validation {loss:.3g}")
 
     with Curves(job.folder) as curves:
-        return dict(command.train(command.arguments(words), progress=tell))
+        return dict(command.train_command(command.arguments(words), progress=tell))
 
 
 def _take(job: TrainingJob, shipped: str) -> None:

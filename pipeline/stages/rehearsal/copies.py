@@ -74,8 +74,7 @@ def copies_environment(
     observation: Sequence[str] = ROADMAP_KEYS,
 ) -> NavigateCopiesEnv:
     """An environment over copies; that of a training has the shaped reward and its physics."""
-    from cathsim.rehearsal.environment import NavigateCopiesEnv
-    from cathsim.rehearsal.perturbation import Perturbation
+    from cathsim.rehearsal.environment import NavigateCopiesEnv, Perturbation
 
     settings = job.settings
     perturbation = Perturbation(

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.cross_section import wall_distances
+from cathsim.anatomy.distance_grid import wall_distances
 from cathsim.anatomy.entry import ENTRY_DEPTH
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.vessel_tree import VesselTree

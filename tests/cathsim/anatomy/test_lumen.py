@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from cathsim.anatomy import SignedDistanceGrid, surface
 from cathsim.anatomy.centreline import LumenPaths
-from cathsim.anatomy.cross_section import wall_distances
+from cathsim.anatomy.distance_grid import wall_distances
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.surface import open_ends
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from cathsim.console import CRITERIA, NpzRecorder
+from cathsim.console.operator_setup import ForceLimit
 from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, devices_between
 from cathsim.console.recorder import episode_path
-from cathsim.console.setup.operator_setup import ForceLimit
 from cathsim.console.xray.room import XRayStep
 from cathsim.devices.pair import wire_and_catheter
 from tests.cathsim.makers import MakeEnv

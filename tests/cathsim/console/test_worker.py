@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cathsim.console.operator_setup import Setup
 from cathsim.console.questionnaire import CRITERIA
-from cathsim.console.setup.operator_setup import Setup
 from cathsim.console.worker import RealTimeLoop
 
 Wait = Callable[..., Any]

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cathsim import load_phantom
 from cathsim.anatomy import Phantom
-from cathsim.anatomy.published.curves import read_curve
-from cathsim.anatomy.published.dual_device_nav import target_points
+from cathsim.anatomy.dual_device_nav import read_curve, target_points
 from cathsim.dual_device_nav import CATHETER, TEST_SEEDS, WIRE, DualDeviceNavEnv, DualDeviceNavTask
 from cathsim.observations.tracking import in_view
 from tests.cathsim.dual_device_nav.published_files import folder, needs_files

@@ -13,8 +13,7 @@ from cathsim.planning.manoeuvres import Ending, Manoeuvre, parameter_limits, ret
 from cathsim.planning.plan_trials import ExpertSettings, PlanTrials
 from cathsim.planning.sampling import BEYOND, EMERGED, SamplingExpert, wire_advances
 from cathsim.planning.scripted_motions import MOTIONS, ROOT, Script, ScriptedOperator, arch_branches, placement_paths
-from cathsim.presets import ACCURACY
-from cathsim.robot.pace import PACES
+from cathsim.presets import ACCURACY, PACES
 from cathsim.simulation import Simulation
 from tests.cathsim.makers import MakeEnv
 

@@ -16,7 +16,7 @@ from gymnasium.wrappers import FrameStackObservation, OrderEnforcing, RecordEpis
 
 from cathsim import NavigateEnv, ThreadedVectorEnv
 from cathsim.registration import ARCH_VARIETY, COPIES, DUAL, DUAL_DEVICE_NAV, ENVIRONMENT, GOAL, MANY, RANDOM_TREES
-from cathsim.rehearsal.perturbation import Perturbation
+from cathsim.rehearsal.environment import Perturbation
 from tests.cathsim.dual_device_nav.published_files import REAL, folder
 from tests.cathsim.equal_observations import same
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv, Phantom, load_guidewire
-from cathsim.rehearsal.environment import NavigateCopiesEnv
-from cathsim.rehearsal.perturbation import Perturbation, copy_of
+from cathsim.rehearsal.environment import NavigateCopiesEnv, Perturbation, copy_of
 from cathsim.rehearsal.walls import displaced_walls
 from tests.cathsim.anatomy.wall.tubes import tubes, wall_at
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
+from cathsim.presets import PACES, Pace
 from cathsim.robot.follower import CLOSED, FollowerRobot, Leader, Phase
 from cathsim.robot.model import CLAMPS, DRIVING_CLAMP, HOLDING_CLAMP, JAWS, ROTARIES, WHEEL, RobotSettings
-from cathsim.robot.pace import PACES, Pace
 from cathsim.viewing.camera_view import RenderingUnavailableError, View
 from tests.cathsim.makers import MakeEnv
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from cathsim import NavigateEnv
+from cathsim.console.operator_setup import ForceLimit
 from cathsim.console.procedure import Procedure
 from cathsim.console.questionnaire import CRITERIA
 from cathsim.console.recorder import OPERATION, TOTALS
-from cathsim.console.setup.operator_setup import ForceLimit
 from cathsim.console.xray.room import XRayStep
 from pipeline.episodes import EpisodeReader, EpisodeWriter
 from pipeline.episodes.__main__ import main as show

@@ -25,8 +25,8 @@ from splineformer.learning.losses import attention_loss
 from splineformer.learning.recipes import recipe_of
 from splineformer.learning.samples import SplineObjective, curves_of, passes_of
 from splineformer.learning.targets import TARGETS, OrderedTargets, PublishedTargets, disturbed
+from splineformer.learning.training import main as command
 from splineformer.learning.training import train
-from splineformer.learning.training_command import main as command
 from splineformer.predictor import Predictor
 from splineformer.tokens import sampled
 from splineformer.train_on_fluoroscopy import main

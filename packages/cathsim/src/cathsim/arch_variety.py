@@ -13,7 +13,7 @@ from cathsim.anatomy.point_target import Point, as_target, points_beyond_root
 from cathsim.guidewire import Guidewire
 from cathsim.many_anatomies import NavigateManyEnv
 from cathsim.navigation import NEAR, NavigationTask
-from cathsim.robot.pace import Pace
+from cathsim.presets import Pace
 from cathsim.validation import Count, Unit, settings
 from cathsim.vector import ThreadedVectorEnv
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from cathsim.anatomy import load_phantom
+from cathsim.anatomy.dual_device_nav import published_folder, target_points
 from cathsim.anatomy.generator.recipe import TREE
 from cathsim.anatomy.point_target import Point, as_target
-from cathsim.anatomy.published.dual_device_nav import published_folder, target_points
 from cathsim.arch_variety import TRAINING_SEEDS, ArchVarietyTask
 from cathsim.devices.device_file import PRESETS
 from cathsim.devices.shelf import load_catheter

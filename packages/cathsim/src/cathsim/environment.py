@@ -36,9 +36,8 @@ if TYPE_CHECKING:
     from cathsim.fluoroscopy import BiplaneFluoroscope
     from cathsim.guidewire import Guidewire
     from cathsim.observations.scan import Scan
-    from cathsim.presets import Accuracy
+    from cathsim.presets import Accuracy, Pace
     from cathsim.robot.follower import FollowerRobot
-    from cathsim.robot.pace import Pace
 
 ACTIONS = ("feeder", "tip_motors")
 

@@ -1,16 +1,21 @@
-"""Numerical presets: how finely the physics is stepped."""
+"""Presets of a simulation: how finely physics is stepped, how often an operator decides, how far feeders then move."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Annotated
 
+import numpy as np
 from annotated_types import Interval
 
 from cathsim.validation import Unit, settings
 
 WIRE_RADIUS = 0.45e-3  # m, of the usual guidewire of 0.035 in
 MAXIMUM_SIZE = 4096  # px, of an image's side
+CONTROL_STEP = 0.1  # s
+TRANSLATION_STEP = 0.002  # m at full action
+ROTATION_STEP = np.radians(15.0)  # rad at full action
 
 _Depth = Annotated[float, Interval(ge=0, le=0.1), Unit("m")]
 _Tolerances = Annotated[float, Interval(gt=0, le=1e6)]
@@ -80,3 +85,33 @@ def accuracy(name: str) -> Accuracy:
     if name not in ACCURACY:
         raise ValueError(f"unknown accuracy '{name}'; there are {', '.join(ACCURACY)}")
     return ACCURACY[name]
+
+
+@settings
+class Pace:
+    """The control step of a simulation and what full actions move in it.
+
+    Attributes:
+        interval: between two decisions, s.
+        translation: of a feeder at full action, m a decision.
+        rotation: of a feeder at full action, rad a decision.
+    """
+
+    interval: Annotated[float, Interval(ge=0.01, le=1.0), Unit("s")] = CONTROL_STEP
+    translation: Annotated[float, Interval(gt=0, le=0.02), Unit("m")] = TRANSLATION_STEP
+    rotation: Annotated[float, Interval(gt=0, le=math.pi), Unit("rad")] = ROTATION_STEP
+
+
+# 7.5 decisions a second, 35 mm/s and 180 degrees/s; source: as of `arch_variety.task`
+PACES = {"usual": Pace(), "arch_variety": Pace(1 / 7.5, 0.035 / 7.5, math.pi / 7.5)}
+
+
+def named_pace(name: str) -> Pace:
+    """The pace of that name.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if name not in PACES:
+        raise ValueError(f"unknown pace '{name}'; there are {', '.join(PACES)}")
+    return PACES[name]

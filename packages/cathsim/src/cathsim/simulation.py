@@ -20,9 +20,8 @@ from cathsim.contact.sdf import vessel_of as vessel_of
 from cathsim.devices.active_chain import ActiveChain, ActiveChains, chain_models, pass_on
 from cathsim.devices.arena import max_insertion
 from cathsim.guidewire import Guidewire
-from cathsim.presets import Accuracy, dividing
-from cathsim.robot.pace import CONTROL_STEP as CONTROL_STEP
-from cathsim.robot.pace import PACES, Pace
+from cathsim.presets import CONTROL_STEP as CONTROL_STEP
+from cathsim.presets import PACES, Accuracy, Pace, dividing
 
 if TYPE_CHECKING:
     from cathsim.blood.drag import Drag

@@ -20,6 +20,7 @@ from guide3d.commands import required_by_command, run
 if __name__ == "__main__":
     required_by_command("guide3d.train", "torch", "learning")
 
+from guide3d.files import json_fields
 from guide3d.learning.build import SEGMENTERS, SIZES
 from guide3d.learning.losses import ShapeLoss
 from guide3d.learning.network_training import train_network
@@ -33,7 +34,6 @@ from guide3d.learning.training_command import (
     training_parser,
     with_epochs,
 )
-from guide3d.text_file import json_fields
 
 ANGLES_ALONE = "spherical_angles"  # the spherical form with the loss of the thesis: none on the curve itself
 NETWORKS = (*FORMS, ANGLES_ALONE, "fgrn", *SEGMENTERS)
@@ -51,7 +51,7 @@ def arguments(words: list[str]) -> argparse.Namespace:
     return parser.parse_args(words)
 
 
-def train(given: argparse.Namespace, progress: Progress | None = None) -> dict[str, Any]:
+def train_command(given: argparse.Namespace, progress: Progress | None = None) -> dict[str, Any]:
     """Trains what the command line asks for.
 
     Args:
@@ -84,7 +84,7 @@ def train(given: argparse.Namespace, progress: Progress | None = None) -> dict[s
 
 def main(words: list[str] | None = None) -> int:
     """Runs the command line; returns its exit code."""
-    return main_of(lambda words: train(arguments(words)), words)
+    return main_of(lambda words: train_command(arguments(words)), words)
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ if __name__ == "__main__":
     required_by_command("guide3d.train_reader", "torch", "learning")
 
 from guide3d.dataset.dataset import Dataset
-from guide3d.files import whole_file
+from guide3d.files import json_fields, whole_file
 from guide3d.learning.reader.evaluation import calibrate, evaluate_reader
 from guide3d.learning.reader.training import CHECKPOINT, ReaderRecipe, smoke_recipe, train_reader
 from guide3d.learning.training_command import TABLE, main_of
@@ -36,7 +36,6 @@ from guide3d.opencv import cv2
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.reading.maps import SHIPPED, Reader
 from guide3d.setting_kinds import seed
-from guide3d.text_file import json_fields
 
 VALIDATION_SEED = 1_000_003  # of the images that choices are made by; no training seed should be it
 CALIBRATION_SEED = 2_000_003

@@ -9,7 +9,7 @@ if __name__ == "__main__":
     from guide3d.commands import required_by_command, run
 
     required_by_command("splineformer.train", "torch", "learning")
-    from splineformer.learning.training_command import main
+    from splineformer.learning.training import main
 
     run(main)
 else:

@@ -25,12 +25,12 @@ if __name__ == "__main__":
 
 import torch
 
+from guide3d.files import json_fields
 from guide3d.learning.distributed import Ranks
 from guide3d.learning.training import FitReport
 from guide3d.learning.training_command import PREDICTOR, Progress, main_of, run_training, with_epochs
 from guide3d.opencv import cv2
 from guide3d.setting_kinds import seed
-from guide3d.text_file import json_fields
 from splineformer.build import VARIANTS
 from splineformer.comparison.fluoroscopy_figures import evaluate_on_fluoroscopy
 from splineformer.learning.fluoroscopy_training import FluoroscopyRecipe, fluoroscopy_recipe, train_on_fluoroscopy

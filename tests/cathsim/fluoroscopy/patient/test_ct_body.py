@@ -13,9 +13,9 @@ import pytest
 from cathsim.anatomy import Phantom, load_phantom
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
 from cathsim.fluoroscopy import BiplaneFluoroscope, Box, CTBody, Projector, ct_body, ct_scene
-from cathsim.fluoroscopy.body import body_depth
 from cathsim.fluoroscopy.materials import ATTENUATION
 from cathsim.fluoroscopy.patient.ct_body import BONE_FACTOR, WATER, attenuation
+from cathsim.fluoroscopy.scene import body_depth
 
 nibabel = pytest.importorskip("nibabel", reason="a CT needs nibabel")
 

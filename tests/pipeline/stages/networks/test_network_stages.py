@@ -82,7 +82,7 @@ def test_segmentation_leaves_networks_tables_and_figures(run: Path, masks: dict)
 def test_a_finished_network_is_kept(run: Path, shapes: dict, monkeypatch: pytest.MonkeyPatch) -> None:
     settings = ShapeSettings(rows=["fgrn"], size="smoke", device="cpu")
     job = shape.plan(settings, context(run, "shape", reads=("guide3d",)))[0].given
-    monkeypatch.setattr("guide3d.train.train", None)
+    monkeypatch.setattr("guide3d.train.train_command", None)
     assert learn(job, Report())["max_ed"] == shapes["shape_networks"]["fgrn"]["max_ed"]
 
 
@@ -197,7 +197,7 @@ def test_finished_jobs_are_kept_and_a_missing_rival_is_told(
 ) -> None:
     jobs = {job.key: job for job in splineformer.plan(SETTINGS, context(run, "splineformer", reads=READS))}
     assert jobs["comparison"].after == ("published", "ordered")
-    monkeypatch.setattr("splineformer.learning.training_command.train", None)
+    monkeypatch.setattr("splineformer.learning.training.train_command", None)
     outcome = learn_variant(jobs["ordered"].given, Report())
     assert outcome["round_trip_px"] == results["splineformer_variants"]["ordered"]["round_trip_px"]
     monkeypatch.setattr("splineformer.comparison.evaluation.evaluate_readers", None)
@@ -264,7 +264,7 @@ def test_a_shipped_network_is_taken_where_its_training_would_be_repeated(
     file = weights / "ordered_simulated.pt"
     Predictor.load(trained / "predictor.pt").save(file, training=json.dumps(training))
     monkeypatch.setattr(shelf, "files", lambda package: tmp_path / package)
-    monkeypatch.setattr("splineformer.learning.training_command.train", None)
+    monkeypatch.setattr("splineformer.learning.training.train_command", None)
     job = {job.key: job.given for job in splineformer.plan(SETTINGS, ours)}["ordered"]
     learn_variant(replace(job, folder=tmp_path / "ordered", shipped="ordered_simulated"), Report())
     assert (tmp_path / "ordered" / "predictor.pt").read_bytes() == file.read_bytes()

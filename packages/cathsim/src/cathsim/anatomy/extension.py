@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.cross_section import across_frames
-from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.distance_grid import SignedDistanceGrid, across_frames
 from cathsim.anatomy.phantom import END_CLEARANCE
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
 

@@ -9,22 +9,20 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from cathsim.anatomy.mesh.importer import build_surface_phantom, surface_digest
-from cathsim.anatomy.mesh.reading import FORMATS as SURFACES
-from cathsim.anatomy.mesh.reading import check_unit, converter, is_mesh_path
-from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.mesh.request import Request, check_resolution
-from cathsim.anatomy.mesh.surface_import import Names
-from cathsim.anatomy.phantom import Phantom
-from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
-from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
-from cathsim.anatomy.published.dual_device_nav import (
+from cathsim.anatomy.dual_device_nav import (
     NAME,
     build_published_phantom,
     is_published,
     published_digest,
     with_published_entry,
 )
+from cathsim.anatomy.mesh.importer import build_surface_phantom, surface_digest
+from cathsim.anatomy.mesh.reading import FORMATS as SURFACES
+from cathsim.anatomy.mesh.reading import check_unit, converter, is_mesh_path
+from cathsim.anatomy.mesh.report import MeshRefusedError, Names, Request, check_resolution
+from cathsim.anatomy.phantom import Phantom
+from cathsim.anatomy.phantom_cache import PhantomCache, default_cache_directory
+from cathsim.anatomy.pictures.import_picture import with_picture_of_doubts
 from cathsim.anatomy.volume.files.nifti import TRANSFORMS
 from cathsim.anatomy.volume.files.reading import FORMATS as VOLUMES
 from cathsim.anatomy.volume.files.reading import file_stem, is_volume_path

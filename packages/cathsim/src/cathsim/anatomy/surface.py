@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.cross_section import plane_coordinates
-from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.distance_grid import SignedDistanceGrid, plane_coordinates
 from cathsim.anatomy.vessel_tree import VesselTree
 
 if TYPE_CHECKING:

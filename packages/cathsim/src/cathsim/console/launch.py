@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from cathsim.console.operator_setup import NO_CATHETER
 from cathsim.console.recorder import Recorder, find_recorder
-from cathsim.console.setup.choices import NO_CATHETER
 from cathsim.console.web.requests import Access, is_loopback
 from cathsim.metrics import FORCE_LIMIT
 
@@ -152,7 +152,7 @@ def _recorder(factory: Any, folder: Path) -> Recorder:
 def _serve(options: argparse.Namespace, taken: socket.socket, recorder: Recorder | None, folder: Path) -> None:
     import uvicorn
 
-    from cathsim.console.setup.operator_setup import ForceLimit, Setup
+    from cathsim.console.operator_setup import ForceLimit, Setup
     from cathsim.console.web.server import Desk, create_app
     from cathsim.console.worker import RealTimeLoop
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from cathsim.console.controls import Move
+from cathsim.console.operator_setup import ForceLimit, ForceWatch
 from cathsim.console.recorder import Recorder
-from cathsim.console.setup.operator_setup import ForceLimit, ForceWatch
 from cathsim.console.xray.room import XRayStep
 from cathsim.devices.pair import wire_and_catheter
 from cathsim.environment import NavigateEnv

@@ -16,11 +16,10 @@ from typing import Any, Protocol
 from cathsim.anatomy import PHANTOMS, load_phantom
 from cathsim.console.controls import ControlPanel, Controls
 from cathsim.console.expert import ExpertScores
+from cathsim.console.operator_setup import Choices, Chosen, Setup
 from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, Sample, devices_between
 from cathsim.console.questionnaire import CRITERIA, check_answers
 from cathsim.console.recorder import Recorder
-from cathsim.console.setup.choices import Choices, Chosen
-from cathsim.console.setup.operator_setup import Setup
 from cathsim.console.web.messages import Inbox, frame_message, surface_of
 from cathsim.console.web.requests import read_request
 from cathsim.console.xray.monitor import CArm

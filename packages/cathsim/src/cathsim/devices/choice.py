@@ -13,10 +13,9 @@ from cathsim.devices.pair import DevicePair, Torsion
 from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire, load_guidewire
-from cathsim.presets import Accuracy
+from cathsim.presets import Accuracy, Pace, named_pace
 from cathsim.presets import accuracy as preset
 from cathsim.registration.description import resolve_argument
-from cathsim.robot.pace import Pace, named_pace
 from cathsim.simulation import Simulation
 
 TORSIONS: tuple[str, ...] = get_args(Torsion)

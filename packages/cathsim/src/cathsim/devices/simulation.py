@@ -20,8 +20,7 @@ from cathsim.devices.pair import DevicePair, points_behind
 from cathsim.devices.rod import CATHETER, DEVICES, WIRE, Rod, device_tables, twin
 from cathsim.guidewire import Guidewire
 from cathsim.lifetime_cache import kept_with_owner
-from cathsim.presets import Accuracy, dividing
-from cathsim.robot.pace import PACES, Pace
+from cathsim.presets import PACES, Accuracy, Pace, dividing
 from cathsim.simulation import NO_STATE, Simulation, not_finite
 
 _ONE_DEVICE = (

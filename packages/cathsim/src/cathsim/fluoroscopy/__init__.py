@@ -19,10 +19,6 @@ if TYPE_CHECKING:
     from cathsim.fluoroscopy.biplane import BiplaneFluoroscope as BiplaneFluoroscope
     from cathsim.fluoroscopy.biplane import DevicesFrame as DevicesFrame
     from cathsim.fluoroscopy.biplane import Frame as Frame
-    from cathsim.fluoroscopy.body import THORAX as THORAX
-    from cathsim.fluoroscopy.body import WATER_BATH as WATER_BATH
-    from cathsim.fluoroscopy.body import Box as Box
-    from cathsim.fluoroscopy.body import Ellipsoid as Ellipsoid
     from cathsim.fluoroscopy.c_arms import PAIRS as PAIRS
     from cathsim.fluoroscopy.c_arms import XRayCamera as XRayCamera
     from cathsim.fluoroscopy.c_arms import askew_pair as askew_pair
@@ -48,6 +44,10 @@ if TYPE_CHECKING:
     from cathsim.fluoroscopy.radiograph import expose_depth as expose_depth
     from cathsim.fluoroscopy.renderer import FluoroscopyRenderer as FluoroscopyRenderer
     from cathsim.fluoroscopy.scene import SCENES as SCENES
+    from cathsim.fluoroscopy.scene import THORAX as THORAX
+    from cathsim.fluoroscopy.scene import WATER_BATH as WATER_BATH
+    from cathsim.fluoroscopy.scene import Box as Box
+    from cathsim.fluoroscopy.scene import Ellipsoid as Ellipsoid
     from cathsim.fluoroscopy.scene import XRayScene as XRayScene
 
 __getattr__, __dir__, __all__ = lazy_names(
@@ -55,7 +55,6 @@ __getattr__, __dir__, __all__ = lazy_names(
     {
         "attenuation": "background_image expose lumen_path_length",
         "biplane": "BiplaneFluoroscope DevicesFrame Frame",
-        "body": "Box Ellipsoid THORAX WATER_BATH",
         "c_arms": "PAIRS XRayCamera askew_pair clinical_pair guide3d_pair write_calibration",
         "detector": "Detector",
         "device_renderer": "DeviceRenderer",
@@ -65,6 +64,6 @@ __getattr__, __dir__, __all__ = lazy_names(
         "projector": "Projector VIEWS",
         "radiograph": "Radiograph expose_depth radiograph",
         "renderer": "FluoroscopyRenderer",
-        "scene": "SCENES XRayScene scene",
+        "scene": "SCENES THORAX WATER_BATH Box Ellipsoid XRayScene scene",
     },
 )

@@ -9,8 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.fluoroscopy.body import THORAX, Solid, body_depth
 from cathsim.fluoroscopy.projector import Projector
+from cathsim.fluoroscopy.scene import THORAX, Solid, body_depth
 from cathsim.lattice.node_blocks import LatticeStruct, NodeBlocks
 
 CONTRAST = 28.0  # 1/m, diluted iodine over blood

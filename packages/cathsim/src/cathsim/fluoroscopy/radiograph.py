@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.fluoroscopy.attenuation import DistanceGrid, Keyed, lumen_path_length
-from cathsim.fluoroscopy.body import body_depth
 from cathsim.fluoroscopy.c_arms import XRayCamera
 from cathsim.fluoroscopy.projector import Projector
-from cathsim.fluoroscopy.scene import XRayScene
+from cathsim.fluoroscopy.scene import XRayScene, body_depth
 
 DepthFunction = Callable[[Projector], NDArray[np.float32]]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.robot.pace import Pace
+from cathsim.presets import Pace
 
 Array = NDArray[np.float64]
 Ending = tuple[float, int]  # cost of a plan, and after how many of its steps it is reached

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cathsim.devices.simulation import DualSimulation
-from cathsim.robot.pace import ROTATION_STEP as ROTATION_STEP
-from cathsim.robot.pace import TRANSLATION_STEP as TRANSLATION_STEP
+from cathsim.presets import ROTATION_STEP as ROTATION_STEP
+from cathsim.presets import TRANSLATION_STEP as TRANSLATION_STEP
 from cathsim.simulation import Simulation
 from cathsim.validation import numbers
 

@@ -18,8 +18,7 @@ from cathsim.presets import Accuracy
 from cathsim.presets import accuracy as preset
 from cathsim.simulation import LEAD_ADVANCE, LEAD_ROTATION, Simulation
 from cathsim.statics.ensemble_summary import ContactForces, summarise
-from cathsim.statics.feeder import Feeder, checked_catheter, checked_number
-from cathsim.statics.laying import distance_to, found_rotation, lay_along
+from cathsim.statics.laying import Feeder, checked_catheter, checked_number, distance_to, found_rotation, lay_along
 from cathsim.statics.observed_curve import ObservedCurve, checked_insertion, noisy_curve, observed_curve
 from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
 from cathsim.statics.simulated_device import simulated_device

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cathsim.robot.pace import CONTROL_STEP
+from cathsim.presets import CONTROL_STEP
 
 if TYPE_CHECKING:
     from cathsim.observations.fluoroscopes import Fluoroscope

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from guide3d.files import files_in
+from guide3d.files import cells_of, files_in, numbers_in, read_text
 from guide3d.geometry.camera import UNITS_MM
 from guide3d.image_file import PICTURES, ImageError, read_grey_levels
-from guide3d.text_file import cells_of, numbers_in, read_text
 
 _SHEET = "undistort"
 _AXES = "xyz"
@@ -96,7 +95,7 @@ def read_beads(path: str | Path) -> np.ndarray:
     """Read bead coordinates (n, 3) mm.
 
     Args:
-        path: x, y, z in a row, in any layout that `guide3d.text_file` reads, with or without a header row; the unit
+        path: x, y, z in a row, in any layout that `guide3d.files` reads, with or without a header row; the unit
             stands at the end of the name (framespec_cm.csv).
 
     Raises:

@@ -15,10 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import Any
 
-from guide3d.files import whole_file
+from guide3d.files import read_json, whole_file
 from guide3d.geometry.bspline import BSplineCurve
 from guide3d.geometry.polyline import Array, checked
-from guide3d.text_file import read_json
 
 CAMERA_SUFFIX = {"a": "2", "b": "1"}  # of the image folders
 DETECTOR = {"a": "16710", "b": "16709"}

@@ -32,10 +32,9 @@ from guide3d.dataset.annotation_files import Annotation, Views, read_curves, rea
 from guide3d.dataset.cvat import read_cvat
 from guide3d.dataset.frame import Frame
 from guide3d.dataset.true_curves import VIEWS, read_truth
-from guide3d.files import files_in
+from guide3d.files import files_in, read_json
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.distortion import Distortion
-from guide3d.text_file import read_json
 
 RAW, CURVES, SPACE, TRUTH, PROPERTIES = "raw.json", "b_spline.json", "sphere.json", "truth.json", "dataset.json"
 PUBLIC_SIZE_PX = 1024

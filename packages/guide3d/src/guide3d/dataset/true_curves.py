@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from guide3d.files import whole_file
+from guide3d.files import read_json, whole_file
 from guide3d.geometry.polyline import Array, checked
-from guide3d.text_file import read_json
 
 VIEWS = ("a", "b")
 

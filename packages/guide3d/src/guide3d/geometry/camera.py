@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 import scipy.linalg
 
-from guide3d.files import whole_file
+from guide3d.files import numbers_in, read_text, whole_file
 from guide3d.setting_kinds import Numbers, Pixels, settings
-from guide3d.text_file import numbers_in, read_text
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 

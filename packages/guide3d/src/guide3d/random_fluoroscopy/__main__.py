@@ -23,13 +23,12 @@ import numpy as np
 
 from guide3d.commands import in_words, run
 from guide3d.dataset.dataset import Dataset
-from guide3d.files import whole_file
+from guide3d.files import json_fields, read_json, whole_file
 from guide3d.image_file import write_image
 from guide3d.opencv import cv2
 from guide3d.random_fluoroscopy.random_fluoroscopy import RandomFluoroscopy
 from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from guide3d.setting_kinds import seed
-from guide3d.text_file import json_fields, read_json
 
 RECORD = "fluoroscopy.json"  # in the folder of the images
 _REPORT_EVERY_S = 10.0

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length, resampled
-from cathsim.anatomy.cross_section import across_frames, plane_coordinates
-from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.distance_grid import SignedDistanceGrid, across_frames, plane_coordinates
 from cathsim.anatomy.lumen import OUTSIDE, PADDING
 from cathsim.anatomy.mesh.cavity import Cavity, largest_part
 from cathsim.anatomy.mesh.ends import VesselEnd

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length, resampled, smoothed
-from cathsim.anatomy.cross_section import across_frames, plane_coordinates
+from cathsim.anatomy.distance_grid import across_frames, plane_coordinates
 from cathsim.anatomy.mesh.cavity import Cavity
 from cathsim.anatomy.mesh.lattice import FOLLOWED
 from cathsim.lifetime_cache import kept_with_owner

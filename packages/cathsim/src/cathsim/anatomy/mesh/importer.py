@@ -14,8 +14,7 @@ from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.parts.union import unite
 from cathsim.anatomy.mesh.parts.vessel_parts import Part, read_parts, surface_files
 from cathsim.anatomy.mesh.reading import UNITS, Size, clean_triangles, detect_unit, measure_size
-from cathsim.anatomy.mesh.report import MeshRefusedError, draw_refusal
-from cathsim.anatomy.mesh.request import Request, content_digest
+from cathsim.anatomy.mesh.report import MeshRefusedError, Request, content_digest, draw_refusal
 from cathsim.anatomy.mesh.surface_import import SurfaceFacts, phantom_of_surface
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.pictures.import_picture import vessels_named

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -28,7 +28,7 @@ from cathsim.anatomy.mesh.naming import (
 )
 from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.reading import Size, Triangles, clean_triangles, measure_size
-from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError, draw_refusal
+from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError, Names, draw_refusal
 from cathsim.anatomy.mesh.samples import SurfaceSamples, sample_surface
 from cathsim.anatomy.mesh.tree import grow_tree
 from cathsim.anatomy.phantom import Phantom
@@ -43,7 +43,6 @@ _CHILD = 16e-3  # m of width, of the widest place: narrower aortas get a grid of
 _FINEST_GRID = 5e-4  # m
 _SAMPLES = 0.7  # voxels between points on the surface
 
-Names = Mapping[str, str] | Sequence[str] | None
 Array = NDArray[np.float64]
 
 

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length, resampled, smoothed
-from cathsim.anatomy.cross_section import wall_distances
-from cathsim.anatomy.distance_grid import SignedDistanceGrid
+from cathsim.anatomy.distance_grid import SignedDistanceGrid, wall_distances
 from cathsim.anatomy.extension import LEAST_DEPTH
 from cathsim.anatomy.mesh.branches import RoughVessel
 from cathsim.anatomy.vessel_tree import Branch, VesselTree, nearest_on_branch

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from cathsim.anatomy.extension import extend_short_branches
 from cathsim.anatomy.mesh.naming import ordered_names, pose_doubts, propose_entries, propose_targets, renamed
 from cathsim.anatomy.mesh.reading import Triangles
-from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
-from cathsim.anatomy.mesh.request import Request, content_digest
-from cathsim.anatomy.mesh.surface_import import LEAST_WIDTH, Names, SurfaceFacts, phantom_of_surface
+from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError, Names, Request, content_digest
+from cathsim.anatomy.mesh.surface_import import LEAST_WIDTH, SurfaceFacts, phantom_of_surface
 from cathsim.anatomy.mesh.tree import grow_tree
 from cathsim.anatomy.phantom import Phantom
 from cathsim.anatomy.vessel_names import vessel_name

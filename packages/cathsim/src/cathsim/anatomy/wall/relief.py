@@ -8,8 +8,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from cathsim.anatomy.cross_section import plane_coordinates
-from cathsim.anatomy.distance_grid import OUTSIDE, SignedDistanceGrid
+from cathsim.anatomy.distance_grid import OUTSIDE, SignedDistanceGrid, plane_coordinates
 from cathsim.anatomy.surface import open_ends
 from cathsim.anatomy.vessel_tree import VesselTree
 from cathsim.validation import Unit, settings

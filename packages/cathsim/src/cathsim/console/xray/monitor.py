@@ -10,7 +10,7 @@ from annotated_types import Interval
 
 from cathsim.fluoroscopy import DeviceRenderer, FluoroscopyRenderer, Projector
 from cathsim.fluoroscopy.attenuation import CONTRAST, GAMMA, Keyed, expose, lumen_path_length
-from cathsim.fluoroscopy.body import THORAX, body_depth
+from cathsim.fluoroscopy.scene import THORAX, body_depth
 from cathsim.navigation import NavigationTask
 from cathsim.observations.fluoroscopes import catheter_in, material_of, outside_sheath, wire_radius_of
 from cathsim.simulation import Simulation

@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
 from cathsim.anatomy.volume.files.reading import in_child, open_volume
 from cathsim.anatomy.volume.files.source import Slab, VolumeSource
-from cathsim.fluoroscopy.body import THORAX, Ellipsoid, MeasuredBody
 from cathsim.fluoroscopy.materials import ATTENUATION
 from cathsim.fluoroscopy.patient.identity import check_patient
-from cathsim.fluoroscopy.scene import SCENES, XRayScene, scene
+from cathsim.fluoroscopy.scene import SCENES, THORAX, Ellipsoid, MeasuredBody, XRayScene, scene
 
 WATER = ATTENUATION["water"]  # 1/m at 60 keV, the beam's effective energy
 # Mass attenuation (m^2/kg) at 60 and 80 keV, and the bone's density (kg/m^3).

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from enn.fitting import CHANNELS_FIRST, CHANNELS_LAST
-from enn.imitation.perturbed_controller import PerturbedController
+from enn.imitation.dagger import PerturbedController
 from enn.networks.devices import bfloat16_on_processor, device_of
 from enn.policy import Policy
 

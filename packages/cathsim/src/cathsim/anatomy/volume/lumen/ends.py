@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length
-from cathsim.anatomy.cross_section import plane_coordinates
+from cathsim.anatomy.distance_grid import plane_coordinates
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.lumen.paths import VesselPaths
 from cathsim.anatomy.volume.lumen.union import FlatEnd

@@ -12,11 +12,10 @@ from cathsim.anatomy.volume.files.reading import LabelVolume
 from cathsim.anatomy.volume.labels.family import find_family
 from cathsim.anatomy.volume.lumen.ends import Tip, flat_end
 from cathsim.anatomy.volume.lumen.graph import LumenGraph
-from cathsim.anatomy.volume.lumen.lattice import BlockLattice
+from cathsim.anatomy.volume.lumen.lattice import BlockLattice, connected, signed_distance
 from cathsim.anatomy.volume.lumen.paths import VesselPaths, find_paths, narrow_places, rough_vessels
 from cathsim.anatomy.volume.lumen.smoothing import VesselField, ways_to_lost
 from cathsim.anatomy.volume.lumen.union import FlatEnd, Union, unite
-from cathsim.anatomy.volume.lumen.wall import connected, signed_distance
 from cathsim.anatomy.wall.thickness import fill_chambers, thicken_between_lumens
 
 _BATCH = 400_000  # nodes worked on at once

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.cross_section import plane_coordinates
+from cathsim.anatomy.distance_grid import plane_coordinates
 from cathsim.anatomy.volume.labels.family import Family, Link
 from cathsim.anatomy.volume.lumen.smoothing import VesselField, smooth_vessel
 

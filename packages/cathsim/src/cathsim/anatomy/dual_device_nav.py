@@ -9,38 +9,76 @@ data/dualdevicenav.
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import resampled, smoothed
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.entry import Entry, locate_entries
 from cathsim.anatomy.mesh.naming import propose_targets
 from cathsim.anatomy.mesh.parts.vessel_parts import read_parts
-from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.mesh.request import Request, content_digest
+from cathsim.anatomy.mesh.report import MeshRefusedError, Request, content_digest
 from cathsim.anatomy.mesh.surface_import import SurfaceFacts, closed_lumen
 from cathsim.anatomy.mesh.tree import STEP, measured_radii
 from cathsim.anatomy.phantom import Phantom
-from cathsim.anatomy.published.curves import ENDING, Array, Curve, read_curve
 from cathsim.anatomy.vessel_tree import JOIN_TOLERANCE, Branch, VesselTree, nearest_on_branch
+from cathsim.guarded_reading import UnreadableFileError, open_regular
+
+ENDING = ".mrk.json"
+_LARGEST = 20_000_000  # bytes of a file
+_LPS = {"LPS": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0)}
+
+Array = NDArray[np.float64]
 
 NAME = "dual_device_nav"
 FOLDER = "CATHSIM_DUALDEVICENAV"  # environment variable with the folder of the files
 SURFACE, CURVES = "vessel_architecture_collision.obj", "Centrelines_comb"
 VERSION = 1  # raise it whenever the same files give another phantom
 MM = 1e-3
-
 # from the files' left, posterior and superior axes to the patient's, as the task turns them
 ROTATION = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 ENTRY, DIRECTION = np.array([0.065, -0.005, 0.035]), np.array([-1.0, 0.0, 1.0]) / np.sqrt(2)  # m, left iliac artery
 _SMOOTHING = 1e-3  # m
 _LEAST = 4  # points of a branch
 _LEAVES = 4  # points in a row outside the lumen: a centreline that leaves it
+
+LCCA, RCCA, LVA, RVA = "- LCCA", "- RCCA", "- LVA", "- RVA"
+TARGETS = (LCCA, LVA, RCCA, RVA)  # in the order in which the task draws from their points
+
+
+class Curve(NamedTuple):
+    """A centreline: points (n, 3) and radii (n,), in the file's unit, on axes to the left, posterior and superior."""
+
+    points: Array
+    radius: Array
+
+
+def read_curve(path: Path) -> Curve:
+    """Reads the curve of a markups file.
+
+    Raises:
+        UnreadableFileError: a ValueError of one sentence: there is no such file, or no curve with radii in it.
+    """
+    with open_regular(path, _LARGEST) as file:
+        content = file.read()
+    try:
+        markup: dict[str, Any] = json.loads(content)["markups"][0]
+        signs = _LPS[markup["coordinateSystem"]]
+        points = np.array([one["position"] for one in markup["controlPoints"]], dtype=np.float64)
+        radius = next(one["controlPointValues"] for one in markup["measurements"] if one["name"] == "Radius")
+        curve = Curve(points * signs, np.array(radius, dtype=np.float64))
+        sound = curve.points.shape == (len(curve.radius), 3) and len(curve.radius) > 1
+    except (ValueError, KeyError, IndexError, TypeError, StopIteration, RecursionError):
+        sound = False
+    if not sound or not (np.isfinite(curve.points).all() and np.isfinite(curve.radius).all()):
+        raise UnreadableFileError(f"{path.name} holds no curve with a radius at each point; write it again.")
+    return curve
 
 
 class Vessel(NamedTuple):
@@ -51,8 +89,6 @@ class Vessel(NamedTuple):
     curves: tuple[str, ...]
 
 
-LCCA, RCCA, LVA, RVA = "- LCCA", "- RCCA", "- LVA", "- RVA"
-TARGETS = (LCCA, LVA, RCCA, RVA)  # in the order in which the task draws from their points
 VESSELS = (
     Vessel("aorta", None, ("-(3)", "-(2)", "-(0)")),
     Vessel("iliac_right", "aorta", ("(5)", "(7)")),

@@ -4,8 +4,16 @@ from pathlib import Path
 
 import pytest
 
-from cathsim.console.setup.choices import OWN, OWN_WIRE, Choices, find_offer, offered
-from cathsim.console.setup.operator_setup import ForceLimit, ForceWatch, Setup
+from cathsim.console.operator_setup import (
+    OWN,
+    OWN_WIRE,
+    Choices,
+    ForceLimit,
+    ForceWatch,
+    Setup,
+    find_offer,
+    offered,
+)
 
 ASKED = {"type": "choose", "phantom": "type_2", "target": "lcca"}
 

@@ -1,1 +1,0 @@
-"""Anatomies that are published with their centrelines."""

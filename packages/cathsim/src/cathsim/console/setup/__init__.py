@@ -1,1 +1,0 @@
-"""What the operator chooses: devices, anatomy and limits."""
