@@ -155,9 +155,9 @@ def entry_place(entry: str) -> str | tuple[float, float, float]:
 
 def decision_steps(task: Task) -> int:
     """Steps that a policy holds an action: those of 0.3 s."""
-    from cathsim.presets import named_pace
+    from cathsim.presets import PACES
 
-    return max(round(_DECISION_S / named_pace(task.pace).interval), 1)
+    return max(round(_DECISION_S / PACES[task.pace].interval), 1)
 
 
 def number_of_actions(task: Task) -> int:

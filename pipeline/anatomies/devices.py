@@ -39,10 +39,10 @@ def fitted_task(task: Task, phantom: Phantom, targets: Sequence[Any]) -> Task:
 def fitted_steps(task: Task, phantom: Phantom, target: Any) -> Task:
     """The task with three times a straight way's steps, in hundreds, where its own are less than twice them."""
     from cathsim.anatomy.entry import entry_name
-    from cathsim.presets import named_pace
+    from cathsim.presets import PACES
 
     way = phantom.way_length(target, entry_name(entry_place(task.entry), target))
-    straight = way / named_pace(task.pace).translation
+    straight = way / PACES[task.pace].translation
     if task.max_steps >= _LEAST_TIMES * straight:
         return task
     steps = 100 * math.ceil(_TIMES * straight / 100)

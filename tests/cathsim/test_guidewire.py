@@ -15,7 +15,7 @@ from cathsim.devices.shelf import load_catheter
 from cathsim.environment import TRANSLATION_STEP
 from cathsim.guidewire import GUIDEWIRES, TIP_SITE, Guidewire, load_guidewire, preset_of
 from cathsim.metrics.failure_modes import ABORTED, OVERSHOOT, STUCK, WRONG_BRANCH, failure_mode, places
-from cathsim.presets import ACCURACY, accuracy
+from cathsim.presets import ACCURACY
 
 EI = 4.0e-4  # N m^2
 
@@ -28,7 +28,7 @@ def straight(links: tuple[float, ...] = Guidewire().links) -> Guidewire:
 
 def cantilever(wire: Guidewire, preset: str) -> mujoco.MjModel:
     """A clamped wire with a dead load along +y as its only control."""
-    numerics = accuracy(preset)
+    numerics = ACCURACY[preset]
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.timestep, spec.option.gravity = numerics.timestep, [0, 0, 0]
@@ -115,7 +115,7 @@ def test_contacts_of_hardly_any_friction_push_alone(friction: float, dimensions:
     wire = load_guidewire("default", friction=friction)
     pair = DevicePair(load_guidewire("default", friction=0.0), load_catheter("vertebral", friction=friction))
     for one in (wire, pair.chain(0.01, 1e-3)):
-        assert (compiled_model(space, one, accuracy("fast")).geom_condim[-len(one.links) :] == dimensions).all()
+        assert (compiled_model(space, one, ACCURACY["fast"]).geom_condim[-len(one.links) :] == dimensions).all()
 
 
 DEFAULT = load_guidewire("default")

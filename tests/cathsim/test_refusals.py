@@ -195,7 +195,7 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
     (lambda: load_catheter("simmons2_6f", french=5), "is of 6F, but french=5 is asked for"),
     (
         lambda: load_catheter("simmons2", stiffness=3.0),
-        "a catheter has no stiffness; its parameters are outer_diameter",
+        "Catheter has no stiffness; its fields are outer_diameter",
     ),
     (lambda: Catheter(inner_diameter=2e-3), r"inner diameter .*2 mm.* smaller than its outer one .*1.67 mm"),
     (lambda: Catheter(taper=(0.04, 0.01)), "two increasing distances"),

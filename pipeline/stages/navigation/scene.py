@@ -267,7 +267,7 @@ def run_tests(
         A row for each set and target: success, mean time of successful trials, forces, failure modes, number, and in
         how many anatomies the target lies outside the cameras' images, where there is no trial.
     """
-    from cathsim.presets import named_pace
+    from cathsim.presets import PACES
 
     rows = []
     cells = [(test, target) for test in tests for target in settings.targets]
@@ -299,7 +299,7 @@ def run_tests(
             report(done / total, f"{test.name} {target} {sum(one.success for one in metrics)}/{len(metrics)}")
         if not metrics:
             raise StageError(f"the cameras see the {target} in none of {test.name}; choose other stage.cameras.")
-        times = [named_pace(test.task.pace).interval * one.steps for one in metrics if one.success]
+        times = [PACES[test.task.pace].interval * one.steps for one in metrics if one.success]
         row = {
             "test": test.name,
             "target": target,

@@ -8,6 +8,7 @@ from cathsim.fluoroscopy import DeviceRenderer, FluoroscopyRenderer, Projector, 
 from cathsim.fluoroscopy.attenuation import GAMMA
 from cathsim.fluoroscopy.curve import smooth_curve, split
 from cathsim.fluoroscopy.device_renderer import EMPHASIS
+from cathsim.fluoroscopy.renderer import WIRE_ATTENUATION
 
 BOUNDS = np.array([[-0.06, -0.04, -0.11], [0.06, 0.04, 0.11]])
 WIRE = np.linspace([0, 0, -0.05], [0, 0, 0.05], 20)
@@ -19,7 +20,7 @@ def make(size=80, level=180.0, view="frontal", **options):
 
 
 def test_wire_attenuates_as_a_cylinder_when_the_image_resolves_it():
-    renderer = make(1024, level=200.0, wire_radius=1e-3, wire_attenuation=1000.0, gamma=0.5)
+    renderer = make(1024, level=200.0, wire_radius=1e-3)
     width = renderer.wire_width_px
     assert width == pytest.approx(2e-3 * renderer.projector.pixels_per_metre([0, 0, 0]))
     image = renderer.render(WIRE)
@@ -28,7 +29,7 @@ def test_wire_attenuates_as_a_cylinder_when_the_image_resolves_it():
     for column in range(512, 512 + int(width / 2)):
         edges = np.clip((column - centre + np.linspace(-0.5, 0.5, 201)) / (width / 2), -1, 1)
         chord = 2e-3 * np.sqrt(1 - edges**2).mean()
-        assert row[column] == pytest.approx(200 * np.exp(-0.5 * 1000.0 * chord), abs=1.5)
+        assert row[column] == pytest.approx(200 * np.exp(-GAMMA * WIRE_ATTENUATION * chord), abs=1.5)
     assert row[512 + int(width / 2) + 2] == 200
 
 

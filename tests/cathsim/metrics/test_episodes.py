@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from cathsim.anatomy import Phantom
-from cathsim.blood.flow import BloodFlow, blood_flow
+from cathsim.blood.flow import FLOWS, BloodFlow
 from cathsim.guidewire import Guidewire
 from cathsim.metrics import EpisodeMetrics, force_magnitudes, path_length, spl, summarise
 from cathsim.metrics.episodes import wilson_interval
@@ -153,7 +153,7 @@ def test_wilson_interval_is_the_textbook_one() -> None:
         wilson_interval(3, 2)
 
 
-@pytest.mark.parametrize("blood", [None, blood_flow("steady")])
+@pytest.mark.parametrize("blood", [None, FLOWS["steady"]])
 def test_load_along_the_sheath_is_the_feeders_push(type_1: Phantom, blood: BloodFlow | None) -> None:
     simulation = Simulation(type_1, Guidewire(), ACCURACY["accurate"], blood=blood)
     for _ in range(90):

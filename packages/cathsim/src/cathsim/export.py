@@ -29,7 +29,7 @@ from cathsim.guidewire import GUIDEWIRES, Guidewire, load_guidewire
 from cathsim.presets import Accuracy
 
 # Plain mj_step repeats no substep, so it needs shorter ones than the presets; ten times the mass keeps contacts stiff.
-EXPORT_NUMERICS = Accuracy(timestep=0.002, refinement=1, mass_scale=10.0)
+EXPORT_NUMERICS = Accuracy(timestep=0.002, refinement=1, mass_scale=10.0)  # a plain `mj_step` repeats no substep
 MESHES, LUMEN, MODEL = "meshes", "lumen", "model.xml"
 LUMEN_COLOUR = [0.82, 0.36, 0.34, 0.25]
 VISIBLE = 0  # group of what viewers show at once; the hulls are in group 3
@@ -42,7 +42,6 @@ def export_mjcf(
     contact: str | Decomposition = "hulls",
     *,
     entry: EntryLike = "descending",
-    numerics: Accuracy = EXPORT_NUMERICS,
 ) -> Path:
     """Writes a model of a wire in a phantom that MuJoCo opens and steps by itself (tried: 3.3.7 and 4.0.0).
 
@@ -53,7 +52,6 @@ def export_mjcf(
         folder: is made, or replaced if it holds an earlier export.
         contact: "hulls", or how finely the wall is cut into them.
         entry: name of the phantom's entry.
-        numerics: timestep and mass scale; a plain `mj_step` repeats no substep.
 
     Returns:
         Path of `model.xml`.
@@ -80,7 +78,7 @@ def export_mjcf(
         vessel = dataclasses.replace(
             hull_vessel(phantom, entry_name(entry), decomposition(contact)), sheath_length=wire.length + 0.02
         )
-        spec = model_spec(vessel, wire, numerics)
+        spec = model_spec(vessel, wire, EXPORT_NUMERICS)
         spec.delete(spec.geom(GEOM_NAME))
         spec.nuser_geom = 0
         spec.modelname = f"{phantom.name}_guidewire"

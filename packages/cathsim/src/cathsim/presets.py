@@ -76,17 +76,6 @@ def dividing(numerics: Accuracy, interval: float) -> Accuracy:
     return dataclasses.replace(numerics, timestep=interval / substeps)
 
 
-def accuracy(name: str) -> Accuracy:
-    """The preset of that name.
-
-    Raises:
-        ValueError: there is none.
-    """
-    if name not in ACCURACY:
-        raise ValueError(f"unknown accuracy '{name}'; there are {', '.join(ACCURACY)}")
-    return ACCURACY[name]
-
-
 @settings
 class Pace:
     """The control step of a simulation and what full actions move in it.
@@ -104,14 +93,3 @@ class Pace:
 
 # 7.5 decisions a second, 35 mm/s and 180 degrees/s; source: as of `arch_variety.task`
 PACES = {"usual": Pace(), "arch_variety": Pace(1 / 7.5, 0.035 / 7.5, math.pi / 7.5)}
-
-
-def named_pace(name: str) -> Pace:
-    """The pace of that name.
-
-    Raises:
-        ValueError: there is none.
-    """
-    if name not in PACES:
-        raise ValueError(f"unknown pace '{name}'; there are {', '.join(PACES)}")
-    return PACES[name]

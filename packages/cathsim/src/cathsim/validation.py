@@ -8,13 +8,16 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Mapping
 from types import UnionType
-from typing import Annotated, Any, Union, dataclass_transform, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 import numpy as np
 from annotated_types import Interval
 from pydantic import BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
+
+Kind = TypeVar("Kind")
 
 _HINTS = {
     "m": "lengths are in metres",
@@ -119,6 +122,17 @@ def quantity(name: str, value: Any, annotation: Any) -> Any:
         first = error.errors(include_url=False)[0]
         own = first["ctx"]["error"] if first["type"] == "value_error" else None
         raise ValueError(str(own or _sentence(name, annotation, first))) from None
+
+
+def named(what: str, name: str, known: Mapping[str, Kind]) -> Kind:
+    """What is known by a name, such as a preset.
+
+    Raises:
+        ValueError: nothing is; the message says `what` was looked for, and which there are.
+    """
+    if name not in known:
+        raise ValueError(f"unknown {what} '{name}'; there are {', '.join(known)}")
+    return known[name]
 
 
 def numbers(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -63,17 +63,6 @@ FLOWS: dict[str, BloodFlow] = {
 }
 
 
-def blood_flow(name: str) -> BloodFlow:
-    """The flow of a name.
-
-    Raises:
-        ValueError: there is none.
-    """
-    if name not in FLOWS:
-        raise ValueError(f"unknown blood '{name}'; there are {', '.join(FLOWS)}, a BloodFlow, and None")
-    return FLOWS[name]
-
-
 def descending_shares(tree: VesselTree, share: float, given: Mapping[str, float]) -> dict[str, float]:
     """A share of the flow divided, by Murray's law, among the open ends of the root and of iliac arteries.
 

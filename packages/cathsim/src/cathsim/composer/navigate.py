@@ -23,7 +23,7 @@ from cathsim.environment import ACTIONS, ROTATION_STEP, TRANSLATION_STEP
 from cathsim.guidewire import Guidewire
 from cathsim.navigation import Goal, NavigationTask, navigation_task, require_length
 from cathsim.observations.fluoroscopes import camera, outside_sheath
-from cathsim.presets import Accuracy, accuracy
+from cathsim.presets import ACCURACY, Accuracy
 from cathsim.registration.description import resolve_argument
 from cathsim.simulation import CONTROL_STEP, SETTLE_STEPS
 
@@ -65,7 +65,7 @@ class NavigateTask(composer.Task):
         self.phantom, self.task = phantom, task
         self._goal = Goal(task, phantom)
         self.goal = self._goal.position
-        numerics = resolve_argument("numerics", numerics, Accuracy, accuracy)
+        numerics = resolve_argument("numerics", numerics, Accuracy, ACCURACY)
         pair = device_pair(wire, catheter, torsion)
         if pair is not None and tip_motors:
             raise ValueError("two devices are simulated without tip motors: leave out the catheter for them")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, get_args
 
 from cathsim.anatomy import Phantom
-from cathsim.blood.flow import BloodFlow, blood_flow
+from cathsim.blood.flow import FLOWS, BloodFlow
 from cathsim.contact.breathing import Breathing
 from cathsim.contact.hulls import Decomposition, decomposition
 from cathsim.devices.catheter import Catheter
@@ -13,8 +13,7 @@ from cathsim.devices.pair import DevicePair, Torsion
 from cathsim.devices.shelf import load_catheter
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire, load_guidewire
-from cathsim.presets import Accuracy, Pace, named_pace
-from cathsim.presets import accuracy as preset
+from cathsim.presets import ACCURACY, PACES, Accuracy, Pace
 from cathsim.registration.description import resolve_argument
 from cathsim.simulation import Simulation
 
@@ -69,13 +68,13 @@ def simulation_of(
         ValueError: an argument is none of these, neither device, devices that do not fit, or an unknown torsion.
     """
     guidewire, outer = resolve_wire(wire), resolve_catheter(catheter)
-    numerics = resolve_argument("accuracy", accuracy, Accuracy, preset)
+    numerics = resolve_argument("accuracy", accuracy, Accuracy, ACCURACY)
     if not isinstance(contact, str):
         contact = resolve_argument("contact", contact, Decomposition, decomposition)
     arguments |= {
         "contact": contact,
-        "blood": None if blood is None else resolve_argument("blood", blood, BloodFlow, blood_flow),
-        "pace": resolve_argument("pace", pace, Pace, named_pace),
+        "blood": None if blood is None else resolve_argument("blood", blood, BloodFlow, FLOWS),
+        "pace": resolve_argument("pace", pace, Pace, PACES),
         "breathing": None if breathing is None else resolve_argument("breathing", breathing, Breathing),
     }
     pair = device_pair(guidewire, outer, torsion)

@@ -43,10 +43,6 @@ def load_catheter(name: str | Path, *, french: int | None = None, **changes: obj
             raise ValueError(f"the catheter '{name}' is of {size}F, but french={french} is asked for")
         french = size if french is None else french
         path, file = preset_path(CATHETER, shape), read_preset(CATHETER, shape)
-    unknown = set(changes) - {field.name for field in dataclasses.fields(Catheter)}
-    if unknown:
-        fields = ", ".join(field.name for field in dataclasses.fields(Catheter))
-        raise ValueError(f"a catheter has no {', '.join(sorted(unknown))}; its parameters are {fields}")
     values = file.of_size(french)
     try:
         catheter = Catheter(**values)

@@ -53,11 +53,7 @@ class DeviceRenderer:
         catheter: WireMaterial,
         centre: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
-        self._options: dict[str, Any] = {
-            "wire_radius": wire_radius,
-            "catheter": catheter,
-            "centre": centre,
-        }
+        self._options: dict[str, Any] = {"wire_radius": wire_radius, "catheter": catheter, "centre": centre}
         self._bare = FluoroscopyRenderer(projector, background, wire_radius=wire_radius, centre=centre)
         self.projector, self.shape = projector, self._bare.shape
         self._grey = np.ascontiguousarray(background, dtype=np.float32)

@@ -51,12 +51,10 @@ class FluoroscopyRenderer:
     Args:
         background: (height, width) grey levels 0 to 255 without the wire, as `background_image` makes them.
         wire_radius: m.
-        wire_attenuation: 1/m, of the wire's material.
         centre: (3,) m, where the wire's width is taken; the middle of the phantom.
-        gamma: the display's exponent, as used for the background.
 
     Raises:
-        ValueError: when the background does not fit the camera or a wire property is not positive.
+        ValueError: when the background does not fit the camera or the wire's radius is not positive.
     """
 
     def __init__(
@@ -65,9 +63,7 @@ class FluoroscopyRenderer:
         background: ArrayLike,
         *,
         wire_radius: float = WIRE_RADIUS,
-        wire_attenuation: float = WIRE_ATTENUATION,
         centre: ArrayLike = (0.0, 0.0, 0.0),
-        gamma: float = GAMMA,
     ) -> None:
         grey = np.ascontiguousarray(background, dtype=np.float32)
         shape = (projector.height, projector.width)
@@ -75,17 +71,10 @@ class FluoroscopyRenderer:
             raise ValueError(f"the background must have the camera's shape {shape}, got {grey.shape}.")
         if not (np.isfinite(grey).all() and grey.min() >= 0 and grey.max() <= 255):
             raise ValueError("the background's grey levels must lie between 0 and 255; pass it through expose().")
-        if not (wire_radius > 0 and wire_attenuation > 0):
-            raise ValueError(
-                f"wire_radius and wire_attenuation must be positive, got {wire_radius!r} m and {wire_attenuation!r} /m."
-            )
+        if not wire_radius > 0:
+            raise ValueError(f"wire_radius must be positive, got {wire_radius!r} m.")
         self._arguments = (projector, grey)
-        self._options: dict[str, Any] = {
-            "wire_radius": wire_radius,
-            "wire_attenuation": wire_attenuation,
-            "centre": centre,
-            "gamma": gamma,
-        }
+        self._options: dict[str, Any] = {"wire_radius": wire_radius, "centre": centre}
         self.projector = projector
         self.shape = shape
         self._grey = grey
@@ -93,7 +82,7 @@ class FluoroscopyRenderer:
         self._empty.flags.writeable = False
         radius = max(wire_radius * projector.pixels_per_metre(centre), MINIMUM_WIDTH_PX / 2)
         self.wire_width_px = 2 * radius
-        self._transmission = _transmission(radius, gamma * wire_attenuation * 2 * wire_radius)
+        self._transmission = _transmission(radius, GAMMA * WIRE_ATTENUATION * 2 * wire_radius)
         self._view = view_struct(projector, grey, self._transmission, radius)
         self._address = ctypes.addressof(self._view)
         self._draw = native_draw()

@@ -18,6 +18,7 @@ from gymnasium.envs.registration import EnvSpec
 
 from cathsim.anatomy import Phantom
 from cathsim.anatomy.library import phantom_from_spec, phantom_to_spec
+from cathsim.validation import named
 
 Kind = TypeVar("Kind")
 
@@ -109,21 +110,23 @@ def _found(place: str) -> Any:
         return None
 
 
-def resolve_argument(argument: str, value: Any, kind: type[Kind], named: Callable[[str], Kind] | None = None) -> Kind:
+def resolve_argument(
+    argument: str, value: Any, kind: type[Kind], by_name: Callable[[str], Kind] | Mapping[str, Kind] | None = None
+) -> Kind:
     """An argument that is a name, an object of a kind, or an object's description.
 
     Args:
-        named: gives the object of a name; None: it has none.
+        by_name: gives the object of a name; None: it has none.
 
     Raises:
         ValueError: it is something else.
     """
-    if named is not None and isinstance(value, str):
-        return named(value)
+    if by_name is not None and isinstance(value, str):
+        return by_name(value) if callable(by_name) else named(argument, value, by_name)
     value = from_spec(value)
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        name = "" if named is None else "a name or "
+        name = "" if by_name is None else "a name or "
         raise ValueError(f"{argument} must be {name}{article} {kind.__name__}, got {value!r}")
     return value
 

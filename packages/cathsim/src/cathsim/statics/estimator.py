@@ -14,8 +14,7 @@ from cathsim.anatomy import Phantom
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire
-from cathsim.presets import Accuracy
-from cathsim.presets import accuracy as preset
+from cathsim.presets import ACCURACY, Accuracy
 from cathsim.simulation import LEAD_ADVANCE, LEAD_ROTATION, Simulation
 from cathsim.statics.ensemble_summary import ContactForces, summarise
 from cathsim.statics.laying import Feeder, checked_catheter, checked_number, distance_to, found_rotation, lay_along
@@ -23,7 +22,7 @@ from cathsim.statics.observed_curve import ObservedCurve, checked_insertion, noi
 from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
 from cathsim.statics.simulated_device import simulated_device
 from cathsim.statics.uncertainty import Deviation, Uncertainty, deviations
-from cathsim.validation import quantity
+from cathsim.validation import named, quantity
 
 MEMBERS = 40  # with 16 the ends of a 90 % interval are two of 16 numbers, and 78 to 88 % of them held the truth
 REST_STEPS = 10  # control steps of 0.1 s in which the device finds its place between the walls
@@ -74,7 +73,7 @@ class ContactForceEstimator:
         if members < 1 or workers < 1:
             raise ValueError(f"members and workers must be 1 at least, got {members} and {workers}")
         phantom.entry(entry)
-        numerics = accuracy if isinstance(accuracy, Accuracy) else preset(accuracy)
+        numerics = accuracy if isinstance(accuracy, Accuracy) else named("accuracy", accuracy, ACCURACY)
         numerics = dataclasses.replace(numerics, refinement=min(numerics.refinement, MOST_REFINEMENT))
         self.phantom, self.device, self.entry = phantom, device, entry
         self.uncertainty = Uncertainty() if uncertainty is None else uncertainty
