@@ -41,9 +41,9 @@ from cathsim.statics import (
     inserted_curve,
     noisy_curve,
 )
+from cathsim.statics.ensemble_summary import RestingContacts, resting_contacts
 from cathsim.statics.estimator import MEMBERS
 from cathsim.statics.observed_curve import observed_curve
-from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
 
 NAMED, NAMED_STATES = ("type_1", "type_2", "bovine"), 2
 RANDOM, RANDOM_STATES = range(20), 1

@@ -35,8 +35,8 @@ def play(claim: Forces, case: dict[str, Any]) -> dict[str, Any]:
     from cathsim.presets import ACCURACY
     from cathsim.simulation import Simulation
     from cathsim.statics import ContactForceEstimator, Uncertainty, drawn_errors, inserted_curve, noisy_curve
+    from cathsim.statics.ensemble_summary import resting_contacts
     from cathsim.statics.observed_curve import observed_curve
-    from cathsim.statics.resting_contacts import resting_contacts
 
     phantom, wire = load_phantom(case["anatomy"]), Guidewire().scaled(0.36)
     links = tuple(link / claim.pieces for link in wire.links for _ in range(claim.pieces))

@@ -13,7 +13,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from cathsim.console.controls import Controls
 from cathsim.console.questionnaire import CRITERIA, check_answers
-from cathsim.console.web.requests import LONGEST_REQUEST, read_request
+from cathsim.console.web.messages import LONGEST_REQUEST, read_request
 from pipeline.config import run_config
 from pipeline.launch import one_line
 from pipeline.stages import available_stages, load_stage

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from guide3d.calibration.folder import cameras_in, distortions_of
 from guide3d.dataset.annotation_files import DETECTOR
-from guide3d.dataset.camera_checks import swapped_cameras, undistorted_or_raw
 from guide3d.dataset.dataset import Dataset
 from guide3d.dataset.true_curves import VIEWS
 from guide3d.geometry.camera import write_opencv_yaml
+from guide3d.reconstruction.view_checks import swapped_in, undistorted_or_raw_in
 from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.store.atomic_files import read_json, write_json
 from pipeline.store.errors import StageError
@@ -96,10 +96,10 @@ def own_source(settings: Guide3dSettings, folder: Path) -> Source:
     except (OSError, ValueError) as error:
         raise StageError(str(error)) from error
     undistorted = data.undistorted
-    if undistorted is None and (verdict := undistorted_or_raw(data)) is not None:
+    if undistorted is None and (verdict := undistorted_or_raw_in(data)) is not None:
         _LOGGER.log(logging.INFO if verdict.sure else logging.WARNING, "%s", verdict.sentence)
         undistorted = verdict.answer == "undistorted"
-    verdict = swapped_cameras(data, undistorted)
+    verdict = swapped_in(data, undistorted)
     if verdict is not None and verdict.answer == "swapped" and verdict.sure:
         raise StageError(
             f"{verdict.sentence}: camera A (detector {DETECTOR['a']}) belongs to folders ending in -2, B to those in -1"

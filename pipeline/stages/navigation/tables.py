@@ -215,7 +215,7 @@ class NavigationFilm(Film):
 
     def add(self, environment: NavigateEnv) -> None:
         """Looks at a step of the episode in the scene's environment."""
-        from splineformer.navigation.picture import picture_of_moment
+        from splineformer.navigation.perception import picture_of_moment
 
         ended = bool(environment.steps and environment.ended)
         if self._count % _STRIDE == 0 or ended:
@@ -228,7 +228,7 @@ class NavigationFilm(Film):
     def write(self, path: Path) -> None:
         from PIL import Image
 
-        from splineformer.navigation.picture import SIDE_PX
+        from splineformer.navigation.perception import SIDE_PX
 
         seen = np.concatenate([one[:, SIDE_PX:] for one in self._frames[:: max(1, len(self._frames) // 6)]])
         palette = Image.fromarray(seen).quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE).getpalette()

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from cathsim.anatomy import Branch, VesselTree
-from cathsim.anatomy.branch_depth import BranchDepths
 from cathsim.anatomy.extension import DEPTH, extend_short_branches
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.phantom import END_CLEARANCE
+from cathsim.anatomy.point_target import BranchDepths
 from cathsim.anatomy.vessel_tree import nearest_on_branch, set_back
 
 LINE = np.stack([np.zeros(5), np.zeros(5), np.linspace(0, 0.04, 5)], axis=1)

@@ -15,9 +15,8 @@ from cathsim.guidewire import Guidewire
 from cathsim.presets import ACCURACY
 from cathsim.simulation import Simulation
 from cathsim.statics import ContactForceEstimator, contact_forces, curve_from_entry, inserted_curve
-from cathsim.statics.ensemble_summary import summarise
+from cathsim.statics.ensemble_summary import RestingContacts, resting_contacts, summarise
 from cathsim.statics.observed_curve import observed_curve
-from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
 from cathsim.statics.uncertainty import Deviation, Uncertainty, deviations, smooth_noise
 
 

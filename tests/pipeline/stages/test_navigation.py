@@ -40,8 +40,7 @@ from pipeline.task import TASK as KEY
 from pipeline.task import Task
 from splineformer.build import build, size_of
 from splineformer.navigation.navigator_perception import NavigatorPerception, NavigatorPerceptionSettings
-from splineformer.navigation.perception import PerceptionNetwork
-from splineformer.navigation.picture import SIDE_PX
+from splineformer.navigation.perception import SIDE_PX, PerceptionNetwork
 from splineformer.predictor import Predictor
 from tests.pipeline.stages.small_expert import TASK, context, run_here, write_expert
 

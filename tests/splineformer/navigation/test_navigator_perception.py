@@ -14,8 +14,7 @@ from splineformer.image_input import picture_of
 from splineformer.navigation.camera_view import AGO, RAYS, WAY_ARCS, CameraView, ViewSettings
 from splineformer.navigation.fine_tuning import CURVE_POINTS, WirePictures, errors, fine_tune
 from splineformer.navigation.navigator_perception import EpisodeView, NavigatorPerception, NavigatorPerceptionSettings
-from splineformer.navigation.perception import PerceptionNetwork, WireReading
-from splineformer.navigation.picture import SIDE_PX, picture_of_moment
+from splineformer.navigation.perception import SIDE_PX, PerceptionNetwork, WireReading, picture_of_moment
 from splineformer.navigation.space_view import SIZE
 from splineformer.navigation.vessel_map import VesselMap
 from splineformer.predictor import Predictor

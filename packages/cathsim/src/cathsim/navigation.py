@@ -13,8 +13,7 @@ from annotated_types import Interval
 from pydantic import BeforeValidator
 
 from cathsim.anatomy import Phantom
-from cathsim.anatomy.branch_depth import Place
-from cathsim.anatomy.point_target import Point, TargetLike, as_target, target_name
+from cathsim.anatomy.point_target import Place, Point, TargetLike, as_target, target_name
 from cathsim.devices.arena import PROTRUSION, max_insertion
 from cathsim.devices.pair import DevicePair
 from cathsim.devices.simulation import DualSimulation

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from cathsim.console import CRITERIA, check_answers
-from cathsim.console.web.messages import frame_message, surface_message
-from cathsim.console.web.requests import LONGEST_REQUEST, Access, read_request
+from cathsim.console.web.messages import LONGEST_REQUEST, Access, frame_message, read_request, surface_message
 
 CONTROLS = '{"type": "controls", "advance": 1, "rotate": 0, "sequence": 1'
 GOOD = {criterion.key: 3 for criterion in CRITERIA}

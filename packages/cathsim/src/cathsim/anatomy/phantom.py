@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cathsim.anatomy.branch_depth import BranchDepths
 from cathsim.anatomy.distance_grid import LatticeField, SignedDistanceGrid
 from cathsim.anatomy.entry import (
     END_SUFFIX,
@@ -27,6 +26,7 @@ from cathsim.anatomy.entry import (
 from cathsim.anatomy.generator.recipe import Recipe
 from cathsim.anatomy.geodesic import geodesic_field, graph_distance
 from cathsim.anatomy.point_target import (
+    BranchDepths,
     Point,
     TargetLike,
     as_target,

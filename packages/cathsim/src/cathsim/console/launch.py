@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 from cathsim.console.operator_setup import NO_CATHETER
 from cathsim.console.recorder import Recorder, find_recorder
-from cathsim.console.web.requests import Access, is_loopback
+from cathsim.console.web.messages import Access, is_loopback
 from cathsim.metrics import FORCE_LIMIT
 
 EXIT_FAILED, EXIT_USAGE = 1, 2

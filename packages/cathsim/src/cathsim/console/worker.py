@@ -20,8 +20,7 @@ from cathsim.console.operator_setup import Choices, Chosen, Setup
 from cathsim.console.procedure import ENDED, READY, RUNNING, Procedure, Sample, devices_between
 from cathsim.console.questionnaire import CRITERIA, check_answers
 from cathsim.console.recorder import Recorder
-from cathsim.console.web.messages import Inbox, frame_message, surface_of
-from cathsim.console.web.requests import read_request
+from cathsim.console.web.messages import Inbox, frame_message, read_request, surface_of
 from cathsim.console.xray.monitor import CArm
 from cathsim.console.xray.room import XRayRoom
 from cathsim.console.xray.views import Views

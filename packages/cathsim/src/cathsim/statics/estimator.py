@@ -16,10 +16,9 @@ from cathsim.devices.simulation import DualSimulation
 from cathsim.guidewire import Guidewire
 from cathsim.presets import ACCURACY, Accuracy
 from cathsim.simulation import LEAD_ADVANCE, LEAD_ROTATION, Simulation
-from cathsim.statics.ensemble_summary import ContactForces, summarise
+from cathsim.statics.ensemble_summary import ContactForces, RestingContacts, resting_contacts, summarise
 from cathsim.statics.laying import Feeder, checked_catheter, checked_number, distance_to, found_rotation, lay_along
 from cathsim.statics.observed_curve import ObservedCurve, checked_insertion, noisy_curve, observed_curve
-from cathsim.statics.resting_contacts import RestingContacts, resting_contacts
 from cathsim.statics.simulated_device import simulated_device
 from cathsim.statics.uncertainty import Deviation, Uncertainty, deviations
 from cathsim.validation import named, quantity

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +18,11 @@ from guide3d.geometry.epipolar import EpipolarGeometry
 from guide3d.geometry.polyline import Array
 from guide3d.reconstruction.matching import MatchingSettings, clearly_better, image_curve, match_curves
 
+if TYPE_CHECKING:
+    from guide3d.dataset.dataset import Dataset
+
 Pair = tuple[ArrayLike, ArrayLike]
+_PAIRS = 60  # of a data set, whose epipolar residuals are asked
 
 
 @dataclass(frozen=True)
@@ -100,3 +105,27 @@ def _verdict(answers: tuple[str, str], baseline: float, other: float, subject: s
         f"{answers[0 if better else 1]} (median of {count} pairs)"
     )
     return Verdict(answer, residual, worse, sure, sentence)
+
+
+def swapped_in(data: Dataset, undistorted: bool | None) -> Verdict | None:
+    """As `swapped_cameras` of a data set; None without cameras. `undistorted` None counts as yes."""
+    if data.camera_a is None or data.camera_b is None:
+        return None
+    pairs = _pairs(data)
+    if undistorted is False and data.distortions is not None:
+        a, b = data.distortions
+        pairs = [(a.undistort_points(one), b.undistort_points(other)) for one, other in pairs]
+    return swapped_cameras(data.camera_a, data.camera_b, pairs)
+
+
+def undistorted_or_raw_in(data: Dataset) -> Verdict | None:
+    """As `undistorted_or_raw` of a data set; None without cameras and maps of their distortion."""
+    if data.camera_a is None or data.camera_b is None or data.distortions is None:
+        return None
+    a, b = data.distortions
+    return undistorted_or_raw(data.camera_a, data.camera_b, _pairs(data), a.undistort_points, b.undistort_points)
+
+
+def _pairs(data: Dataset) -> list[tuple[np.ndarray, np.ndarray]]:
+    chosen = np.unique(np.linspace(0, len(data) - 1, _PAIRS).astype(int))
+    return [(data.frames[i].polyline("a"), data.frames[i].polyline("b")) for i in chosen]

@@ -16,7 +16,7 @@ from fastapi import FastAPI, Request, WebSocket, WebSocketDisconnect
 from fastapi.responses import FileResponse, PlainTextResponse, Response
 from fastapi.staticfiles import StaticFiles
 
-from cathsim.console.web.requests import Access
+from cathsim.console.web.messages import Access
 from cathsim.console.worker import RealTimeLoop
 
 PAGE = Path(__file__).parents[1] / "page"
