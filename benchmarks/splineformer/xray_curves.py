@@ -47,7 +47,7 @@ from splineformer.comparison.fluoroscopy_figures import (
     summary,
 )
 from splineformer.image_input import pixels_of_shares
-from splineformer.learning.fluoroscopy_pool import ONE, curve_of
+from splineformer.learning.fluoroscopy_samples import ONE, curve_of
 from splineformer.predictor import Predictor
 
 SETS = {"cluttered": FluoroscopySettings(), "clean": FluoroscopySettings(clutter=1e-6, contrast=0.0)}

@@ -17,7 +17,8 @@ from enn.imitation.behaviour_cloning import DESK_CLONING, clone
 from enn.imitation.cloned_policy import ClonedPolicy
 from enn.imitation.dagger import DaggerSettings, dagger, record
 from enn.imitation.images.lumen_segmentation import fit_segmenter
-from enn.imitation.images.perception import ImagePerception, load_image_policy
+from enn.imitation.images.perception import ImagePerception
+from enn.imitation.images.policy import ImagePolicy
 from enn.imitation.path_following import PathFollower, PathFollowerSettings, fit_path_follower
 from enn.imitation.sequence_cloning import clone_sequences
 from enn.networks.devices import device_of, on_cpu
@@ -191,8 +192,8 @@ def test_segmenter_and_image_policy(tmp_path: Path) -> None:
             results[place] = loss, policy.act(episodes[0].features[:1])[0]
         env = WireEnv()
         observation, _ = env.reset(seed=0)
-        policy, perception = load_image_policy(tmp_path / "cpu.pt", device)
+        policy, perception = ImagePolicy.load(tmp_path / "cpu.pt", device)
         perception.controller(policy)(observation)
     assert results["cpu"][0] == pytest.approx(results[device][0], rel=1e-3)
     np.testing.assert_allclose(results["cpu"][1], results[device][1], atol=1e-4)
-    load_image_policy(tmp_path / f"{device[:3]}.pt")
+    ImagePolicy.load(tmp_path / f"{device[:3]}.pt")

@@ -100,15 +100,15 @@ class ImagePolicyJob(PolicyJob):
 
 def train_image_policy(job: ImagePolicyJob, report: Report) -> dict[str, Any]:
     """Trains the image policy round by round, or takes it over, and tests it: ``training_s`` and summaries."""
-    from enn.imitation.images.perception import load_image_policy
+    from enn.imitation.images.policy import ImagePolicy
 
     record, file = job.own_folder / RECORD, job.own_folder / IMAGE_POLICY
     if job.start is not None:
-        policy, perception = load_image_policy(taken_over(job.start, file), report.device)
+        policy, perception = ImagePolicy.load(taken_over(job.start, file), report.device)
         spent = 0.0
     elif record.is_file():
         spent = float(read_json(record)["wall_s"])
-        policy, perception = load_image_policy(file, report.device)
+        policy, perception = ImagePolicy.load(file, report.device)
     else:
         policy, perception, rounds = _train(job, report.part(0.0, 0.8, "training"), report.device)
         policy.save(file, **job.origin.configuration("training"), **{TASK: asdict(job.task.task)})
@@ -131,7 +131,8 @@ def _train(
     """Fits the perception, then plays and fits round by round, going on after the last finished one."""
     from cathsim.many_anatomies import SHELF
     from enn.imitation.advised_episodes import SIDE_BY_SIDE, play_advised
-    from enn.imitation.images.perception import ImagePerception, load_image_policy
+    from enn.imitation.images.perception import ImagePerception
+    from enn.imitation.images.policy import ImagePolicy
     from enn.imitation.recurrent_policy import RecurrentPolicy, RecurrentPolicySettings
     from enn.imitation.sequence_cloning import SequenceCloningSettings
     from enn.policy import Policy
@@ -149,7 +150,7 @@ def _train(
         report(seeing + (1.0 - seeing) * share, text)
 
     if last is not None:
-        policy, perception = load_image_policy(last, device)
+        policy, perception = ImagePolicy.load(last, device)
     else:
         segmenter = _lumen_segmenter(job, perceive, device)
         devices = _device_segmenters(job, expert, perceive, device) if job.xray else {}

@@ -36,7 +36,7 @@ from splineformer.comparison.fluoroscopy_figures import (
 )
 from splineformer.comparison.skeleton import trace_mask
 from splineformer.image_input import pixels_of_shares
-from splineformer.learning.fluoroscopy_pool import ONE, curve_of
+from splineformer.learning.fluoroscopy_samples import ONE, curve_of
 from splineformer.predictor import Predictor
 from tests.guide3d.learning.drawn_data import draw
 from tests.splineformer.curves import answering, image_of, network, wavy_wire

@@ -18,8 +18,15 @@ from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from splineformer.build import VARIANTS, build, size_of
 from splineformer.image_input import pixels_of_shares, shares_of_pixels
 from splineformer.learning.augmentation import Augmentation, moved, warped
-from splineformer.learning.fluoroscopy_pool import NONE, ONE, SEVERAL, FluoroscopyPool, curve_of, draw_pool
-from splineformer.learning.fluoroscopy_samples import FluoroscopyObjective
+from splineformer.learning.fluoroscopy_samples import (
+    NONE,
+    ONE,
+    SEVERAL,
+    FluoroscopyObjective,
+    FluoroscopyPool,
+    curve_of,
+    draw_pool,
+)
 from splineformer.learning.fluoroscopy_training import fluoroscopy_recipe, train_on_fluoroscopy
 from splineformer.learning.losses import attention_loss
 from splineformer.learning.recipes import recipe_of
@@ -249,7 +256,7 @@ def test_kept_pictures_are_read_again(tmp_path: Path) -> None:
 
 def test_parts_of_which_nothing_is_kept_are_left_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     images = RandomFluoroscopy(SMALL, seed=4)
-    monkeypatch.setattr("splineformer.learning.fluoroscopy_pool._PART", 1)
+    monkeypatch.setattr("splineformer.learning.fluoroscopy_samples._PART", 1)
     few = draw_pool(images, range(3, 33), quarter, "quarters", tmp_path)
     again = draw_pool(images, range(3, 33), quarter, "quarters", tmp_path)
     assert 0 < len(few) == len(again) < 30

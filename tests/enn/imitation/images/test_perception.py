@@ -9,7 +9,7 @@ import pytest
 
 from enn.imitation.images.egocentric import CATHETER_SIZE, VIEW_SIZE
 from enn.imitation.images.lumen_segmentation import LumenSegmenter, fit_segmenter, overlap
-from enn.imitation.images.perception import XRAY_KEYS, ImagePerception, load_image_policy, subtracted
+from enn.imitation.images.perception import XRAY_KEYS, ImagePerception, subtracted
 from enn.imitation.images.policy import ImagePolicy
 from enn.imitation.images.stereo_view import CATHETER_SIZE as STEREO_CATHETER_SIZE
 from enn.imitation.images.stereo_view import STEREO_SIZE
@@ -44,7 +44,7 @@ def test_policy_learns_what_the_expert_does_holds_its_actions_and_survives_the_f
     assert clone_sequences(policy, first + advised(policy, perception, 0.0, 3), LONG)[-1] < 0.5 * loss
     assert np.mean([one.success for one in advised(policy, perception, 0.0, 4)]) > 0.8
     policy.save(tmp_path / "policy.pt")
-    twin, seeing = load_image_policy(tmp_path / "policy.pt")
+    twin, seeing = ImagePolicy.load(tmp_path / "policy.pt")
     steer, other = perception.controller(policy), seeing.controller(twin)
     for episode in range(2):
         steer.reset()
@@ -81,7 +81,7 @@ def test_a_policy_of_x_ray_images_needs_no_mask(segmenter: LumenSegmenter, tmp_p
     clone_sequences(policy, played(1.0, 1) + played(0.0, 3), LONG)
     assert np.mean([one.success for one in played(0.0, 4)]) > 0.8
     policy.save(tmp_path / "policy.pt")
-    twin, seeing = load_image_policy(tmp_path / "policy.pt")
+    twin, seeing = ImagePolicy.load(tmp_path / "policy.pt")
     observation, _ = XrayWireEnv().reset(seed=7)
     np.testing.assert_array_equal(perception.controller(policy)(observation), seeing.controller(twin)(observation))
     with pytest.raises(ValueError, match="the policy sees image, plain, contrast, goal_image, but contrast, goal_im"):

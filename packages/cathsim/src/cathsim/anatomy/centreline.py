@@ -260,3 +260,12 @@ def smoothed(points: Array, width: float) -> Array:
 def arc_length(points: Array) -> Array:
     """Arc length (n,) m along a polyline (n, 3) m, zero at its first point."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+
+
+def last_direction(points: Array, length: float) -> Array:
+    """Unit direction of a polyline's last stretch of a length, m, three points at least."""
+    from_end = arc_length(points[::-1])[::-1]
+    some = points[from_end <= length]
+    some = some if len(some) >= 3 else points[-3:]
+    _, _, axes = np.linalg.svd(some - some.mean(axis=0), full_matrices=False)
+    return axes[0] * np.sign(axes[0] @ (some[-1] - some[0]) or 1.0)

@@ -17,7 +17,7 @@ from guide3d.random_fluoroscopy.settings import FluoroscopySettings
 from splineformer.comparison.evaluation import Image, frame_of
 from splineformer.image_input import picture_of, pixels_of_shares, shares_of_pixels
 from splineformer.learning.augmentation import shadow, without_wire
-from splineformer.learning.fluoroscopy_pool import NONE, ONE, curve_of
+from splineformer.learning.fluoroscopy_samples import NONE, ONE, curve_of
 from splineformer.predictor import Predictor
 from splineformer.tokens import round_trip_px
 

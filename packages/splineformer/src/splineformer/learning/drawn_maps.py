@@ -2,7 +2,7 @@
 
 A random X-ray image and its reading take a third of a second. Where a wire runs is learnt from many courses, and a map
 shows little more than those, so most samples are drawn directly; what readers really get wrong is learnt from the
-others, `splineformer.learning.fluoroscopy_pool`.
+others, `splineformer.learning.fluoroscopy_samples`.
 """
 
 from __future__ import annotations

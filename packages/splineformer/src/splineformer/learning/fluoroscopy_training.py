@@ -22,8 +22,7 @@ from splineformer.build import build, size_of
 from splineformer.image_input import picture_of
 from splineformer.learning.augmentation import Augmentation
 from splineformer.learning.drawn_maps import drawn_map
-from splineformer.learning.fluoroscopy_pool import ONE, draw_pool
-from splineformer.learning.fluoroscopy_samples import FluoroscopyObjective
+from splineformer.learning.fluoroscopy_samples import ONE, FluoroscopyObjective, draw_pool
 from splineformer.learning.losses import OrderedWeights, PublishedWeights
 from splineformer.learning.recipes import recipe_of
 from splineformer.map_picture import WHITE, picture_by_reader

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.centreline import arc_length, resampled, smoothed
+from cathsim.anatomy.centreline import arc_length, last_direction, resampled, smoothed
 from cathsim.anatomy.distance_grid import across_frames, plane_coordinates
 from cathsim.anatomy.mesh.cavity import Cavity
 from cathsim.anatomy.mesh.lattice import FOLLOWED
@@ -80,7 +80,7 @@ def _plain_end(cavity: Cavity, way: Array, depth: Array) -> VesselEnd | None:
         inner = smoothed(resampled(way[: index + 1], step), radius / 2) if index >= 3 else way[: index + 1]
         if len(inner) < 4:
             break
-        normal = _direction(inner, radius)
+        normal = last_direction(inner, radius)
         struck, _ = _struck(cavity, inner[-1], normal, travel)
         met = struck.max(axis=1)
         if met.mean() >= _PLAINLY:
@@ -164,7 +164,7 @@ def end_at_opening(
     inner = smoothed(resampled(way[: max(start, 3) + 1], cavity.spacing), radius / 2)
     onward = opening - inner[-1]
     length = float(np.linalg.norm(onward))
-    along = _direction(inner, 1.5 * radius)
+    along = last_direction(inner, 1.5 * radius)
     if length > 3 * cavity.spacing and onward @ along > 0.5 * length:
         along = onward / length
     centres = [opening - back * cavity.spacing * along for back in (1.5, 2.5, 3.5)]
@@ -252,7 +252,7 @@ def _followed(cavity: Cavity, way: Array, start: int, radius: float, surrounded:
     """The end of the vessel in which a place of a way lies, None where its wall does not surround it there."""
     step = 0.5 * cavity.spacing
     inner = smoothed(resampled(way[: start + 1], 2 * step), radius / 2) if start >= 2 else way[:2]
-    return _swept_end(cavity, inner, _direction(inner, 1.5 * radius), radius, surrounded)
+    return _swept_end(cavity, inner, last_direction(inner, 1.5 * radius), radius, surrounded)
 
 
 def _swept_end(cavity: Cavity, inner: Array, direction: Array, radius: float, surrounded: float) -> VesselEnd | None:
@@ -273,16 +273,6 @@ def _well_inside(from_end: Array, depth: Array, least: float) -> int:
         if depth[index] >= _PLATEAU * depth[before].max():
             return index
     return int(np.argmax(depth))
-
-
-def _direction(points: Array, length: float) -> Array:
-    """Unit direction of a polyline's last stretch."""
-    from_end = arc_length(points[::-1])[::-1]
-    some = points[from_end <= length]
-    if len(some) < 3:
-        some = points[-3:]
-    _, _, axes = np.linalg.svd(some - some.mean(axis=0), full_matrices=False)
-    return axes[0] * np.sign(axes[0] @ (some[-1] - some[0]))
 
 
 def _struck(cavity: Cavity, middle: Array, normal: Array, travel: Array) -> tuple[NDArray[np.bool_], Array]:

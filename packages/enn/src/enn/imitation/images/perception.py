@@ -10,14 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from enn.bounded_content import built_from
 from enn.imitation.images.egocentric import CATHETER_SIZE, VIEW_SIZE, EgocentricView
 from enn.imitation.images.lumen_segmentation import LumenSegmenter
 from enn.imitation.images.stereo_geometry import StereoGeometry
@@ -27,7 +25,6 @@ from enn.imitation.images.visual_hull import SeenVoxels
 from enn.imitation.images.wire_segmentation import WireSegmenter
 from enn.imitation.images.wire_tracing import without_wire
 from enn.imitation.recurrent_policy import Observation, RecurrentController, RecurrentPolicy
-from enn.model_file import UNFIT, another_architecture
 from enn.networks.observation_spaces import require_keys
 
 IMAGE_KEYS = ("image", "mask", "goal_image")  # observations of a policy that observes the wire's mask
@@ -226,18 +223,3 @@ def _read(content: dict[str, Any] | None) -> WireSegmenter | None:
     network = WireSegmenter(content["width"])
     network.load_state_dict(content["weights"])
     return network.eval()
-
-
-def load_image_policy(path: Path | str, device: torch.device | str = "cpu") -> tuple[RecurrentPolicy, ImagePerception]:
-    """Reads a policy that sees images, and its perception, onto a device.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, holds something else, or is of another architecture.
-    """
-    policy = RecurrentPolicy.load(path, device)
-    try:
-        with built_from(policy.perception):
-            return policy, ImagePerception.of(policy.perception, device)
-    except UNFIT as error:
-        raise another_architecture(Path(path), error, verb="train") from error

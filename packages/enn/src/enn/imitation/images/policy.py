@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
-from enn.imitation.images.perception import ImagePerception, load_image_policy
+from enn.bounded_content import built_from
+from enn.imitation.images.perception import ImagePerception
 from enn.imitation.recurrent_policy import RecurrentController, RecurrentPolicy
+from enn.model_file import UNFIT, another_architecture
 
 
-@dataclass(frozen=True, eq=False)
-class ImagePolicy:
+class ImagePolicy(NamedTuple):
     """A policy that steers by images alone.
 
     Attributes:
@@ -31,7 +31,12 @@ class ImagePolicy:
             FileNotFoundError: there is no such file.
             ValueError: the file is damaged, holds something else, or is of another architecture.
         """
-        return cls(*load_image_policy(path, device))
+        policy = RecurrentPolicy.load(path, device)
+        try:
+            with built_from(policy.perception):
+                return cls(policy, ImagePerception.of(policy.perception, device))
+        except UNFIT as error:
+            raise another_architecture(Path(path), error, verb="train") from error
 
     @property
     def keys(self) -> tuple[str, ...]:

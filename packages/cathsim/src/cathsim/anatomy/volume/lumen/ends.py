@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.centreline import arc_length
+from cathsim.anatomy.centreline import arc_length, last_direction
 from cathsim.anatomy.distance_grid import plane_coordinates
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.lumen.paths import VesselPaths
@@ -54,7 +54,9 @@ def flat_end(paths: VesselPaths, number: int, tip: int, begin: int, faces: list[
     from_end = arc_length(points[::-1])[::-1]
     index = _full_width(from_end, depth)
     radius = float(np.median(depth[(from_end >= from_end[index]) & (from_end <= from_end[index] + 2 * depth[index])]))
-    direction = _direction(points[: index + 1], 2.5 * radius)
+    if index < 1:
+        raise MeshRefusedError("a vessel is too short to have an end; take a finer resolution.")
+    direction = last_direction(points[: index + 1], 2.5 * radius)
     base = points[index]
     if face is not None and direction @ face[1] > _LEAST_CUT:
         place, normal = face
@@ -106,14 +108,3 @@ def _section_middle(points: Array, tip: Array, place: Array, normal: Array, reac
         part = linked_parts(pairs[:, 0], pairs[:, 1], len(near))
         middle = near[part == part[np.argmin(((near - tip) ** 2).sum(axis=1))]].mean(axis=0)
     return middle - float((middle - place) @ normal) * normal
-
-
-def _direction(points: Array, length: float) -> Array:
-    """Unit direction of a polyline's last stretch."""
-    if len(points) < 2:
-        raise MeshRefusedError("a vessel is too short to have an end; take a finer resolution.")
-    from_end = arc_length(points[::-1])[::-1]
-    some = points[from_end <= length]
-    some = some if len(some) >= 3 else points[-3:]
-    _, _, axes = np.linalg.svd(some - some.mean(axis=0), full_matrices=False)
-    return axes[0] * np.sign(axes[0] @ (some[-1] - some[0]) or 1.0)
