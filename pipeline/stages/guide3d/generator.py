@@ -15,8 +15,15 @@ from guide3d.dataset.acquisition_split import PlannedAcquisition
 from guide3d.dataset.annotation_files import DETECTOR, Annotation, Views, image_name, write_curves, write_raw
 from guide3d.dataset.cvat import write_cvat
 from guide3d.dataset.dataset import CURVES, PROPERTIES, RAW, TRUTH
-from guide3d.dataset.simulated_annotation import annotate, fit_annotation, thin_by_turning, visible_part
-from guide3d.dataset.true_curves import VIEWS, TrueCurve, write_truth
+from guide3d.dataset.true_curves import (
+    VIEWS,
+    TrueCurve,
+    annotate,
+    fit_annotation,
+    thin_by_turning,
+    visible_part,
+    write_truth,
+)
 from guide3d.geometry.camera import Camera, write_camera
 from guide3d.geometry.distortion import Distortion
 from guide3d.image_file import encode_png

@@ -19,8 +19,7 @@ import numpy as np
 
 from guide3d.dataset.annotation_files import Views, write_curves
 from guide3d.dataset.dataset import Dataset
-from guide3d.dataset.simulated_annotation import click
-from guide3d.dataset.true_curves import VIEWS
+from guide3d.dataset.true_curves import VIEWS, click
 from guide3d.geometry.bspline import BSplineCurve
 from guide3d.geometry.polyline import Array
 from guide3d.reconstruction.evaluation import Record, evaluate_pair

@@ -14,8 +14,7 @@ from guide3d.dataset.annotation_files import acquisition_name, camera_of, image_
 from guide3d.dataset.cvat import read_cvat, write_cvat
 from guide3d.dataset.dataset import Dataset
 from guide3d.dataset.frame import ImageError, strip_mask
-from guide3d.dataset.simulated_annotation import annotate, click, fit_annotation, visible_part
-from guide3d.dataset.true_curves import TrueCurve, write_truth
+from guide3d.dataset.true_curves import TrueCurve, annotate, click, fit_annotation, visible_part, write_truth
 from guide3d.geometry.polyline import arc_length, distances_to
 from tests.guide3d.dataset.drawn_dataset import SIZE, annotation, cameras, wire, write_dataset
 from tests.guide3d.real_images import real_folder

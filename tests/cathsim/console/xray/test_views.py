@@ -8,8 +8,7 @@ import pytest
 
 from cathsim.console.procedure import Procedure, devices_between
 from cathsim.console.xray.monitor import IMAGE_SIZE, CArm, FluoroscopyMonitor
-from cathsim.console.xray.room import FILLING, WASHOUT, XRayRoom, concentration
-from cathsim.console.xray.views import Views
+from cathsim.console.xray.room import FILLING, WASHOUT, Views, XRayRoom, concentration
 from cathsim.viewing.opencv import cv2
 from tests.cathsim.makers import MakeEnv
 

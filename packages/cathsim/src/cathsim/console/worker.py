@@ -22,8 +22,7 @@ from cathsim.console.questionnaire import CRITERIA, check_answers
 from cathsim.console.recorder import Recorder
 from cathsim.console.web.messages import Inbox, frame_message, read_request, surface_of
 from cathsim.console.xray.monitor import CArm
-from cathsim.console.xray.room import XRayRoom
-from cathsim.console.xray.views import Views
+from cathsim.console.xray.room import Views, XRayRoom
 from cathsim.environment import NavigateEnv
 from cathsim.simulation import CONTROL_STEP
 

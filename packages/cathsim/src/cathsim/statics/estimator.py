@@ -19,8 +19,7 @@ from cathsim.simulation import LEAD_ADVANCE, LEAD_ROTATION, Simulation
 from cathsim.statics.ensemble_summary import ContactForces, RestingContacts, resting_contacts, summarise
 from cathsim.statics.laying import Feeder, checked_catheter, checked_number, distance_to, found_rotation, lay_along
 from cathsim.statics.observed_curve import ObservedCurve, checked_insertion, noisy_curve, observed_curve
-from cathsim.statics.simulated_device import simulated_device
-from cathsim.statics.uncertainty import Deviation, Uncertainty, deviations
+from cathsim.statics.uncertainty import Deviation, Uncertainty, deviations, simulated_device
 from cathsim.validation import named, quantity
 
 MEMBERS = 40  # with 16 the ends of a 90 % interval are two of 16 numbers, and 78 to 88 % of them held the truth

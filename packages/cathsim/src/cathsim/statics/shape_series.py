@@ -15,8 +15,7 @@ from cathsim.devices.pair import DevicePair
 from cathsim.guidewire import Guidewire
 from cathsim.statics.estimator import ContactForceEstimator
 from cathsim.statics.observed_curve import inserted_part, noisy_curve
-from cathsim.statics.simulated_device import changed_device, with_lumen
-from cathsim.statics.uncertainty import Uncertainty
+from cathsim.statics.uncertainty import Uncertainty, changed_device, with_lumen
 
 _LOGGER = logging.getLogger(__name__)
 
