@@ -1,7 +1,5 @@
 """Fixtures shared by all tests: a command line of the pipeline in a process of its own, in a folder of its own."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import locale

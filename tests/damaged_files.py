@@ -1,7 +1,5 @@
 """Damaged files: what every file with a digest is tried with."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Forged models: files with a right digest that ask for more than they hold, or hold what no network has."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """The console in a Chromium without a window: real key events and screenshots, for tests, benchmark and pictures."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import itertools
@@ -118,7 +116,7 @@ class Tab:
             self._process.kill()
             self._process.wait(10)
 
-    def __enter__(self) -> Tab:
+    def __enter__(self) -> "Tab":
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -6,8 +6,6 @@ fails as it does beside a GPU, and so does turning a tensor into an array that w
 What this cannot show: other rounding, kernels that a GPU lacks, its memory, and its random numbers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -34,7 +32,7 @@ class Elsewhere(torch.Tensor):
     here: torch.Tensor
 
     @staticmethod
-    def __new__(cls, here: torch.Tensor) -> Elsewhere:
+    def __new__(cls, here: torch.Tensor) -> torch.Tensor:
         made: Any = torch.Tensor._make_wrapper_subclass(
             cls,
             here.size(),

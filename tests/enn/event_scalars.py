@@ -1,7 +1,5 @@
 """What TensorBoard itself reads of a training's curves."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from enn.curves import FOLDER

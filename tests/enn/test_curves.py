@@ -1,7 +1,5 @@
 """Curves for a logger: names, steps and values as given, and added to after an interruption."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Fixtures for the pipeline's tests: what the processes of jobs start with."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from multiprocessing import forkserver
 

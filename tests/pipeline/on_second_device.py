@@ -1,7 +1,5 @@
 """Jobs of the stages compute where they are told to: their networks live on another device than the CPU."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path

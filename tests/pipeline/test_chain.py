@@ -1,7 +1,5 @@
 """Chains of stages: steps, the command line, stages beside each other, and how a chain ends."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The commands `endonav` and `python -m pipeline`: words go to what they name; what is wrong or refused is one line."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib.metadata
 import io

@@ -1,7 +1,5 @@
 """Policies and data sets go to the Hub and come back as they were; a server on this machine stands in for it."""
 
-from __future__ import annotations
-
 import base64
 import json
 import sys

@@ -1,7 +1,5 @@
 """Installation checks and the Makefile's help."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from pathlib import Path

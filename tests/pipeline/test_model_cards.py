@@ -1,7 +1,5 @@
 """Shipped models: cards and index agree with the files, all are small together, and each loads by its name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

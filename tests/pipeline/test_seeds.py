@@ -1,7 +1,5 @@
 """Ranges of seeds: none meets another, no module has one of its own, and nothing is tested where it was looked at."""
 
-from __future__ import annotations
-
 import ast
 import itertools
 import re

@@ -1,7 +1,5 @@
 """The task: one definition for all stages, what logs and policies say of it, and results of another task refused."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The check of the thesis's sizes: its table, the settings of all stages, and a run of those that train policies."""
 
-from __future__ import annotations
-
 import json
 import time
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Variants and sweeps: each run reads the results that belong to it, checked; launchers run every job of a sweep."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import shutil

@@ -1,7 +1,5 @@
 """The published files of DualDeviceNav in their own layout, from those beside the project."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

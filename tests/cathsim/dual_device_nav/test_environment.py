@@ -1,7 +1,5 @@
 """DualDeviceNav: vessels, entry, devices, targets of the published seeds, view, files, messages."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The environment of random trees: trees and targets of episodes, devices, repetition, copies, messages."""
 
-from __future__ import annotations
-
 import gymnasium
 import pytest
 

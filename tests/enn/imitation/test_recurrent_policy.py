@@ -1,7 +1,5 @@
 """Recurrent policies, the cloning of sequences, and rounds of advised episodes on disk."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A CT of an imported phantom, which a person could have segmented it from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Devices for an anatomy: by trials in copies, and by how a branch leaves the arch."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import replace

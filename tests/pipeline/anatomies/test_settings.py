@@ -1,7 +1,5 @@
 """Anatomies: settings that choose them, and files of one's own."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The command `endonav data`: files of a server arrive whole and verified, or a sentence says why not."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 import threading

@@ -1,7 +1,5 @@
 """Untrained policies in the place of the shipped ones: what they do means nothing, but they see what those see."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import asdict, replace
 from pathlib import Path

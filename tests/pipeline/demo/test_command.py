@@ -1,7 +1,5 @@
 """The demo's command: an episode with film, log and page; bad arguments and files are refused in one sentence."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import imageio_ffmpeg

@@ -1,7 +1,5 @@
 """The demo's film: every panel shows the moment, and what the policy reads is drawn on the view that it sees."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

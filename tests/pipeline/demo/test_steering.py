@@ -1,7 +1,5 @@
 """The demo's scene: the policy sees what it was trained on, and what it reads lies in the image."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A small episode as ground truth for the tests of the log."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Logs in which something is not as a writer would have it, behind right checksums, by the mcap library."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct

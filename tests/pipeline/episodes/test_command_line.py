@@ -1,7 +1,5 @@
 """The command line of episode logs: what it prints, its exit codes, and one sentence for bad input."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

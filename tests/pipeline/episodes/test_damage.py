@@ -1,7 +1,5 @@
 """Damaged logs: flipped bits, cut and foreign files are found out; a killed writer or a full disk loses one flush."""
 
-from __future__ import annotations
-
 import errno
 import json
 import multiprocessing

@@ -1,7 +1,5 @@
 """Logs of a wire in a catheter: both devices of every step, in the reader, the check, a recovery and the viewers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Logs of other programs: in any order they read alike; wrong content is one sentence, at once and in little memory."""
 
-from __future__ import annotations
-
 import os
 import resource
 import struct

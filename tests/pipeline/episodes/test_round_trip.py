@@ -1,7 +1,5 @@
 """Writing and reading a log: fields, pictures and bytes, in order, at random, by other programs; the codec of steps."""
 
-from __future__ import annotations
-
 import io
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Logs in viewers: the Rerun recording, Rerun's own MCAP loader, and the layout for Foxglove and Lichtblick."""
 
-from __future__ import annotations
-
 import builtins
 import io
 import json

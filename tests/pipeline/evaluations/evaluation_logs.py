@@ -1,7 +1,5 @@
 """Small evaluation logs and training curves for the tests of the report's learning part."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Logs of episodes as tables read them: which count, forces, a load cell; and learning tables, worked out by hand."""
 
-from __future__ import annotations
-
 import logging
 import math
 from pathlib import Path

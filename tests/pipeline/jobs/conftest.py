@@ -1,7 +1,5 @@
 """A stage's folder, as its jobs find it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

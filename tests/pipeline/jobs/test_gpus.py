@@ -1,7 +1,5 @@
 """GPUs are shared out among jobs by their memory; none is needed to test that."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

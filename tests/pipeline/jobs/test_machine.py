@@ -1,7 +1,5 @@
 """A machine that stages share: a job a core, no more memory than there is, nothing left of a stage that has ended."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Jobs: beside each other, resumable one by one, stopped cleanly, and named when they fail."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

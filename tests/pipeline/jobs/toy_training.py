@@ -1,7 +1,5 @@
 """Toy jobs: a training that counts, writes a checkpoint and goes on from it; one that tells where it ran."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

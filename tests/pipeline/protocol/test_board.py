@@ -1,7 +1,5 @@
 """The board: a row of any policy's file, in the fixed episodes of a published task; what cannot play is refused."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from functools import partial

@@ -1,7 +1,5 @@
 """The command `endonav evaluate`: claims are checked, cases are kept and not mixed; and tables in documents."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import itertools

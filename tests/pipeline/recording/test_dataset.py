@@ -1,7 +1,5 @@
 """The data set of torch: items against the logs, windows, padding, transforms, workers, messages."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 from typing import Any

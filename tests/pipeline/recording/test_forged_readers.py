@@ -1,7 +1,5 @@
 """Logs whose content is wrong behind right checksums, as the stages read them: refused or left out, in words."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

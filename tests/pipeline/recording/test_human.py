@@ -1,7 +1,5 @@
 """A human's logs: as whole as any other's, marked, with the questionnaire beside."""
 
-from __future__ import annotations
-
 import json
 import logging
 import re

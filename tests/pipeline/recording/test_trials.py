@@ -1,7 +1,5 @@
 """Trials, one log a held-out seed, none repeated after an interruption; replays of logs; films of a training."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import partial
 from pathlib import Path

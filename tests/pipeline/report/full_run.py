@@ -1,7 +1,5 @@
 """A run with every cell of every table and figures of usual sizes, for tests of the page."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Any

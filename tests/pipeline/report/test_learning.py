@@ -1,7 +1,5 @@
 """The report's section on learning: results from logs, curves, figures and plots."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

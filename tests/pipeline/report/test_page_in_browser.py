@@ -1,7 +1,5 @@
 """The page in a headless Chromium: its height, nothing wider than the screen, figures sharp; run and empty."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """Tables, headlines and figures of the report: cells, sweeps, seeds, layout, the thesis beside them; runs compared."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """Paths with signs of Hydra's grammar: they arrive as they were written, or the sentence shows how."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import subprocess

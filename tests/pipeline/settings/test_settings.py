@@ -1,7 +1,5 @@
 """Every setting of every stage, given what cannot be meant, is refused with one sentence before any work is done."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 import typing

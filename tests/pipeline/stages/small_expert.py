@@ -1,7 +1,5 @@
 """A tiny enn stage's folder: a policy with fresh weights and a few of its episodes, with images."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The stages enn and baselines: plans, keys of sweeps, networks, and a tiny run each with everything it leaves."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The stages expert and validate: episodes that others learn from or are compared with, and their forces."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

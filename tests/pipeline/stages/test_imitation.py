@@ -1,7 +1,5 @@
 """The stages imitation and force, which learn from an expert: a tiny run each with all it leaves, and bad input."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

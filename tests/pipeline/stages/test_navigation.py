@@ -1,7 +1,5 @@
 """The navigation: scenes, failure modes, a tiny run of the stage with everything it leaves, and bad settings."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """An anatomy of a file in every stage that learns or tests: from the expert to navigation, replay, film and report."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import shutil

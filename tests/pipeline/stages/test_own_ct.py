@@ -1,7 +1,5 @@
 """The CT of a file's anatomy in the stages: in pictures, in films, and in what policies of X-ray images see."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

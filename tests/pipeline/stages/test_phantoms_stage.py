@@ -1,7 +1,5 @@
 """The phantoms stage: its files say what the anatomy says, also that of a mesh; a second run has nothing to do."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

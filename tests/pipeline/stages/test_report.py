@@ -1,7 +1,5 @@
 """The report: complete against the thesis, honest about what has not run, readable by people and programs."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json

@@ -1,7 +1,5 @@
 """The registry of stages: in an order that follows what they read, without being imported."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Files that are written whole, and where results come from."""
 
-from __future__ import annotations
-
 import errno
 import re
 from pathlib import Path

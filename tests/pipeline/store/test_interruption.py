@@ -1,7 +1,5 @@
 """Interruption: Ctrl-C, SIGTERM, SIGKILL and a full disk leave nothing half-written, and the next run goes on."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

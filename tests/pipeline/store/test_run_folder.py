@@ -1,7 +1,5 @@
 """Run folders: up-to-date check, resuming, locking and what is removed when things change."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Generated vessels: arches by their measures, as scans show them and of every type, and whole trees."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from itertools import chain

@@ -1,7 +1,5 @@
 """Recorded episodes for the tests of export: of a wire, and of a wire in a catheter."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

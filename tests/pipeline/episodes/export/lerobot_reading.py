@@ -5,8 +5,6 @@
 EXPECTED holds, for each column, the values of all steps, and for each camera the pictures.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

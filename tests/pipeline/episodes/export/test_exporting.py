@@ -1,7 +1,5 @@
 """Export of a folder: the command, all or nothing, and what is refused."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

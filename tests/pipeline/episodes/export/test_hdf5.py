@@ -1,7 +1,5 @@
 """Exports to HDF5 and Minari: what their own readers find."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Exports to LeRobot: what its own reader finds, its statistics and videos."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

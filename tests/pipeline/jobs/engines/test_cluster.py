@@ -1,7 +1,5 @@
 """Engines: a cluster's, Slurm's and this machine's, and how one is chosen."""
 
-from __future__ import annotations
-
 import json
 import logging
 import multiprocessing

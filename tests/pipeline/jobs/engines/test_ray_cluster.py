@@ -1,7 +1,5 @@
 """Jobs on a Ray cluster: two nodes of one CPU each on this machine, and what is refused."""
 
-from __future__ import annotations
-
 import builtins
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The guide3d stage: its generator, a tiny data set with all it leaves, one's own data set, and bad input."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Notes of how the measured rows were made: worded from what the jobs really have."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path

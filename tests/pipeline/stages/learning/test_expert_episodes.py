@@ -1,7 +1,5 @@
 """Expert episodes: what a log gives, damaged logs, episodes of several kinds, and forces from logged shapes."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Trainings that two stages of a run define alike: made once, equal to those that each stage makes by itself."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

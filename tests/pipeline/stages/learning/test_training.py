@@ -1,7 +1,5 @@
 """Demonstrations of a training: the expert's logs that fit its task, the others named and left out."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The stages shape, segmentation and splineformer: tiny runs with all they leave, what is kept, bad settings."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

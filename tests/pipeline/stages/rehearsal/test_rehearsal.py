@@ -1,7 +1,5 @@
 """The stage rehearsal: devices and policy that it starts from, from a scan to a tested policy, what it refuses."""
 
-from __future__ import annotations
-
 import json
 import logging
 import shutil

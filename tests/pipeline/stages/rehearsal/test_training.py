@@ -1,7 +1,5 @@
 """Trainings of a rehearsal: hyperparameters, demonstrations of policies and of the expert, and further trainings."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import shutil

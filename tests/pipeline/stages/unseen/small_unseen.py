@@ -1,7 +1,5 @@
 """Small settings, tasks and jobs of the stage `unseen` for its tests."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

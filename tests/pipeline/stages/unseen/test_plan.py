@@ -1,7 +1,5 @@
 """The plan of the stage `unseen`: what is trained, tested and waits for what, also in arches that are not usual."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path

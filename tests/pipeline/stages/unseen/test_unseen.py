@@ -1,7 +1,5 @@
 """Jobs of the stage `unseen` at the smallest size, also after an interruption."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
