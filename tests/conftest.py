@@ -1,6 +1,7 @@
 """Fixtures shared by all tests: a command line of the pipeline in a process of its own, in a folder of its own."""
 
 import contextlib
+import gc
 import io
 import locale
 import logging
@@ -58,6 +59,15 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     """Leaves modules unread all of whose tests would be left out: importing them takes half a minute."""
     unwanted = config.option.markexpr == "not slow" and collection_path.name.startswith("test_")
     return True if unwanted and not fast(collection_path) else None
+
+
+gc.disable()  # until all modules are imported: it would go through all that they make again and again
+
+
+def pytest_collection_finish() -> None:
+    """Leaves what the modules made out of every later look for garbage."""
+    gc.freeze()
+    gc.enable()
 
 
 LOCALE = locale.setlocale(locale.LC_CTYPE)
