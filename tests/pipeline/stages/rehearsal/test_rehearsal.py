@@ -131,17 +131,15 @@ def test_copies_of_training_validation_and_tests_never_meet(tmp_path: Path) -> N
 
 
 def test_a_training_is_priced_and_the_tests_are_not(tmp_path: Path) -> None:
-    settings = RehearsalSettings(
-        **TINY | {"force_penalty": 0.7, "force_threshold_n": 0.1, "walls_mm": 0.5, "breathing_mm": 0.0}
-    )
+    priced = {"force_penalty": 0.7, "force_threshold_n": 0.1, "walls_mm": 0.5, "breathing_mm": 0.0}
+    settings = RehearsalSettings(**TINY | priced)
     jobs = plan(settings, context(tmp_path, "rehearsal"), settings.task, "bca", None)
     (job,) = [job.given for job in jobs if job.key == "training"]
     training, tests = copies_environment(job, (0, 1), training=True), copies_environment(job, (0, 1))
     assert (training.current.task.force_penalty, tests.current.task.force_penalty) == (0.7, 0.0)
     assert training.current.task.force_threshold == 0.1
     assert training.simulation.numerics.timestep == 2 * tests.simulation.numerics.timestep
-    assert training.perturbation.walls == 0.5e-3
-    assert training.perturbation.friction == 0.3
+    assert (training.perturbation.walls, training.perturbation.friction) == (0.5e-3, 0.3)
 
 
 def test_a_long_way_gets_a_longer_wire_and_longer_episodes(caplog: pytest.LogCaptureFixture) -> None:
@@ -158,8 +156,7 @@ def test_a_long_way_gets_a_longer_wire_and_longer_episodes(caplog: pytest.LogCap
     assert fitted_steps(faster, phantom, "lcca") == faster
 
 
-def test_there_is_one_anatomy_and_one_target_and_an_unknown_hyperparameter_is_refused() -> None:
-    assert RehearsalSettings().phantoms == ["type_1"]
+def test_several_targets_and_an_unknown_hyperparameter_are_refused() -> None:
     with pytest.raises(ConfigurationError, match="names several"):
         RehearsalSettings(targets=["bca", "lcca"])
     with pytest.raises(ConfigurationError, match=r"stage\.training has no 'foo'"):
@@ -194,13 +191,9 @@ def test_a_row_pools_the_forces_of_all_steps() -> None:
     }
     scan = {"after/scan": {"success": [True], "within_attempts": [True], "depths": [0.09], "forces": [[9.0]]}}
     cells = row(parts | scan, "after", "copies")
-    assert cells["success_pct"] == 50.0
-    assert cells["within_attempts_pct"] == 100.0
-    assert cells["depth_mm"] == pytest.approx(20.0)
-    assert cells["force_n"] == 1.0
-    assert cells["force_max_n"] == 2.0
-    assert cells["episode_length_steps"] == 1.5
-    assert cells["n"] == 2
+    expected = {"success_pct": 50.0, "within_attempts_pct": 100.0, "depth_mm": 20.0, "force_n": 1.0}
+    expected |= {"force_max_n": 2.0, "episode_length_steps": 1.5, "n": 2}
+    assert {name: cells[name] for name in expected} == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -220,7 +213,6 @@ def test_what_is_not_there_is_refused_by_name(tmp_path: Path, values: dict[str, 
 
 
 BY_SHAPE = Task(catheter="pigtail")  # what nothing else gives
-Outcomes = dict[str, TrialStatistics]
 
 
 @pytest.fixture
@@ -230,7 +222,7 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     phantom = load_phantom("type_1")
 
     def choose(
-        outcomes: Outcomes, task: Task | None = None, target: str = "lcca", **changed: Any
+        outcomes: dict[str, Any], task: Task | None = None, **changed: Any
     ) -> tuple[Task, TrialStatistics | None]:
         calls.clear()
 
@@ -239,17 +231,15 @@ def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
             calls.append([job.key for job in jobs[::2]])
             return {job.key: [job.key.split("/")[1]] for job in jobs}
 
-        class Told:  # what the trials come to
-            @staticmethod
-            def of(trials: list[str]) -> TrialStatistics:
-                assert set(trials) == {trials[0]}
-                return outcomes[trials[0] + " again" * (len(trials) > 2)]
+        def of(trials: list[str]) -> TrialStatistics:  # what the trials come to
+            assert set(trials) == {trials[0]}
+            return outcomes[trials[0] + " again" * (len(trials) > 2)]
 
         monkeypatch.setattr(start, "run_jobs", run)
-        monkeypatch.setattr("enn.device_trials.TrialStatistics", Told)
+        monkeypatch.setattr(TrialStatistics, "of", of)
         monkeypatch.setattr(start, "with_catheter_where_steep", lambda *_, choose: BY_SHAPE)
         settings = RehearsalSettings(**changed)
-        return start.with_chosen_devices(settings, context(tmp_path, "rehearsal"), phantom, target, task or Task())
+        return start.with_chosen_devices(settings, context(tmp_path, "rehearsal"), phantom, "lcca", task or Task())
 
     return choose, calls
 
@@ -283,12 +273,8 @@ def test_what_arrives_is_chosen_and_the_log_says_how_often(chosen: Any, caplog: 
 def test_where_what_arrives_presses_too_hard_the_gentler_ones_get_further_copies(chosen: Any) -> None:
     choose, calls = chosen
     never, jb2 = TrialStatistics(0, 4, 300.0, 0.2), TrialStatistics(2, 4, 150.0, 0.32)
-    outcomes = {
-        "wire alone": never,
-        "jb2": jb2,
-        "simmons2": TrialStatistics(1, 4, 300.0, 0.5),
-        SOFTER: TrialStatistics(1, 4, 300.0, 0.1),
-    }
+    outcomes = {"wire alone": never, "jb2": jb2, "simmons2": TrialStatistics(1, 4, 300.0, 0.5)}
+    outcomes[SOFTER] = TrialStatistics(1, 4, 300.0, 0.1)
     outcomes[f"{SOFTER} again"] = TrialStatistics(4, 8, 250.0, 0.1)
     soft = Task(wire="radifocus_angled_025", catheter="jb2_4f")
     assert choose(outcomes) == (soft, outcomes[f"{SOFTER} again"])
@@ -327,20 +313,12 @@ def test_where_the_wire_alone_arrives_and_presses_catheters_and_softer_ones_are_
     assert choose(outcomes) == (Task(wire="radifocus_angled_025", catheter="jb2_4f"), outcomes[SOFTER])
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"task": Task(catheter="vertebral")},
-        {"task": Task(entry="ascending")},
-        {"task": Task(pace="arch_variety")},  # one policy alone has it, and critics
-        {"fresh": True},
-        {"algorithm": "ppo"},
-    ],
-)
-def test_without_a_choice_of_policies_nothing_is_tried(chosen: Any, changed: dict[str, Any]) -> None:
+def test_without_a_choice_of_policies_nothing_is_tried(chosen: Any) -> None:
     choose, calls = chosen
-    assert choose({}, **changed) == (BY_SHAPE, None)
-    assert calls == []
+    others = (Task(catheter="vertebral"), Task(entry="ascending"), Task(pace="arch_variety"))  # or no critics
+    for changed in ({"fresh": True}, {"algorithm": "ppo"}, *({"task": task} for task in others)):
+        assert choose({}, **changed) == (BY_SHAPE, None)
+        assert calls == []
 
 
 def test_a_trial_plays_the_policy_in_copies_of_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -348,8 +326,7 @@ def test_a_trial_plays_the_policy_in_copies_of_the_training(tmp_path: Path, monk
     named = {start.WIRE_ALONE: task}
     (given,) = start._trials(RehearsalSettings(task=task), context(tmp_path, "rehearsal"), "bca", named).values()
     assert given.copies == tuple(training_copies(0, 2 * start.TRIALS))
-    assert given.start is not None
-    assert given.start.stem == "generalist"
+    assert given.start == GENERALIST
     played: list[Sequence[int]] = []
 
     def noted(*arguments: Any, cases: Sequence[int], **further: Any) -> list[Trial]:
@@ -407,21 +384,17 @@ def test_a_given_policy_brings_its_catheter_or_steers_a_wire_alone(tmp_path: Pat
         run_rehearsal(settings, context(tmp_path, "rehearsal"))
 
 
-@pytest.mark.parametrize(
-    ("trial_statistics", "price"),
-    [
-        (TrialStatistics(4, 4, 60.0, 0.5), 1.0),
-        (TrialStatistics(4, 4, 60.0, 0.2), 0.1),
-        (TrialStatistics(3, 4, 60.0, 0.5), 0.1),
-        (None, 0.1),
-    ],
-    ids=["presses", "presses little", "does not always arrive", "not tried"],
-)
-def test_a_newton_costs_more_with_two_devices_and_where_the_wire_presses(
-    trial_statistics: TrialStatistics | None, price: float
-) -> None:
-    alone, both = Task(), Task(catheter="jb2")
-    assert [RehearsalSettings().price_of_force(task, trial_statistics) for task in (alone, both)] == [price, 0.3]
-    for given in (0.0, 0.2):
-        assert RehearsalSettings(force_penalty=given).price_of_force(alone, trial_statistics) == given
-        assert RehearsalSettings(force_penalty=given).price_of_force(both) == given
+def test_a_newton_costs_more_with_two_devices_and_where_the_wire_presses() -> None:
+    alone, both, presses = Task(), Task(catheter="jb2"), TrialStatistics(4, 4, 60.0, 0.5)
+    assert RehearsalSettings().price_of_force(alone, presses) == 1.0
+    for tried in (
+        TrialStatistics(4, 4, 60.0, 0.2),
+        TrialStatistics(3, 4, 60.0, 0.5),
+        None,
+    ):  # little, not always, never
+        assert RehearsalSettings().price_of_force(alone, tried) == 0.1
+    for tried in (presses, None):
+        assert RehearsalSettings().price_of_force(both, tried) == 0.3
+        for given in (0.0, 0.2):
+            assert RehearsalSettings(force_penalty=given).price_of_force(alone, tried) == given
+            assert RehearsalSettings(force_penalty=given).price_of_force(both) == given
