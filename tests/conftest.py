@@ -61,7 +61,9 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return True if unwanted and not fast(collection_path) else None
 
 
-gc.disable()  # until all modules are imported: it would go through all that they make again and again
+def pytest_collectstart() -> None:
+    """Looks for no garbage until all modules are imported: it would go through all that they make again and again."""
+    gc.disable()
 
 
 def pytest_collection_finish() -> None:
