@@ -203,7 +203,7 @@ def test_the_pipeline_and_its_command_run_from_their_wheels(installed: Path, tmp
     (entries,) = installed.glob("endonav-*.dist-info/entry_points.txt")
     assert "endonav = pipeline.command:main" in entries.read_text()
     told = run_installed(installed, tmp_path, "-m", "pipeline", "--help")
-    for word in (*available_stages(), *BUDGETS, "demo"):
+    for word in (*available_stages(), *BUDGETS, "demo", "--multirun"):
         assert word in told
     commands = ["models", "evaluate --list", "stages budget=smoke stage=phantoms stage.phantoms=[type_1]"]
     commands = [command.split() for command in (*commands, "stages budget=smoke stage=report")]

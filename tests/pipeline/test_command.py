@@ -235,13 +235,6 @@ def test_failing_sweep_job_is_named_and_the_others_finish(pipeline_process) -> N
     assert (pipeline_process.runs / "sweep" / "report@stage.embed_limit_mb=1" / "manifest.json").is_file()
 
 
-def test_help_lists_stages_and_budgets(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--help"]) == 0
-    told = capsys.readouterr().out
-    for word in (*available_stages(), *BUDGETS, "demo", "--multirun"):
-        assert word in told
-
-
 def test_a_stage_without_its_input_names_the_command_to_run(tmp_path: Path) -> None:
     request = RunRequest(("stage=enn", "budget=smoke", "stage.workers=1"), budget="smoke")
     with pytest.raises(StageError, match="holds none: run `") as refused:
