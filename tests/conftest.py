@@ -35,7 +35,7 @@ FAST = re.compile(
     r"|enn/(networks|reinforcement/test_(replay|reset)|test_(policy|traj))"
     r"|guide3d/(dataset|dicom|geometry|learning/test_losses|modeling|test_image)"
     r"|splineformer/(modeling|navigation|test_(image|tokens))"
-    r"|integration/(documents|test_(files|import|versions))|pipeline/(report/(?!learning)|settings/test_quoting)"
+    r"|integration/(documents|test_(files|import|versions))|pipeline/(report/test_(?!learning)|settings/test_quoting)"
 )
 
 
