@@ -317,6 +317,7 @@ def test_an_unknown_name_is_refused_with_the_known_ones(folder: Path, use: Calla
     reason="the extra enn[onnx] is not installed",
 )
 def test_its_actions_are_those_of_the_policy_in_another_range_too(tmp_path: Path) -> None:
+    import onnx
     import onnxruntime
 
     policy = enn.load("type_1_bca")
@@ -342,3 +343,10 @@ def test_its_actions_are_those_of_the_policy_in_another_range_too(tmp_path: Path
     with pytest.raises(ValueError, match="action is not finite"):
         OnnxPolicy(file).act({key: np.full_like(value, np.nan) if value.dtype.kind == "f" else value
                               for key, value in observation.items()})  # fmt: skip
+    for key, value in (("action_repeat", "0"), ("action_repeat", "x"), ("action_low", "[NaN, -2]"),
+                       ("action_low", "[3, 3]"), ("action_high", "[" * 5000), ("action_high", "[2, 2, 2]")):  # fmt: skip
+        model = onnx.load(file)
+        next(one for one in model.metadata_props if one.key == key).value = value
+        onnx.save(model, tmp_path / "other.onnx")
+        with pytest.raises(ValueError, match=r"other\.onnx says in its metadata .* expected a count of at least 1"):
+            OnnxPolicy(tmp_path / "other.onnx")

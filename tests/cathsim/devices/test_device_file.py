@@ -57,6 +57,8 @@ length_mm: 650
     assert load_catheter(path).outer_diameter == 0.0023
     five = load_catheter(path, french=5)
     assert (five.outer_diameter, five.friction, five.length) == (0.0017, 0.09, 0.65)
+    with pytest.raises(ValueError, match=r"shape\[0\]\[2\] must lie in .* rad, got 90; angles are in radians"):
+        load_catheter("vertebral", shape=((0, 0.02, 90, 0),))
     with pytest.raises(ValueError, match="not made in 6F: it has 5F, 7F"):
         load_catheter(path, french=6)
     with pytest.raises(ValueError, match="french must be a whole number, got '5'"):

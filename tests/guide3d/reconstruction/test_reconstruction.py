@@ -1,6 +1,7 @@
 """Wires in space from two annotated views, records of their errors; swapped cameras and raw annotations are told."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +145,10 @@ def test_bad_annotations_are_refused_in_one_sentence() -> None:
         reconstruct(*scene.cameras, a[:1] + np.array([[0.0, 0.0], [1.0, 0.0]]), b)
     with pytest.raises(ValueError, match="no stretch in common"):
         reconstruct(*scene.cameras, a * [1.0, 0.1], 1000.0 - b * [1.0, 0.1])
+    for unit in (10.0, 1000.0):  # cm, m
+        others = [replace(camera, t_mm=camera.t_mm / unit) for camera in scene.cameras]
+        with pytest.raises(ValueError, match="is the cameras' unit of length another one"):
+            reconstruct(*others, a, b)
 
 
 def test_a_wire_along_the_epilines_is_said_to_have_no_depth() -> None:

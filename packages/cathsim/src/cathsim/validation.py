@@ -194,8 +194,20 @@ def _refusal(cls: type[Any], error: ValidationError) -> str:
         return f"{cls.__name__} needs {name}"
     if first["type"] == "unexpected_keyword_argument":
         return f"{cls.__name__} has no {name}; its fields are {', '.join(one.name for one in dataclasses.fields(cls))}"
-    field_path = name + "".join(f"[{part}]" for part in place[1:] if isinstance(part, int))
-    return _sentence(field_path, get_type_hints(cls, include_extras=True).get(name), first)
+    annotation, field_path = get_type_hints(cls, include_extras=True).get(name), name
+    for index in (part for part in place[1:] if isinstance(part, int)):
+        field_path += f"[{index}]"
+        annotation = _entry(annotation, index)
+    return _sentence(field_path, annotation, first)
+
+
+def _entry(annotation: Any, index: int) -> Any:
+    """The annotation of a tuple's entry, within whatever stands about the tuple; itself where there is none."""
+    kinds = get_args(annotation)
+    if get_origin(annotation) is tuple:
+        return kinds[0] if kinds[-1] is Ellipsis else kinds[index]
+    inner = (_entry(kind, index) for kind in kinds)
+    return next((found for kind, found in zip(kinds, inner, strict=True) if found is not kind), annotation)
 
 
 def _sentence(name: str, annotation: Any, first: Any) -> str:

@@ -71,7 +71,7 @@ class OnnxPolicy:
 
     Raises:
         ModuleNotFoundError: the extra `endonav-enn[onnx]` is not installed.
-        ValueError: the file is damaged, or has more outputs than the actions.
+        ValueError: the file is damaged, has more outputs than the actions, or metadata that do not fit together.
     """
 
     def __init__(self, file: Path) -> None:
@@ -80,6 +80,7 @@ class OnnxPolicy:
 
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
+        options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(file.parent))
         try:
             self._session = onnxruntime.InferenceSession(file.read_bytes(), options, ["CPUExecutionProvider"])
         except Exception as error:  # the runtime's own, which have no common base
@@ -89,9 +90,19 @@ class OnnxPolicy:
             raise ValueError(f"{file} must have one output, the actions, got {len(self._session.get_outputs())}")
         self.keys = () if self._inputs == [_ONE] else tuple(self._inputs)
         metadata = self._session.get_modelmeta().custom_metadata_map
-        self.action_repeat = int(metadata.get(_REPEAT, 1))
         bounds = (metadata.get(_LOW, "-1"), metadata.get(_HIGH, "1"))
-        self._low, self._high = (np.asarray(json.loads(bound), np.float32) for bound in bounds)
+        try:
+            self.action_repeat = int(metadata.get(_REPEAT, 1))
+            self._low, self._high = (np.asarray(json.loads(bound), np.float32) for bound in bounds)
+            fit = self.action_repeat >= 1 and np.isfinite([self._low, self._high]).all()
+            fit = fit and bool((self._low < self._high).all())
+        except (ValueError, TypeError, RecursionError):  # no number, other lengths, nested too deep
+            fit = False
+        if not fit:
+            raise ValueError(
+                f"{file} says in its metadata {_REPEAT} {metadata.get(_REPEAT, 1)!s:.20}, {_LOW} {bounds[0]:.80}, "
+                f"{_HIGH} {bounds[1]:.80}: expected a count of at least 1, and numbers, each low one below its high one"
+            )
 
     def act(
         self, observation: Observation, deterministic: bool = True, generator: np.random.Generator | None = None
@@ -108,7 +119,8 @@ class OnnxPolicy:
         try:
             [action] = self._session.run(None, {name: seen[name][None] for name in self._inputs})
         except Exception as error:  # as above
-            raise ValueError(f"the ONNX model does not take these observations: {error}") from error
+            words = str(error).splitlines()[0]
+            raise ValueError(f"the ONNX model does not take these observations: {words}") from error
         flat = np.asarray(action, np.float32).reshape(-1)
         if not np.isfinite(flat).all():
             raise ValueError("the ONNX model's action is not finite: check the observations")

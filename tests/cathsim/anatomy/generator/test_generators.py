@@ -281,6 +281,10 @@ def test_calibres_are_the_published_ones(random_trees: list[VesselTree]) -> None
     assert diameters("vertebral_left", "vertebral_right").max() < 4.5
 
 
+def test_no_vessel_is_narrower_than_the_grid_resolves() -> None:
+    assert min(branch.radius.min() for branch in build_random_tree(RandomTree(11))) == random_tree.NARROWEST
+
+
 def test_arches_are_usual_and_aberrant(random_trees: list[VesselTree]) -> None:
     assert {tree["lcca"].parent for tree in random_trees} >= {"aorta", "bca"}
     aberrant = [tree for tree in random_trees if tree["rsa"].parent == "aorta"]

@@ -45,8 +45,8 @@ def build_lumen(tree: VesselTree, *, resolution: float, fillet_radius: float) ->
     narrowest = min(float(branch.radius.min()) for branch in tree)
     if not 3e-4 <= resolution <= 0.8 * narrowest:
         raise ValueError(
-            f"resolution must lie in [0.0003, {0.8 * narrowest:.4f}] m for this anatomy "
-            f"(its narrowest radius is {narrowest:.4f} m), got {resolution!r}."
+            f"resolution must lie in [0.0003, {0.8 * narrowest:.3g}] m for this anatomy "
+            f"(its narrowest radius is {narrowest:.3g} m), got {resolution!r}."
         )
     low, high = tree.bounds
     origin = np.floor(low / resolution - PADDING) * resolution

@@ -6,20 +6,16 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from guide3d.calibration.cube_files import read_grey
 from guide3d.calibration.perforated_sheet import find_holes
 from guide3d.dataset.annotation_files import DETECTOR
 from guide3d.files import files_in
 from guide3d.geometry.camera import Camera, read_camera, read_opencv_yaml
 from guide3d.geometry.distortion import Distortion
-from guide3d.geometry.triangulation import triangulate_linear
+from guide3d.geometry.triangulation import require_millimetres
 from guide3d.image_file import PICTURES
 
 _CAMERA_ENDINGS = ("txt", "yaml", "yml")
-_OBJECT_MM = (150.0, 3500.0)  # from an X-ray source to what both see: 500 to 1200 mm in a C-arm
-_LEAST_ANGLE = 0.1  # sine of the angle between central rays that tells where they meet
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,20 +128,14 @@ def _rig(name: str, files: dict[str, Path]) -> Rig:
 
 
 def _check_distance(a: Camera, b: Camera, files: list[Path]) -> None:
-    """Refuses cameras whose central rays meet too near or too far for millimetres: they have another unit."""
-    middles = [np.array([[camera.width - 1, camera.height - 1]]) / 2 for camera in (a, b)]
-    rays = [camera.rays(middle)[0] for camera, middle in zip((a, b), middles, strict=True)]
-    if np.linalg.norm(np.cross(*rays)) < _LEAST_ANGLE:
-        return
-    (met,) = triangulate_linear(a, b, *middles)
-    away = float(np.mean([np.linalg.norm(met - camera.centre_mm) for camera in (a, b)]))
-    if not _OBJECT_MM[0] <= away <= _OBJECT_MM[1]:
+    """Refuses cameras of another unit than millimetres, with what their files say of it."""
+    try:
+        require_millimetres(a, b)
+    except ValueError as error:
         unit = "a .txt file is read in cm" if files[0].suffix.lower() == ".txt" else "without world_unit it is mm"
         raise ValueError(
-            f"{files[0]} and {files[1].name}: the views meet {away:.4g} mm from the X-ray sources, expected "
-            f"{_OBJECT_MM[0]:g} to {_OBJECT_MM[1]:g} mm: is the unit of length another one ({unit})? "
-            "write the cameras as .yaml with world_unit: mm, cm or m"
-        )
+            f"{files[0]} and {files[1].name}: {error} ({unit}); write the cameras as .yaml with world_unit: mm, cm or m"
+        ) from None
 
 
 def _camera_files(folder: Path) -> list[tuple[str, dict[str, Path]]]:

@@ -36,6 +36,30 @@ def triangulate_linear(camera_a: Camera, camera_b: Camera, points_a: ArrayLike, 
     return np.asarray(np.linalg.solve(normal, right)[..., 0])
 
 
+_OBJECT_MM = (150.0, 3500.0)  # from an X-ray source to what both see: 500 to 1200 mm in a C-arm
+_LEAST_ANGLE = 0.1  # sine of the angle between central rays that tells where they meet
+
+
+def require_millimetres(camera_a: Camera, camera_b: Camera) -> None:
+    """Refuses cameras whose central rays meet too near or too far for millimetres.
+
+    Raises:
+        ValueError: they have another unit.
+    """
+    cameras = (camera_a, camera_b)
+    middles = [np.array([[camera.width - 1, camera.height - 1]]) / 2 for camera in cameras]
+    rays = [camera.rays(middle)[0] for camera, middle in zip(cameras, middles, strict=True)]
+    if np.linalg.norm(np.cross(*rays)) < _LEAST_ANGLE:
+        return
+    (met,) = triangulate_linear(camera_a, camera_b, *middles)
+    away = float(np.mean([np.linalg.norm(met - camera.centre_mm) for camera in cameras]))
+    if not _OBJECT_MM[0] <= away <= _OBJECT_MM[1]:
+        raise ValueError(
+            f"the views meet {away:.4g} mm from the X-ray sources, expected {_OBJECT_MM[0]:g} to {_OBJECT_MM[1]:g} mm: "
+            "is the cameras' unit of length another one?"
+        )
+
+
 def triangulate(
     camera_a: Camera, camera_b: Camera, points_a: ArrayLike, points_b: ArrayLike, iterations: int = 3
 ) -> Array:

@@ -12,7 +12,7 @@ from guide3d.geometry.bspline import BSplineCurve, fit_bspline
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.epipolar import EpipolarGeometry
 from guide3d.geometry.polyline import Array, arc_length, checked, distances_to, resample
-from guide3d.geometry.triangulation import calibration_covariance, point_covariance, triangulate
+from guide3d.geometry.triangulation import calibration_covariance, point_covariance, require_millimetres, triangulate
 from guide3d.reconstruction.curve_fitting import CurveFitSettings, fit_curve, smoothed
 from guide3d.reconstruction.matching import (
     Match,
@@ -116,9 +116,11 @@ def reconstruct(
         points_a, points_b: (n, 2) and (m, 2) undistorted px annotated in A and B, tip first.
 
     Raises:
-        ValueError: an annotation of fewer than two points or outside its image, or two that have nothing in common.
+        ValueError: an annotation of fewer than two points or outside its image, two that have nothing in common, or
+            cameras of another unit than mm.
     """
     chosen = settings or ReconstructionSettings()
+    require_millimetres(camera_a, camera_b)
     geometry = EpipolarGeometry(camera_a, camera_b)
     annotations, curves = _read_in(geometry, (points_a, points_b), chosen)
     match = match_curves(geometry, curves[0], curves[1], chosen.matching)

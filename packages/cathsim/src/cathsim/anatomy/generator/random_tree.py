@@ -27,6 +27,7 @@ MM = 1e-3
 SIDES = {"left": 1.0, "right": -1.0}  # sign of x
 ARCHES = {"I": 0.45, "II": 0.3, "V": 0.15, "VII": 0.1}  # shares of the arches' types
 ARCH_VERTEBRAL = 0.15  # share of left vertebral arteries that leave the arch
+NARROWEST = 1.25e-3  # m: what a grid of 1 mm resolves; drawn radii seldom lie below it
 LEAST_WALL = 0.8e-3  # m between lumens of vessels that do not meet
 _ATTEMPTS = 100
 _STREAM = 23  # of the random numbers
@@ -56,7 +57,8 @@ def build_random_tree(recipe: RandomTree) -> VesselTree:
                 continue
         except ValueError:  # a branch does not leave its parent
             continue
-        return tree.centred()
+        wide = (replace(branch, radius=np.maximum(branch.radius, NARROWEST)) for branch in tree)
+        return VesselTree(tuple(wide)).centred()
     raise RuntimeError(f"no tree in {_ATTEMPTS} draws; the ranges do not fit together")
 
 
