@@ -343,8 +343,12 @@ def test_its_actions_are_those_of_the_policy_in_another_range_too(tmp_path: Path
     with pytest.raises(ValueError, match="action is not finite"):
         OnnxPolicy(file).act({key: np.full_like(value, np.nan) if value.dtype.kind == "f" else value
                               for key, value in observation.items()})  # fmt: skip
-    for key, value in (("action_repeat", "0"), ("action_repeat", "x"), ("action_low", "[NaN, -2]"),
-                       ("action_low", "[3, 3]"), ("action_high", "[" * 5000), ("action_high", "[2, 2, 2]")):  # fmt: skip
+    wrong = {
+        "action_repeat": ("0", "x"),
+        "action_low": ("[NaN, -2]", "[3, 3]"),
+        "action_high": ("[" * 5000, "[2, 2, 2]"),
+    }
+    for key, value in ((key, value) for key, values in wrong.items() for value in values):
         model = onnx.load(file)
         next(one for one in model.metadata_props if one.key == key).value = value
         onnx.save(model, tmp_path / "other.onnx")

@@ -128,7 +128,7 @@ class Guidewire:
         return curvature if distance.ndim else complex(curvature)
 
     def scaled(self, length: float) -> Guidewire:
-        """The same wire made `length` (m) long by adding or dropping links at the proximal end."""
+        """The same wire, at least `length` (m) long, with whole links added or dropped at the proximal end."""
         length = quantity("the length of a guidewire", length, Annotated[float, Interval(gt=0, le=LONGEST), Unit("m")])
         links, shaft = list(self.links), self.links[0]
         while sum(links) < length - 1e-9:
