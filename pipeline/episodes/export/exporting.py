@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import shutil
@@ -24,6 +25,7 @@ WRITERS: dict[str, Callable[[Path, Any, str], Any]] = {
     "minari": MinariWriter,
     "hdf5": Hdf5Writer,
 }
+_ROOM = 4  # sizes of a compressed log that its export takes at most
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_]*(-[A-Za-z0-9_]+)*")
 
 
@@ -91,6 +93,9 @@ def export_logs(
     try:
         with _whole_folder(destination) as temporary, WRITERS[kind](temporary, layout, name) as writer:
             for path in tqdm(logs, desc=f"export to {kind}", unit="episode", disable=None):
+                # before it is written: HDF5's library crashes on a full disk
+                if shutil.disk_usage(temporary).free < _ROOM * path.stat().st_size + 2**20:
+                    raise OSError(errno.ENOSPC, "no room is left")
                 with open_episode(path, layout) as episode:
                     writer.add(episode)
                     steps += episode.steps

@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -31,6 +32,16 @@ def test_an_interrupted_export_leaves_nothing(
     assert main(["export", str(wire_logs), "--to", kind, "--output", str(destination)]) == 130
     assert "interrupted: nothing was left" in capsys.readouterr().err
     assert len(added) == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["minari", "hdf5"])
+def test_a_full_disk_is_told_before_an_episode_is_written(
+    kind: str, wire_logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=2**20))
+    with pytest.raises(ExportError, match="no room is left; nothing was left there"):
+        export_logs(wire_logs, kind, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 
 
