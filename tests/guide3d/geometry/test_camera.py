@@ -142,6 +142,9 @@ def test_a_camera_refuses_what_is_none(camera):
         Camera(camera.K, -camera.R, camera.t_mm, 10, 10)
     with pytest.raises(ValueError, match=r"t_mm should be \(3,\)"):
         Camera(camera.K, camera.R, np.zeros(2), 10, 10)
+    for covariance in (-np.eye(11), np.triu(np.ones((11, 11)))):
+        with pytest.raises(ValueError, match="covariance should be symmetric without a negative variance"):
+            Camera(camera.K, camera.R, camera.t_mm, 10, 10, covariance=covariance)
     with pytest.raises(ValueError, match=r"expected points of shape \(\.\.\., 3\)"):
         camera.project(np.zeros((3, 2)))
     with pytest.raises(ValueError, match="expected a unit among mm, cm, m"):

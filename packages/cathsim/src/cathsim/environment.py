@@ -272,7 +272,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         options = dict(options or {})
         start, target = options.pop("start", None), options.pop("target", None)
         if options:
-            raise ValueError(f"reset knows no option {', '.join(sorted(options))}; there are start, target")
+            raise ValueError(f"reset knows no option {', '.join(map(str, options))}; there are start, target")
         task = self._own_task if target is None else dataclasses.replace(self._own_task, target=target)
         if task != self._task:
             self._set_task(task)

@@ -50,6 +50,15 @@ class Camera:
             value = value.copy()
             value.flags.writeable = False
             object.__setattr__(self, field, value)
+        spread = self.covariance
+        if spread is not None:
+            # each variance on its own scale: angles beside pixels
+            scale = np.sqrt(np.maximum(np.diag(spread), 1e-300))
+            relative = spread / scale[:, None] / scale
+            if np.diag(spread).min() < 0 or abs(relative - relative.T).max() > 1e-6 or (
+                np.linalg.eigvalsh(relative).min() < -1e-6
+            ):  # fmt: skip
+                raise ValueError(f"{self._who()}: covariance should be symmetric without a negative variance")
         triangular = abs(self.K[2] - [0.0, 0.0, 1.0]).max() <= 1e-9 and abs(self.K[1, 0]) <= 1e-9
         if not triangular or min(self.K[0, 0], self.K[1, 1]) <= 0:
             raise ValueError(
