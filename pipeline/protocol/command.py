@@ -56,11 +56,14 @@ def main(arguments: list[str]) -> int:
             say("\n".join(map(str, render(options.to))) or "no table changed")
             return _FINE
         os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers are as many as there are to be
-        from pipeline.protocol.run import measure
+        from pipeline.protocol.run import measure, require_data
 
         if not options.claims:
             say("measuring all claims, which may take hours: --list shows them, to name some", error=True)
-        for name in options.claims or protocol.claims:
+        chosen = options.claims or list(protocol.claims)
+        for name in chosen:
+            require_data(protocol.claims[name])
+        for name in chosen:
             result = measure(name, protocol, options.to, seeds=options.seeds, workers=options.workers, tell=_tell)
             say(_line(name, result["summary"]))
     except (ConfigurationError, OSError, ValueError, BrokenExecutor) as error:

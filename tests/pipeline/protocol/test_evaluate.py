@@ -233,6 +233,16 @@ def test_data_that_are_not_here_and_files_that_are_refused_are_said(
     assert navigation.files(claim) == dict.fromkeys(("box/box.stl", "tube/tube.stl"), NO_VESSEL)
 
 
+def test_data_that_a_later_claim_lacks_are_told_before_the_first_is_played(
+    protocol: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    protocol.write_text(f"{SCENES}  pairs: {{kind: real_xray, title: T, limits: L, sizes: [1]}}\n")
+    assert _evaluate(protocol) == 2
+    assert "stereo_pairs.json is missing: it is not public" in capsys.readouterr().err
+    assert not (protocol.parent / "results").exists()
+
+
 def steer(protocol: Path, where: str, *policies: str) -> None:
     """Makes a protocol one of policies that navigate."""
     claim = f"kind: navigation, title: T, limits: L, first: 690000, targets: [bca], {where}"
