@@ -272,3 +272,14 @@ def test_joints_have_the_stiffness_and_damping_of_their_cell(simulation: DualSim
             hinge = model.joint(LINK_NAME.format(joint) + axis)
             assert model.jnt_stiffness[hinge.id] == pytest.approx(1 / bend, rel=2e-3)
             assert model.dof_damping[hinge.dofadr[0]] == pytest.approx(damping, rel=2e-3)
+
+
+def test_a_joint_that_is_folded_back_passes_on_a_bounded_twist(simulation: DualSimulation) -> None:
+    simulation.reset(0.14, catheter=(0.14, 0.0))
+    model, data, rod = simulation.model, simulation.data, simulation._rod
+    hinges = [model.joint(LINK_NAME.format(6) + axis).qposadr[0] for axis in "xy"]
+    data.qpos[hinges[0] - 4 : hinges[1] + 5] = 0.2
+    data.qpos[hinges] = np.pi - 1e-3, 1e-3  # there a pole was: a tree's episode ended with a state that was not finite
+    rod.place(rod.struct.lead, (2.0, -2.0))
+    rod.untwist(data)
+    assert np.abs(model.qpos_spring).max() < 3
