@@ -298,7 +298,7 @@ static void set_rest(Rod* rod, const mjData* data) {
     }
     const double tx = tan(0.5 * bend[0]), ty = tan(0.5 * bend[1]), below = 1 + tx * tx * ty * ty;
     const double by[2] = {ty * (1 + tx * tx) / below, tx * (1 + ty * ty) / below};
-    for (int k = 0; k < 2; k++) { /* more than 1 only where a joint is folded by more than a right angle; near pi it has a pole */
+    for (int k = 0; k < 2; k++) { /* beyond 1 only in a joint that is folded by more than a right angle: a pole at pi */
       const double share = by[k] > 1 ? 1 : by[k] < -1 ? -1 : by[k];
       m->qpos_spring[m->jnt_qposadr[rod->first_joint + 2 * j + k]] = rest[k] - moments[j] * share * cell->flexibility;
     }
