@@ -169,9 +169,9 @@ def recover(
 
     if destination.exists() and (not overwrite or not source.exists() or destination.samefile(source)):
         raise EpisodeWriteError(f"{destination} exists already: name another file to recover {source} into")
-    if is_being_written(source):
-        raise EpisodeReadError(f"{source} cannot be recovered: a writer is at work on it; wait until it ends")
     with mapped(source) as (fd, data), closing(scan.likely_records(data)) as likely:
+        if is_being_written(source):
+            raise EpisodeReadError(f"{source} cannot be recovered: a writer is at work on it; wait until it ends")
         try:
             findings = _examine(data, likely)
         except ContainerError as error:

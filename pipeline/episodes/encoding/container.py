@@ -231,7 +231,7 @@ class McapFile:
 def is_being_written(path: Path) -> bool:
     """Whether an `McapFile` of this or another process has the file open."""
     try:
-        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)  # of a pipe, too
     except OSError:
         return False
     try:

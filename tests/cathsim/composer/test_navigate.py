@@ -205,7 +205,7 @@ def test_a_reward_of_ones_own_is_given_what_navigate_env_gives(make_composer: Ma
         ({"target": "coronary"}, "unknown target 'coronary'"),
         ({"actions": "tip"}, "unknown actions 'tip'"),
         ({"entry": "radial"}, "unknown entry 'radial'"),
-        ({"numerics": "exact"}, "unknown accuracy 'exact'"),
+        ({"numerics": "exact"}, "unknown numerics 'exact'"),
         ({"wire": load_guidewire("default").scaled(0.12)}, "the wire of 120 mm is too short"),
         ({"colour": "red"}, "no argument colour"),
         ({"catheter": "vertebral", "actions": "tip_motors"}, "without tip motors"),
