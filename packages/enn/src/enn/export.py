@@ -94,8 +94,8 @@ class OnnxPolicy:
         try:
             self.action_repeat = int(metadata.get(_REPEAT, 1))
             self._low, self._high = (np.asarray(json.loads(bound), np.float32) for bound in bounds)
-            fit = self.action_repeat >= 1 and np.isfinite([self._low, self._high]).all()
-            fit = fit and bool((self._low < self._high).all())
+            finite = bool(np.isfinite([self._low, self._high]).all())
+            fit = self.action_repeat >= 1 and finite and bool((self._low < self._high).all())
         except (ValueError, TypeError, RecursionError):  # no number, other lengths, nested too deep
             fit = False
         if not fit:
