@@ -330,12 +330,16 @@ class EpisodeWriter:
         if self._state != "open":
             return
         self._state = "abandoned"
+        ours = self._file.closed or self._file.in_place  # the partial file is not another's by now
         try:
             if not self._file.closed:
                 self._flush()
         except OSError as error:
             logger.warning("%s", self._write_error(error))
         self._file.close()
+        if not ours:
+            logger.warning("%s was removed or replaced while it was written: its steps are lost", self.partial)
+            return
         if not self.steps_recorded:
             self.partial.unlink(missing_ok=True)  # it holds no step, and would only be in the way of the next try
             return

@@ -317,6 +317,11 @@ def test_what_came_in_the_place_of_a_log_meanwhile_stays(episode, tmp_path):
     recover(partial, path)
     with EpisodeReader(path) as reader:
         assert len(reader) == 23
+    empty = episode.writer(tmp_path / "empty.mcap")
+    empty.partial.rename(tmp_path / "moved")
+    empty.partial.write_bytes(b"another's")
+    empty.abandon()
+    assert empty.partial.read_bytes() == b"another's"
 
 
 def test_failed_recovery_leaves_nothing(episode, tmp_path, monkeypatch):
