@@ -159,8 +159,6 @@ class StartingPolicySettings:
 _ELSEWHERE = (
     "algorithm",
     "keys",
-    "critic_keys",
-    "passthrough",
     "decisions",
     "device",
     "logger",

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from enn.networks.features import MultimodalExtractor as MultimodalExtractor
     from enn.networks.features import layer_table as layer_table
     from enn.networks.observation_spaces import modality_keys as modality_keys
-    from enn.networks.policies import AsymmetricSACPolicy as AsymmetricSACPolicy
     from enn.policy import Policy as Policy
     from enn.reinforcement.encoded import EncodedEnvs as EncodedEnvs
     from enn.reinforcement.training import Training as Training
@@ -34,7 +33,6 @@ __getattr__, __dir__, __all__ = lazy_names(
     {
         "encoder": "Encoder EncoderSettings Samples fit_encoder scripted_samples",
         "networks.features": "MultimodalExtractor layer_table",
-        "networks.policies": "AsymmetricSACPolicy",
         "networks.observation_spaces": "modality_keys",
         "policy": "Policy",
         "reinforcement.encoded": "EncodedEnvs",

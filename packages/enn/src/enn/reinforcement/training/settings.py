@@ -23,7 +23,6 @@ class TrainingSettings(NetworkSettings):
     One decision is one action of one environment, held for `action_repeat` steps.
     """
 
-    passthrough: tuple[str, ...] = ()  # observations beside the encoder's features
     # fits mean and scale of vector observations to the first decisions; never with an encoder, whose features are
     # normalised
     normalise: bool = True
