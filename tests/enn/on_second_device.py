@@ -24,7 +24,8 @@ from enn.imitation.sequence_cloning import clone_sequences
 from enn.networks.devices import device_of, on_cpu
 from enn.networks.encoder_network import Encoder
 from enn.policy import Policy
-from enn.reinforcement.training import DESK_PPO, THESIS_SAC, Training, TrainingSettings
+from enn.reinforcement.training.settings import DESK_PPO, THESIS_SAC, TrainingSettings
+from enn.reinforcement.training.training import Training
 from enn.trajectory import Trajectory
 from tests.enn.imitation.drawn_point import DrawnPoint, expert
 from tests.enn.imitation.straight_wire import CLONING, WireEnv, advised, policy_on, vessels

@@ -16,7 +16,7 @@ from pipeline.store.provenance import hash_file
 from pipeline.task import DeviceSettings
 
 if TYPE_CHECKING:
-    from enn.reinforcement import TrainingSettings
+    from enn.reinforcement.training.settings import TrainingSettings
 
 
 # What forces are predicted from: the image alone, the same without the loss on features, three images, and more.

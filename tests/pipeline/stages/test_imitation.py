@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from enn.force import FORCE_INPUTS as KNOWN
+from enn.force.samples import FORCE_INPUTS as KNOWN
 from pipeline.episodes import EpisodeReader
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.jobs.worker import Report

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from enn.networks.observation_spaces import modality_keys as modality_keys
     from enn.policy import Policy as Policy
     from enn.reinforcement.encoded import EncodedEnvs as EncodedEnvs
-    from enn.reinforcement.training import Training as Training
     from enn.reinforcement.training.settings import TrainingSettings as TrainingSettings
+    from enn.reinforcement.training.training import Training as Training
     from enn.shipped import load as load
     from enn.shipped import models as models
     from enn.trajectory import Trajectory as Trajectory
@@ -36,7 +36,7 @@ __getattr__, __dir__, __all__ = lazy_names(
         "networks.observation_spaces": "modality_keys",
         "policy": "Policy",
         "reinforcement.encoded": "EncodedEnvs",
-        "reinforcement.training": "Training",
+        "reinforcement.training.training": "Training",
         "reinforcement.training.settings": "TrainingSettings",
         "shipped": "load models",
         "trajectory": "Trajectory",

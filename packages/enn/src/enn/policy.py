@@ -160,7 +160,7 @@ class Policy:
 
         Args:
             critics: with SAC's critics and their targets, which a training needs to start from the file
-                (`enn.reinforcement.training.Training(initial=…)`); acting does not need them.
+                (`enn.Training(initial=…)`); acting does not need them.
             half: weights in half precision, as some are shipped: half the size.
             half_critics: those of the critics alone, so that it acts as before.
 

@@ -16,18 +16,16 @@ from enn.reinforcement.checkpoint import CheckpointError
 from enn.reinforcement.evaluation import run_episodes
 from enn.reinforcement.replay import demonstration_replay
 from enn.reinforcement.soft_actor_critic import SacLearner
-from enn.reinforcement.training import (
+from enn.reinforcement.training.result import COLUMNS, Progress, TrainingResult
+from enn.reinforcement.training.settings import (
     DESK_PPO,
     THESIS_PPO,
     THESIS_SAC,
     PpoSettings,
-    Progress,
     SacSettings,
-    Training,
     TrainingSettings,
 )
-from enn.reinforcement.training.result import COLUMNS, TrainingResult
-from enn.reinforcement.training.training import TrainingRun
+from enn.reinforcement.training.training import Training, TrainingRun
 from enn.reinforcement.vector_envs import SampledEnvs
 from tests.enn.conftest import PointEnv
 from tests.enn.event_scalars import scalars
