@@ -96,7 +96,7 @@ def _shape(
         spherical = SphericalForm.fit(learnt, recipe.step_mm, cumulative=recipe.cumulative)
     objective = ShapeObjective(
         PictureStore(data.frames, CAMERA, recipe.preprocessing, pictures), clips, training, walks, positions,
-        form=spherical, loss=recipe.loss, camera=data.camera_a, augmentation=recipe.augmentation,
+        form=spherical, loss=recipe.loss, augmentation=recipe.augmentation,
         anchor=recipe.size.anchor,
     )  # fmt: skip
     torch.manual_seed(seed)
@@ -112,7 +112,7 @@ def _fgrn(data: Dataset, split: Split, recipe: FGRNRecipe, pictures: Path | None
     points = max(len(walks[index]) for index in np.unique(clips.targets[:training]))
     objective = ShapeObjective(
         PictureStore(data.frames, CAMERA, recipe.preprocessing, pictures), clips, training, walks, points,
-        camera=data.camera_a, augmentation=recipe.augmentation, spacing_mm=recipe.spacing_mm,
+        augmentation=recipe.augmentation, spacing_mm=recipe.spacing_mm,
     )  # fmt: skip
     torch.manual_seed(seed)
     network = FGRN(points=points, **recipe.sizes)
