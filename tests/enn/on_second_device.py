@@ -103,7 +103,7 @@ def _episodes(count: int = 3) -> tuple[Trajectory, ...]:
 
 def test_cloning_and_dagger(tmp_path: Path) -> None:
     fit = EpisodeFitSettings(epochs=1, batch_size=32, validation_share=0.4)
-    settings = dataclasses.replace(DESK_CLONING, fit=fit, shift_px=2, noise=1.0)
+    settings = dataclasses.replace(DESK_CLONING, fit=fit, shift_px=2)
     episodes, outcomes = _episodes(), {}
     features = [episode.observations["place"] for episode in episodes]
     images = {"image": episodes[0].observations["image"][:3]}

@@ -83,7 +83,7 @@ def fine_tune(
     recipe = recipe_of(variant, "desk")
     objective = SplineObjective(
         stores, list(data.curves), places[~data.held_out], places[data.held_out], predictor.network,
-        augmentation=recipe.augmentation, weights=recipe.weights,
+        augmentation=recipe.augmentation,
     )  # fmt: skip
     outcome: dict[str, Any] = {f"{name}_before": value for name, value in errors(predictor, data).items()}
     settings = replace(recipe.fit, epochs=epochs, learning_rate=_LEARNING_RATE)

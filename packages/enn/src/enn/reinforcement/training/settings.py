@@ -107,7 +107,6 @@ class SacSettings(TrainingSettings):
     # decisions
     overlap: bool = False
     gradient_steps: Annotated[float, Interval(ge=0, le=1e4)] = 1.0  # updates a decision; may be a fraction
-    actor_every: Count = 1  # updates of the critic for one of the actor and of the entropy's weight
     tau: Annotated[float, Interval(gt=0, le=1)] = 0.005  # share of the new weights in the target critic
     ent_coef: str | Weight = "auto_0.05"  # weight of the entropy; "auto" or "auto_0.05" learns it, from 1 or 0.05
     # that "auto" aims at; None: minus the number of actions. A fixed weight has none.
