@@ -29,7 +29,8 @@ from stable_baselines3.common.buffers import DictReplayBuffer
 from enn.reinforcement.replay import ReplayBuffer, nbytes_needed
 from enn.reinforcement.soft_actor_critic import SacLearner
 from enn.reinforcement.start_state_buffer import StartStateBuffer
-from enn.reinforcement.training import DESK_SAC, Training
+from enn.reinforcement.training.settings import DESK_SAC
+from enn.reinforcement.training.training import Training
 from enn.reinforcement.vector_envs import SampledEnvs
 
 FEATURES = 64

@@ -34,7 +34,7 @@ from pipeline.tables import Results
 from pipeline.task import FEEDER, observed
 
 if TYPE_CHECKING:
-    from enn.reinforcement import TrainingSettings
+    from enn.reinforcement.training.settings import TrainingSettings
 
 
 FOLLOWER = "follower.pt"
@@ -128,8 +128,7 @@ def check_baselines(settings: BaselinesSettings) -> None:
 
 def training_settings(settings: BaselinesSettings, algorithm: str, observation: str) -> TrainingSettings:
     """Hyper-parameters of a row of the table: "ppo" or "sac" on "internal", "image" or "sequential"."""
-    from enn.reinforcement import DESK_PPO, DESK_SAC
-    from enn.reinforcement.training.settings import thesis_baseline
+    from enn.reinforcement.training.settings import DESK_PPO, DESK_SAC, thesis_baseline
 
     ppo = algorithm == "ppo"
     preset: TrainingSettings = DESK_PPO if ppo else DESK_SAC

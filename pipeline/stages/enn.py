@@ -25,7 +25,7 @@ from pipeline.tables import Results
 from pipeline.task import number_of_actions, observed
 
 if TYPE_CHECKING:
-    from enn.reinforcement import TrainingSettings
+    from enn.reinforcement.training.settings import TrainingSettings
 
 # The thesis's table of training times has names of its own for the sets.
 TRAINING_TIME_ROWS = {"V": "image", "V+M": "image_mask", "I": "internal", "I+V": "internal_image", "I+V+M": "enn"}
@@ -99,8 +99,7 @@ def training_settings(settings: EnnSettings, decisions: int, keys: tuple[str, ..
 
     The desk's policies of a wire in a catheter are chosen by 20 episodes instead of 10.
     """
-    from enn.reinforcement import DESK_PPO, DESK_SAC
-    from enn.reinforcement.training.settings import THESIS_PPO, THESIS_SAC
+    from enn.reinforcement.training.settings import DESK_PPO, DESK_SAC, THESIS_PPO, THESIS_SAC
 
     desk, thesis = (DESK_SAC, THESIS_SAC) if settings.algorithm == "sac" else (DESK_PPO, THESIS_PPO)
     preset: TrainingSettings = thesis if settings.variant == THESIS else desk
@@ -147,7 +146,7 @@ def architecture() -> dict[str, dict[str, Any]]:
 
 def hyperparameters(settings: EnnSettings) -> dict[str, dict[str, Any]]:
     """What SAC was run with, in the thesis's table; nothing where PPO was run."""
-    from enn.reinforcement import SacSettings
+    from enn.reinforcement.training.settings import SacSettings
 
     used = training_settings(settings, settings.decisions)
     if not isinstance(used, SacSettings):

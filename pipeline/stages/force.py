@@ -66,7 +66,7 @@ def run_force(settings: ForceSettings, context: StageContext) -> Results:
 
 def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], list[Job], list[Job]]:
     """The recordings, a target each, then the fits and the estimates from the logged shape, which wait for them."""
-    from enn.force import force_preset
+    from enn.force.prediction import force_preset
     from enn.imitation.dagger import DisturbanceSettings
 
     steps = int(max(settings.samples[-1] * _MORE_STEPS, settings.test_samples * TEST_EVERY)) // len(settings.targets)

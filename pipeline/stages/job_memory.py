@@ -17,7 +17,7 @@ from pipeline.task import DESCENDING
 if TYPE_CHECKING:
     import gymnasium
 
-    from enn.reinforcement.training import TrainingSettings
+    from enn.reinforcement.training.settings import TrainingSettings
 
 
 _GB = 1e9

@@ -24,7 +24,8 @@ from enn.imitation.sequence_cloning import clone_sequences
 from enn.networks.devices import device_of, on_cpu
 from enn.networks.encoder_network import Encoder
 from enn.policy import Policy
-from enn.reinforcement.training import DESK_PPO, THESIS_SAC, Training, TrainingSettings
+from enn.reinforcement.training.settings import DESK_PPO, THESIS_SAC, TrainingSettings
+from enn.reinforcement.training.training import Training
 from enn.trajectory import Trajectory
 from tests.enn.imitation.drawn_point import DrawnPoint, expert
 from tests.enn.imitation.straight_wire import CLONING, WireEnv, advised, policy_on, vessels
@@ -102,7 +103,7 @@ def _episodes(count: int = 3) -> tuple[Trajectory, ...]:
 
 def test_cloning_and_dagger(tmp_path: Path) -> None:
     fit = EpisodeFitSettings(epochs=1, batch_size=32, validation_share=0.4)
-    settings = dataclasses.replace(DESK_CLONING, fit=fit, shift_px=2, noise=1.0)
+    settings = dataclasses.replace(DESK_CLONING, fit=fit, shift_px=2)
     episodes, outcomes = _episodes(), {}
     features = [episode.observations["place"] for episode in episodes]
     images = {"image": episodes[0].observations["image"][:3]}

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 import enn
+from enn.model_file import decoded, encoded
 from enn.networks.devices import bfloat16_on_processor
 from enn.networks.network import NetworkSettings, build_network
 from enn.networks.normalisation import fit_normalisation
@@ -121,6 +122,18 @@ def test_products_are_bfloat16_where_the_processor_has_it(
     found.float().sum().backward()
     assert layer.weight.dtype == layer.weight.grad.dtype == torch.float32
     assert layer(torch.zeros(2, 1, 8, 8)).dtype == torch.float32  # outside
+
+
+def test_a_file_of_a_network_that_there_is_no_more_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "policy.pt"
+    _policy().save(path)
+    content = decoded(path.read_bytes())
+    content["network"] |= {"critic_keys": (), "shared": ""}  # as earlier versions wrote them
+    path.write_bytes(encoded(content | {"passthrough": []}))
+    np.testing.assert_array_equal(Policy.load(path).act_batch(_batch(3)), _policy().act_batch(_batch(3)))
+    path.write_bytes(encoded(content | {"passthrough": ["tip"]}))
+    with pytest.raises(ValueError, match=r"another architecture .*networks with passthrough are gone"):
+        Policy.load(path)
 
 
 def test_a_single_box(tmp_path: Path) -> None:

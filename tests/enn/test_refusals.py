@@ -48,7 +48,7 @@ REFUSED: list[tuple[Callable[[], object], str]] = [
         (lambda n=n: NetworkSettings(**{n: "other"}), f"unknown {n} 'other'; there are")
         for n in ("variant", "algorithm")
     ),
-    (lambda: NetworkSettings(algorithm="ppo", critic_keys=("tip",)), "leave critic_keys and critic_layer_norm out"),
+    (lambda: NetworkSettings(algorithm="ppo", critic_layer_norm=True), "leave critic_layer_norm out with ppo"),
     (lambda: build_network(NetworkSettings(), IMAGES, ACTIONS), "image is an image: give it an encoder, or a network"),
     (lambda: cases_of(gymnasium.make("CartPole-v1")), "a rehearsal needs an environment with cases"),
     (

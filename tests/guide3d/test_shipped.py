@@ -147,8 +147,7 @@ def test_a_wrong_bit_of_a_distortion_is_refused_or_changes_nothing(tmp_path: Pat
         else:
             assert np.array_equal(there.raw_px, grid + 0.5)
             assert np.array_equal(there.ideal_px, grid)
-            assert (there.width, there.height, there.neighbours, there.spans) == (64, 64, 25, 24)
-            assert there.method == "local weighted mean"
+            assert (there.width, there.height) == (64, 64)
     assert refused > 100
 
 

@@ -81,7 +81,7 @@ USES = [
     ),
     ("cathsim[volumes]", "nibabel", "import cathsim; cathsim.import_anatomy('labels.nii.gz')"),
     ("cathsim[volumes]", "nrrd", "import cathsim; cathsim.import_anatomy('labels.nrrd')"),
-    ("guide3d[dicom]", "pydicom", "from guide3d.dicom import read_xray; read_xray('run.dcm')"),
+    ("guide3d[dicom]", "pydicom", "from guide3d.dicom.run_folder import read_xray; read_xray('run.dcm')"),
     ("guide3d[learning]", "torch", "import guide3d, numpy; guide3d.read(numpy.eye(256))"),
     ("guide3d[learning]", "torch", "import guide3d; guide3d.load('reader')"),
     ("guide3d[learning]", "torch", "import guide3d.train"),

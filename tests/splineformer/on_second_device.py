@@ -57,7 +57,7 @@ def test_the_network_is_trained_further_on_another_device(variant: str, tmp_path
             network = Predictor(perception_network(variant).network, source_px=256, device=place).network
             objective = SplineObjective(
                 [_Drawn()], curves, np.arange(2), np.arange(2, 4), network,
-                augmentation=recipe.augmentation, weights=recipe.weights,
+                augmentation=recipe.augmentation,
             )  # fmt: skip
             ranks = Ranks(0, 1, torch.device(place))
             report = fit(network, objective, settings, folder=tmp_path / place[:3], seed=1, ranks=ranks)

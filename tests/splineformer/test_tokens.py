@@ -12,7 +12,6 @@ from splineformer.image_input import pixels_of_shares
 from splineformer.map_picture import map_picture
 from splineformer.modeling.curve_network import CurveBatch, ImageKind
 from splineformer.tokens import (
-    TokenSettings,
     curve_of_tokens,
     round_trip_px,
     tokens_of_curve,
@@ -46,8 +45,6 @@ def test_what_is_no_token_sequence(tokens: np.ndarray, message: str) -> None:
 def test_what_is_no_curve() -> None:
     with pytest.raises(ValueError, match="at least 2 different points"):
         tokens_of_polyline([[3, 3], [3, 3]])
-    with pytest.raises(ValueError, match="limit must be greater than or equal to 4, got 3"):
-        TokenSettings(limit=3)
     line = BSplineCurve(np.array([0.0, 0, 1, 1]), np.array([[0.0, 0], [1, 1]]), 1)
     with pytest.raises(ValueError, match="expected a cubic"):
         tokens_of_curve(line)

@@ -23,7 +23,8 @@ from pipeline.store.errors import stopping_the_stage
 
 if TYPE_CHECKING:
     from enn.fitting import EpisodeFitProgress
-    from enn.force import ForcePredictionSettings, ForceSamples
+    from enn.force.prediction import ForcePredictionSettings
+    from enn.force.samples import ForceSamples
     from enn.imitation.dagger import DisturbanceSettings
     from enn.trajectory import Trajectory
 
@@ -85,9 +86,10 @@ def record_disturbed(job: RecordingJob, report: Report) -> dict[str, Any]:
 
 
 def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
-    """Fits a network and tests it on other episodes: `enn.force.evaluate_predictor`, ``samples``, times, ``loss``."""
+    """Fits a network and tests it on other episodes: `evaluate_predictor`, ``samples``, times, ``loss``."""
     from enn.fitting import FitError
-    from enn.force import evaluate_predictor, fit_force
+    from enn.force.evaluation import evaluate_predictor
+    from enn.force.prediction import fit_force
 
     record = job.folder / RECORD
     if record.is_file() and (job.folder / PREDICTOR).is_file():
@@ -118,8 +120,7 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
 
 def samples_of(job: ForceJob, device: str = "cpu") -> tuple[ForceSamples, ForceSamples]:
     """The samples of a fit to learn from, with the features to match, and those to test on."""
-    from enn.force import FORCE_INPUTS
-    from enn.force.samples import training_and_test_samples
+    from enn.force.samples import FORCE_INPUTS, training_and_test_samples
 
     groups = [read_episodes(sorted(folder.glob("*.mcap"))) for folder in job.logs]
     inputs = FORCE_INPUTS[job.inputs]
@@ -148,7 +149,7 @@ class ShapeForceJob:
 
 def forces_from_shape(job: ShapeForceJob, report: Report) -> dict[str, Any]:
     """Estimates test frames' resultant contact forces from the wire's points and feeder; refused curves have none."""
-    from enn.force import score
+    from enn.force.evaluation import score
 
     record = job.folder / RECORD
     if record.is_file():

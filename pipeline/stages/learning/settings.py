@@ -16,11 +16,11 @@ from pipeline.store.provenance import hash_file
 from pipeline.task import DeviceSettings
 
 if TYPE_CHECKING:
-    from enn.reinforcement import TrainingSettings
+    from enn.reinforcement.training.settings import TrainingSettings
 
 
-# What forces are predicted from: the image alone, the same without the loss on features, three images, and more.
-FORCE_INPUTS = ("V", "V_plain", "V3", "V+M", "I+V", "I+V_action", "I")
+# What forces are predicted from: the image alone, the same without the loss on features, and more.
+FORCE_INPUTS = ("V", "V_plain", "V+M", "I+V", "I")
 BASELINE_OBSERVATIONS = ("internal", "image", "sequential")
 
 _Variant = Annotated[str, kinds.one_of("desk", "thesis")]
@@ -159,8 +159,6 @@ class StartingPolicySettings:
 _ELSEWHERE = (
     "algorithm",
     "keys",
-    "critic_keys",
-    "passthrough",
     "decisions",
     "device",
     "logger",

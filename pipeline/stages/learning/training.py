@@ -37,7 +37,8 @@ from pipeline.task import FEEDER, TASK, require_known_task
 
 if TYPE_CHECKING:
     from cathsim import NavigateEnv
-    from enn.reinforcement import Progress, TrainingSettings
+    from enn.reinforcement.training.result import Progress
+    from enn.reinforcement.training.settings import TrainingSettings
     from enn.trajectory import Trajectory
 
 EVALUATION = "evaluation"
@@ -118,7 +119,8 @@ class PolicyTrainingJob:
 def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]:
     """Trains, evaluates on held-out seeds, and records expert episodes, each where it lacks: times and summaries."""
     from enn.encoder import Encoder
-    from enn.reinforcement import CheckpointError, Training
+    from enn.reinforcement.checkpoint import CheckpointError
+    from enn.reinforcement.training.training import Training
 
     metadata = {
         **job.origin.configuration("training"),

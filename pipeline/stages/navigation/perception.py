@@ -247,7 +247,7 @@ def load_perception(folder: Path, device: str = "cpu") -> PerceptionNetwork:
 def _wire_pictures(job: PerceptionJob, predictor: Predictor, report: Any) -> WirePictures:
     from splineformer.navigation.fine_tuning import WirePictures
 
-    file, cameras = job.folder / FRAMES, len(job.settings.cameras)
+    file = job.folder / FRAMES
     if not file.is_file():
         pictures, curves, held_out = [], [], []
         count = len(job.anatomies)
@@ -264,8 +264,8 @@ def _wire_pictures(job: PerceptionJob, predictor: Predictor, report: Any) -> Wir
         arrays = {  # camera by camera
             "pictures": np.stack(pictures, axis=1).reshape(-1, *pictures[0].shape[1:]),
             "curves": np.stack(curves, axis=1).reshape(-1, *curves[0].shape[1:]),
-            "held_out": np.tile(np.array(held_out), cameras),
+            "held_out": np.tile(np.array(held_out), len(job.settings.cameras)),
         }
         write_arrays(file, arrays)
     with np.load(file) as content:
-        return WirePictures(content["pictures"], content["curves"], content["held_out"], cameras)
+        return WirePictures(content["pictures"], content["curves"], content["held_out"])

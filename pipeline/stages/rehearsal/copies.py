@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from cathsim.rehearsal.environment import NavigateCopiesEnv
     from enn.device_trials import TrialStatistics
     from enn.reinforcement.rehearsal_rules import RehearsalRules
-    from enn.reinforcement.training import TrainingSettings
+    from enn.reinforcement.training.settings import TrainingSettings
 
 
 SCAN, COPIES = "scan", "copies"  # sets of tests, and their folders

@@ -43,7 +43,8 @@ if TYPE_CHECKING:
     from enn.policy import Policy
     from enn.reinforcement.evaluation import EvaluationResult
     from enn.reinforcement.rehearsal_rules import Turn
-    from enn.reinforcement.training import Progress, TrainingResult, TrainingSettings
+    from enn.reinforcement.training.result import Progress, TrainingResult
+    from enn.reinforcement.training.settings import TrainingSettings
     from enn.trajectory import Trajectory
 
 DEMONSTRATIONS = "demonstrations"  # folder, and first part of the jobs' names

@@ -38,7 +38,7 @@ from pipeline.task import MOTION, TASK, decision_steps, differences, task_from
 
 if TYPE_CHECKING:
     from enn.policy import Policy
-    from enn.reinforcement.training import TrainingSettings
+    from enn.reinforcement.training.settings import TrainingSettings
     from enn.trajectory import Trajectory
     from pipeline.stages.unseen.task import UnseenTask
 
@@ -282,7 +282,7 @@ def _trained(job: RoadmapJob, settings: TrainingSettings, report: Report) -> tup
     from cathsim.many_anatomies import SHELF
     from enn.policy import Policy
     from enn.reinforcement.checkpoint import CheckpointError
-    from enn.reinforcement.training import Training
+    from enn.reinforcement.training.training import Training
 
     for leftover in job.own_folder.glob(".*.tmp"):
         leftover.unlink()

@@ -100,12 +100,11 @@ def test_a_predictor_is_compared_with_the_mean_and_an_untrained_network(
 
 
 def test_a_sample_is_the_end_of_a_step_and_its_force(episodes: list[Trajectory]) -> None:
-    samples = force_samples(episodes[:2], ForceInputs(vectors=("place",), frames=3, actions=True))
+    samples = force_samples(episodes[:2], ForceInputs(vectors=("place",)))
     first = episodes[0]
     images = first.observations["image"]
-    np.testing.assert_array_equal(samples.images[0], np.concatenate((images[0], images[0], images[1])))
-    np.testing.assert_array_equal(samples.images[2], np.concatenate((images[1], images[2], images[3])))
-    np.testing.assert_allclose(samples.vectors[0], np.append(first.observations["place"][1], first.actions[0]))
+    np.testing.assert_array_equal(samples.images[2], images[3])
+    np.testing.assert_allclose(samples.vectors[0], first.observations["place"][1])
     np.testing.assert_allclose(samples.forces[: len(first)], first.forces, rtol=1e-6)
     assert (samples.episodes == np.repeat([0, 1], [len(e) for e in episodes[:2]])).all()
 

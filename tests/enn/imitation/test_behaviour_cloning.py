@@ -39,7 +39,7 @@ def test_student_reaches_the_target_from_the_image_alone(student: ClonedPolicy) 
 
 
 def test_interrupted_fit_goes_on_to_the_same_student(episodes: list[Trajectory], tmp_path: Path) -> None:
-    settings = replace(QUICK, fit=replace(QUICK.fit, epochs=4), noise=2.0)
+    settings = replace(QUICK, fit=replace(QUICK.fit, epochs=4), shift_px=2)
     straight, told = clone(episodes[:10], settings, seed=1)
 
     def stop(progress: EpisodeFitProgress) -> None:
@@ -66,7 +66,7 @@ def test_checkpoint_of_another_architecture_is_refused(episodes: list[Trajectory
     other = replace(settings, network=CloningNetworkSettings(features=64))
     with pytest.raises(FitError, match="is of another architecture: remove it to start again"):
         clone(episodes[:5], other, folder=tmp_path)
-    for shown, changed in ((episodes[1:6], settings), (episodes[:5], replace(settings, noise=3.0))):
+    for shown, changed in ((episodes[1:6], settings), (episodes[:5], replace(settings, shift_px=3))):
         with pytest.raises(FitError, match="a fit with other samples"):
             clone(shown, changed, folder=tmp_path)
 

@@ -9,7 +9,9 @@ import torch
 
 from enn.imitation.dagger import record
 from enn.policy import Policy
-from enn.reinforcement.training import DESK_SAC, Progress, Training
+from enn.reinforcement.training.result import Progress
+from enn.reinforcement.training.settings import DESK_SAC
+from enn.reinforcement.training.training import Training
 from enn.trajectory import Trajectory
 
 SMALL = dataclasses.replace(

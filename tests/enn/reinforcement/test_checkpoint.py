@@ -15,7 +15,9 @@ import pytest
 import torch
 
 from enn.reinforcement.checkpoint import CheckpointError, CheckpointFolder
-from enn.reinforcement.training import DESK_PPO, DESK_SAC, Progress, Training, TrainingSettings
+from enn.reinforcement.training.result import Progress
+from enn.reinforcement.training.settings import DESK_PPO, DESK_SAC, TrainingSettings
+from enn.reinforcement.training.training import Training
 from tests.enn.conftest import PointEnv
 from tests.enn.reinforcement.small_training import Interruption, interrupted, require_same_weights
 
@@ -99,7 +101,8 @@ ENDLESS: dict[str, Any] = {
 SCRIPT = f"""
 import dataclasses, sys
 from pathlib import Path
-from enn.reinforcement.training import DESK_SAC, Training
+from enn.reinforcement.training.settings import DESK_SAC
+from enn.reinforcement.training.training import Training
 from tests.enn.conftest import PointEnv
 settings = dataclasses.replace(DESK_SAC, **{ENDLESS!r})
 Training(settings, PointEnv, Path(sys.argv[1]), seed=0).run(lambda moment: print(moment.decisions, flush=True))

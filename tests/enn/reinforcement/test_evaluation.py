@@ -14,7 +14,7 @@ import torch
 from enn.policy import Policy
 from enn.reinforcement.evaluation import BestPolicy, EpisodeOutcome, EvaluationResult, LatestPolicy, run_episodes
 from enn.reinforcement.resources import Workers, available_bytes
-from enn.reinforcement.training import Training
+from enn.reinforcement.training.training import Training
 from tests.enn.conftest import PointEnv
 from tests.enn.reinforcement.small_training import SMALL
 

@@ -13,7 +13,8 @@ from stable_baselines3.common.logger import Logger
 from enn.networks.network import action_distribution
 from enn.reinforcement.replay import demonstration_replay
 from enn.reinforcement.soft_actor_critic import SacLearner
-from enn.reinforcement.training import DESK_PPO, Training
+from enn.reinforcement.training.settings import DESK_PPO
+from enn.reinforcement.training.training import Training
 from enn.reinforcement.vector_envs import SampledEnvs
 from tests.enn.reinforcement.small_training import SMALL, demonstrated, interrupted, require_same_weights
 

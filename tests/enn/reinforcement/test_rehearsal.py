@@ -17,7 +17,8 @@ from enn.reinforcement.rehearsal import (
     play_cases,
     rehearse,
 )
-from enn.reinforcement.training import Training, TrainingSettings
+from enn.reinforcement.training.settings import TrainingSettings
+from enn.reinforcement.training.training import Training
 from tests.enn.conftest import PointEnv
 from tests.enn.reinforcement.small_training import SMALL
 

@@ -115,16 +115,15 @@ def test_refusals_say_why(point_env: Any) -> None:
 
 def test_encoded_environments_give_features_at_every_moment() -> None:
     encoder, _ = fitted("image", "mask")
-    envs = EncodedEnvs(DummyVecEnv([Rod, Rod]), encoder, passthrough=("joints",))
+    envs = EncodedEnvs(DummyVecEnv([Rod, Rod]), encoder)
     plain = DummyVecEnv([Rod, Rod])
-    assert set(envs.observation_space.spaces) == {"features", "joints"}  # type: ignore[attr-defined]
+    assert set(envs.observation_space.spaces) == {"features"}  # type: ignore[attr-defined]
     observations, raw = envs.reset(), plain.reset()
     generator = np.random.default_rng(0)
     ends = 0
     for _ in range(31):
         assert observations["features"].shape == (2, 12)
         assert np.allclose(observations["features"], envs.encode(raw)["features"], atol=1e-5)  # type: ignore[arg-type]
-        assert np.array_equal(observations["joints"], raw["joints"])  # type: ignore[call-overload, index]
         actions = generator.uniform(-1, 1, (2, 2)).astype(np.float32)
         observations, _, dones, infos = envs.step(actions)  # type: ignore[assignment]
         raw, _, _, plain_infos = plain.step(actions)
@@ -132,7 +131,7 @@ def test_encoded_environments_give_features_at_every_moment() -> None:
             ends += 1
             last = {key: value[None] for key, value in plain_infos[index]["terminal_observation"].items()}
             expected = envs.encode(last)["features"][0]
-            assert set(infos[index]["terminal_observation"]) == {"features", "joints"}
+            assert set(infos[index]["terminal_observation"]) == {"features"}
             assert np.allclose(infos[index]["terminal_observation"]["features"], expected, atol=1e-5)
     assert ends == 2
 

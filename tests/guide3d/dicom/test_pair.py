@@ -14,9 +14,9 @@ pytest.importorskip("pydicom", reason="the extra guide3d[dicom] is not installed
 
 from guide3d import reconstruct
 from guide3d.calibration.folder import cameras_in
-from guide3d.dicom import images_and_cameras
 from guide3d.dicom.__main__ import main
 from guide3d.dicom.c_arm import camera_of, detector_axes, view_warnings
+from guide3d.dicom.pair import images_and_cameras
 from guide3d.dicom.run_folder import read_xray
 from guide3d.dicom.xray_run import XrayRun
 from tests.guide3d.dicom.written_xray import ENHANCED_XA, PATIENT, enhanced_groups, frames_of, write, xray_dataset

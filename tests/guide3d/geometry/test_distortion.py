@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from guide3d.calibration.perforated_sheet import SheetHoles, find_holes
-from guide3d.geometry.distortion import METHODS, Distortion, ideal_lattice, leave_out_errors, swirl_pattern
+from guide3d.geometry.distortion import Distortion, ideal_lattice, leave_out_errors, swirl_pattern
 from tests.guide3d.calibration.drawn_cube import DETECTORS, among_holes, drawn_sheet
 
 
@@ -27,10 +27,8 @@ def test_every_hole_is_found_where_it_is(sheet):
     assert len(holes) < 1.08 * len(true)
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_the_map_undoes_the_distortion(sheet, method):
-    _, _, holes = sheet
-    distortion = Distortion.from_holes(holes, method, spans=12)
+def test_the_map_undoes_the_distortion(sheet):
+    distortion = Distortion.from_holes(sheet[2])
     raw = np.random.default_rng(3).uniform(30, 481, size=(400, 2))
     raw = raw[among_holes(distortion, raw)]
     ours, truth = distortion.undistort_points(raw), DETECTORS["A"].undistort(raw)
@@ -41,15 +39,14 @@ def test_the_map_undoes_the_distortion(sheet, method):
     assert np.abs(ours - raw).max() > 4  # there was something to undo
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_leave_out_error_tells_noise_from_distortion(sheet, method):
+def test_leave_out_error_tells_noise_from_distortion(sheet):
     _, _, holes = sheet
-    clean = leave_out_errors(holes, method, spans=12)
+    clean = leave_out_errors(holes)
     assert clean.shape == (len(holes),)
     assert clean.mean() < 0.1
     noise = np.random.default_rng(0).normal(size=holes.centres_px.shape)
     shaken = SheetHoles(holes.centres_px + noise, holes.indices, holes.partial, 512, 512)
-    assert leave_out_errors(shaken, method, spans=12).mean() > 1.0
+    assert leave_out_errors(shaken).mean() > 1.0
 
 
 def test_the_ideal_frame_does_not_hang_on_border_holes(sheet):
@@ -94,12 +91,16 @@ def test_images_are_moved_as_points_are(sheet):
 
 
 def test_saved_maps_and_swirls(sheet, tmp_path):
-    distortion = Distortion.from_holes(sheet[2], "spline", spans=10)
+    distortion = Distortion.from_holes(sheet[2])
     distortion.save(tmp_path / "map.npz")
     points = np.array([[100.0, 200.0], [400.0, 50.0]])
     assert np.array_equal(
         Distortion.load(tmp_path / "map.npz").undistort_points(points), distortion.undistort_points(points)
     )
+    with np.load(tmp_path / "map.npz") as saved:
+        np.savez(tmp_path / "spline.npz", **{**saved, "method": "spline"})
+    with pytest.raises(ValueError, match=r"spline\.npz: .* the method spline of 25 neighbours: make the map again"):
+        Distortion.load(tmp_path / "spline.npz")
     moved = distortion.swirled(2.0).undistort_points(points) - distortion.undistort_points(points)
     assert np.abs(moved - 2.0 * swirl_pattern(distortion.undistort_points(points), 512, 512)).max() < 0.02
     assert np.allclose(swirl_pattern(np.array([511.5, 255.5]), 512, 512), [0.0, 1.0])

@@ -19,7 +19,7 @@ from guide3d.learning.network_training import train_network
 from guide3d.learning.picture_store import PictureStore, Preprocessing
 from guide3d.learning.predictor import FGRNPredictor, SegmentationPredictor, ShapePredictor
 from guide3d.learning.recipes import fgrn_recipe, segmentation_recipe, shape_recipe
-from guide3d.learning.shape_samples import ShapeAugmentation, ShapeObjective, clips_of, curve_of, sideways, walks_of
+from guide3d.learning.shape_samples import clips_of, curve_of, walks_of
 from guide3d.train import main
 from tests.guide3d.learning.drawn_data import SIDE, draw
 
@@ -161,28 +161,6 @@ def test_clips_hold_windows_in_time_order(data: Dataset) -> None:
     holes = clips_of(data, [name], walks, 3, 2)
     assert order[1] not in holes.targets
     assert order[1] in holes.frames
-
-
-def test_a_shifted_picture_moves_the_curve_with_it(data: Dataset) -> None:
-    camera = data.camera_a
-    curve = curve_of(data.frames[0])
-    moved = curve + sideways(camera, curve[0], (4.0, -3.0))
-    assert (camera.project(moved) - camera.project(curve))[0] == pytest.approx([4.0, -3.0], abs=1e-6)
-    store = PictureStore(data.frames, "a", Preprocessing(64, 128))
-    walks = walks_of(data, 2.0)
-    clips = clips_of(data, list(data.acquisitions), walks, 3, 1)
-    still = ShapeObjective(store, clips, 4, walks, 60)
-    items, drawn = np.arange(4), np.random.default_rng(1)
-    shifting = ShapeObjective(
-        store, clips, 4, walks, 60, camera=camera, augmentation=ShapeAugmentation(0.0, 0.0, shift_px=3)
-    )
-    before, after = still.batch(items, drawn), shifting.batch(items, np.random.default_rng(1))
-    shifts = np.random.default_rng(1).integers(-3, 4, (4, 2))
-    for k, (dx, dy) in enumerate(shifts):
-        tips = [camera.project(batch["points"][k, 0].numpy().astype(float)) for batch in (before, after)]
-        assert tips[1] - tips[0] == pytest.approx(2.0 * np.array([dx, dy]), abs=1e-2)
-        inner = before["pictures"][k, :, 10:50, 10:50]
-        assert torch.equal(after["pictures"][k, :, 10 + dy : 50 + dy, 10 + dx : 50 + dx], inner)
 
 
 def test_command_line_refuses_in_a_sentence(

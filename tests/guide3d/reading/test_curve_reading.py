@@ -9,9 +9,9 @@ from guide3d.geometry.polyline import distances_to
 from guide3d.opencv import cv2
 from guide3d.reading.curve_reading import read_curves
 from guide3d.reading.links import Link, bending_energy
-from guide3d.reading.path_drawing import CentrelineSettings, ProximalEndSettings, centre_line, to_border
-from guide3d.reading.path_search import SearchSettings, search
-from guide3d.reading.ridges import RidgeSettings, find_pieces
+from guide3d.reading.path_drawing import centre_line, to_border
+from guide3d.reading.path_search import search
+from guide3d.reading.ridges import find_pieces
 from tests.guide3d.reading.drawn_maps import DrawnMaps, bent, clutter, maps_of, order_error, soft_line, within
 
 ARCH = bent([(60, 0.03), (200, 0.002), (250, 0.006), (500, 0.001)], (400, 700), -2.0)
@@ -101,7 +101,7 @@ NO_CUTS = np.empty((0, 2))
 
 def test_a_line_is_one_piece_with_its_directions() -> None:
     line = np.stack([np.linspace(40, 200, 161), np.linspace(60, 60, 161)], axis=1)
-    pieces = find_pieces(soft_line((256, 256), line), NO_CUTS, RidgeSettings())
+    pieces = find_pieces(soft_line((256, 256), line), NO_CUTS)
     assert len(pieces) == 1
     assert abs(pieces.lengths[0] - 161) < 8
     order = np.argsort(pieces.ends[:, 0])
@@ -113,14 +113,14 @@ def test_a_line_is_one_piece_with_its_directions() -> None:
 def test_a_crossing_gives_four_pieces_with_joined_ends() -> None:
     shape = (256, 256)
     across = np.maximum(soft_line(shape, [[20, 128], [230, 128]]), soft_line(shape, [[128, 20], [128, 230]]))
-    pieces = find_pieces(across, NO_CUTS, RidgeSettings())
+    pieces = find_pieces(across, NO_CUTS)
     assert len(pieces) == 4
     assert pieces.joined.reshape(-1, 2).sum(axis=1).tolist() == [1, 1, 1, 1]
 
 
 def test_a_tip_on_a_wire_cuts_it() -> None:
     line = soft_line((256, 256), [[20, 128], [230, 128]])
-    pieces = find_pieces(line, np.array([[90.0, 129.0]]), RidgeSettings())
+    pieces = find_pieces(line, np.array([[90.0, 129.0]]))
     assert len(pieces) == 2
     assert np.abs(pieces.ends - [90, 128]).sum(axis=1).min() < 3
 
@@ -145,11 +145,12 @@ def _links(count: int, costs: dict[tuple[int, int], float], empty_px: float = 0.
 def test_pieces_are_joined_unless_gaps_are_more_than_a_third_of_the_path(empty_px: float, pieces: int) -> None:
     length = np.array([35.0, 45.0])
     links = _links(2, {(1, 2): 5.0}, empty_px)
-    found = search(length, length, links, np.zeros(4), np.zeros(4), np.zeros(2, bool), SearchSettings())
+    found = search(length, length, links, np.zeros(4), np.zeros(4), np.zeros(2, bool))
     assert len(found[0].pieces) == pieces
 
 
-def test_the_best_path_is_that_of_all_permutations() -> None:
+def test_the_best_path_is_that_of_all_permutations(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("guide3d.reading.path_search._BEAM", 500)
     rng = np.random.default_rng(0)
     for _ in range(10):
         count = 4
@@ -165,19 +166,19 @@ def test_the_best_path_is_that_of_all_permutations() -> None:
                     ends = [2 * piece + side for piece, side in zip(order, sides, strict=True)]
                     gaps = [costs[min(a ^ 1, b), max(a ^ 1, b)] for a, b in itertools.pairwise(ends)]
                     best = max(best, worth[list(order)].sum() - sum(gaps) - start[ends[0]] - stop[ends[-1] ^ 1])
-        found = search(worth, worth, links, start, stop, np.zeros(count, bool), SearchSettings(beam=500))
+        found = search(worth, worth, links, start, stop, np.zeros(count, bool))
         assert abs(found[0].score - best) < 1e-9
 
 
 SHAPE = (400, 400)
-FAR = ProximalEndSettings(longest=0.4)
 
 
-def test_a_wire_goes_straight_on_where_nothing_is_seen() -> None:
+def test_a_wire_goes_straight_on_where_nothing_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("guide3d.reading.path_drawing._LONGEST", 0.4)
     seen = np.stack([np.arange(99.0, 301.0), np.full(202, 200.0)], axis=1)
     exposed = np.pad(np.ones((50, 50), np.uint8), 1)
     away = np.asarray((cv2.distanceTransform(exposed, cv2.DIST_L2, 3)[1:-1, 1:-1] - 0.5) * 8, np.float32)
-    line = to_border(seen, np.zeros(SHAPE, np.float32), away, 8, FAR)
+    line = to_border(seen, np.zeros(SHAPE, np.float32), away, 8)
     assert 390 < line[-1, 0] <= 400
     assert abs(line[-1, 1] - 200) < 1.0
     assert np.array_equal(line[: len(seen)], seen)
@@ -189,7 +190,7 @@ COURSE = bent([(80, 0.02), (150, -0.004), (150, 0.0)], (150, 120), 0.0)
 def test_a_shifted_path_goes_back_to_the_ridge() -> None:
     wire = maps_of(COURSE, 512).wire
     shifted = COURSE + np.random.default_rng(0).normal(0, 0.6, COURSE.shape) + [0.8, -0.8]
-    line, confidence, deviation = centre_line(shifted, wire, CentrelineSettings())
+    line, confidence, deviation = centre_line(shifted, wire)
     off = distances_to(COURSE, line[3:-3])
     assert off.mean() < 0.25
     assert off.max() < 1.0
@@ -199,7 +200,7 @@ def test_a_shifted_path_goes_back_to_the_ridge() -> None:
 
 def test_a_gap_has_no_confidence_and_a_growing_deviation() -> None:
     maps = maps_of(COURSE, 512, gaps=((200, 300),))
-    line, confidence, deviation = centre_line(COURSE[::8], maps.wire, CentrelineSettings())
+    line, confidence, deviation = centre_line(COURSE[::8], maps.wire)
     middle = int(np.hypot(*(line - COURSE[250]).T).argmin())
     assert confidence[middle] < 0.05
     assert deviation[middle] > 4.0

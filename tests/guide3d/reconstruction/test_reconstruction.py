@@ -23,7 +23,7 @@ from guide3d.reconstruction.evaluation import (
     truth_summary,
 )
 from guide3d.reconstruction.matching import Match, complete
-from guide3d.reconstruction.reconstruction import ReconstructionSettings, reconstruct
+from guide3d.reconstruction.reconstruction import Reconstruction, reconstruct
 from guide3d.reconstruction.synthetic_scene import KINDS, SyntheticScene, rig, scenes, wire
 from guide3d.reconstruction.view_checks import swapped_cameras, undistorted_or_raw
 
@@ -31,8 +31,8 @@ EXACT = list(scenes(16, seed=5))
 CLICKED = list(scenes(40, seed=5, noise_px=1.0))
 
 
-def of(scene: SyntheticScene, **settings: object):
-    return reconstruct(*scene.cameras, *scene.points, settings=ReconstructionSettings(**settings))  # type: ignore[arg-type]
+def of(scene: SyntheticScene) -> Reconstruction:
+    return reconstruct(*scene.cameras, *scene.points)
 
 
 def test_the_native_code_is_that_of_the_sources() -> None:
@@ -85,11 +85,12 @@ def test_the_standard_deviation_is_that_of_repeated_clicks() -> None:
     assert 0.6 < np.median(told / spread) < 1.6
 
 
-def test_a_bad_reprojection_is_rejected() -> None:
-    result = of(CLICKED[0], rejection_px=0.01)
+def test_a_bad_reprojection_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert of(CLICKED[0]).accepted
+    monkeypatch.setattr("guide3d.reconstruction.reconstruction.REJECTION_PX", 0.01)
+    result = of(CLICKED[0])
     assert not result.accepted
     assert any("rejected" in warning for warning in result.warnings)
-    assert of(CLICKED[0]).accepted
 
 
 def test_a_wire_that_leaves_one_image_first_is_matched_to_there() -> None:

@@ -152,7 +152,7 @@ def test_jobs_wait_for_the_processors_memory(folder: RunFolder) -> None:
 
 def test_every_training_of_the_thesis_fits_16_gb() -> None:
     from enn.networks.observation_spaces import modality_keys
-    from enn.reinforcement.training import THESIS_PPO, THESIS_SAC
+    from enn.reinforcement.training.settings import THESIS_PPO, THESIS_SAC
     from pipeline.stages.job_memory import PROCESS_GB, training_gb
     from pipeline.stages.learning.task import LearningTask
     from pipeline.task import Task

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from enn.force import FORCE_INPUTS as KNOWN
+from enn.force.samples import FORCE_INPUTS as KNOWN
 from pipeline.episodes import EpisodeReader
 from pipeline.evaluations.tables import tables_from_logs
 from pipeline.jobs.worker import Report
@@ -109,8 +109,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def of_force(**changed) -> ForceSettings:
-    values = {"targets": ["bca"], "samples": [12, 30], "test_samples": 12, "epochs": 1, "inputs": ["V", "I+V", "V3"]}
-    return ForceSettings(**values | {"noise": 0.5, "task": TASK.task} | changed)
+    values = {"targets": ["bca"], "samples": [12, 30], "test_samples": 12, "epochs": 1}
+    values |= {"inputs": ["V", "I+V", "V_plain"], "noise": 0.5, "task": TASK.task}
+    return ForceSettings(**values | changed)
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +124,7 @@ def test_a_run_of_force_leaves_episodes_networks_tables_and_figures(run: Path, r
         *("baseline", "untrained", "fpn_12", "fpn_30", "shape", "shape_errors")
     }
     assert set(results["force_share"]) == {
-        *("baseline", "fpn_12", "fpn_30", "fpn_30 I+V", "fpn_30 V3", "shape", "shape_errors")
+        *("baseline", "fpn_12", "fpn_30", "fpn_30 I+V", "fpn_30 V_plain", "shape", "shape_errors")
     }
     for cells in results["force_share"].values():
         assert cells["share_pct"] == pytest.approx(100 * cells["mse_n2"] / cells["variance_n2"])

@@ -111,7 +111,7 @@ CURVES = [wavy_wire(seed, 1) for seed in range(3)]
 def targets_of(variant: str) -> PublishedTargets | OrderedTargets:
     torch.manual_seed(0)
     network = build(size_of(variant, "smoke")).eval()
-    made: PublishedTargets | OrderedTargets = TARGETS[variant](network, None)
+    made: PublishedTargets | OrderedTargets = TARGETS[variant](network)
     return made
 
 

@@ -140,7 +140,7 @@ def shown(count: int = 6, held_out: int = 2) -> WirePictures:
     curves = [wavy_wire(seed) for seed in range(count)]
     pictures = np.stack([picture_of(image_of(curve), 64, 256).pixels for curve in curves])
     shares = np.stack([resample((curve + 0.5) / 256, count=CURVE_POINTS) for curve in curves])
-    return WirePictures(pictures, shares, np.arange(count) >= count - held_out, 1)
+    return WirePictures(pictures, shares, np.arange(count) >= count - held_out)
 
 
 def predictor() -> Predictor:

@@ -18,11 +18,10 @@ if TYPE_CHECKING:
     from enn.networks.features import MultimodalExtractor as MultimodalExtractor
     from enn.networks.features import layer_table as layer_table
     from enn.networks.observation_spaces import modality_keys as modality_keys
-    from enn.networks.policies import AsymmetricSACPolicy as AsymmetricSACPolicy
     from enn.policy import Policy as Policy
     from enn.reinforcement.encoded import EncodedEnvs as EncodedEnvs
-    from enn.reinforcement.training import Training as Training
     from enn.reinforcement.training.settings import TrainingSettings as TrainingSettings
+    from enn.reinforcement.training.training import Training as Training
     from enn.shipped import load as load
     from enn.shipped import models as models
     from enn.trajectory import Trajectory as Trajectory
@@ -34,11 +33,10 @@ __getattr__, __dir__, __all__ = lazy_names(
     {
         "encoder": "Encoder EncoderSettings Samples fit_encoder scripted_samples",
         "networks.features": "MultimodalExtractor layer_table",
-        "networks.policies": "AsymmetricSACPolicy",
         "networks.observation_spaces": "modality_keys",
         "policy": "Policy",
         "reinforcement.encoded": "EncodedEnvs",
-        "reinforcement.training": "Training",
+        "reinforcement.training.training": "Training",
         "reinforcement.training.settings": "TrainingSettings",
         "shipped": "load models",
         "trajectory": "Trajectory",

@@ -34,13 +34,12 @@ class Policy:
     Args:
         module: the network, an actor (and critic) of stable-baselines3.
         encoder: turns observations into features before the network, or None.
-        passthrough: observations that go to the network beside the encoder's features.
         action_repeat: environment steps that each action is meant for.
         metadata: whatever else is worth keeping: seed, decisions, phantom, target.
         critics: whether the network's critics are trained too, so that a training can go on from them.
 
     Raises:
-        ValueError: an action repeat below 1, or a name in `passthrough` that is no observation.
+        ValueError: an action repeat below 1.
     """
 
     def __init__(
@@ -51,24 +50,20 @@ class Policy:
         action_space: gymnasium.spaces.Box,
         *,
         encoder: Encoder | None = None,
-        passthrough: tuple[str, ...] = (),
         action_repeat: int = 1,
         metadata: dict[str, Any] | None = None,
         critics: bool = True,
     ) -> None:
         if not isinstance(action_repeat, int) or action_repeat < 1:
             raise ValueError(f"action_repeat must be a whole number of at least 1, got {action_repeat!r}")
-        known = list(observation_space) if isinstance(observation_space, gymnasium.spaces.Dict) else []
-        if not set(passthrough) <= set(known):
-            raise ValueError(f"passthrough names observations out of {known}, got {list(passthrough)}")
-        self.network, self.module, self.encoder, self.passthrough = network, module, encoder, passthrough
+        self.network, self.module, self.encoder = network, module, encoder
         self.observation_space, self.action_space = observation_space, action_space
         self.action_repeat = action_repeat
         self.metadata, self.critics = dict(metadata or {}), critics
         self.module.set_training_mode(False)
         if encoder is not None:
             encoder.eval().to(module.device)
-            self.keys: tuple[str, ...] = (*encoder.keys, *passthrough)
+            self.keys: tuple[str, ...] = encoder.keys
         elif isinstance(observation_space, gymnasium.spaces.Dict):
             self.keys = network.keys or tuple(observation_space)
         else:
@@ -132,8 +127,7 @@ class Policy:
     def _encoded(self, tensors: dict[str, Tensor] | Tensor) -> dict[str, Tensor] | Tensor:
         if self.encoder is None or not isinstance(tensors, dict):
             return tensors
-        features = self.encoder({key: tensors[key] for key in self.encoder.keys})
-        return {"features": features} | {key: tensors[key] for key in self.passthrough}
+        return {"features": self.encoder({key: tensors[key] for key in self.encoder.keys})}
 
     def _tensors(self, observations: Observation) -> dict[str, Tensor] | Tensor:
         space = self.observation_space
@@ -166,7 +160,7 @@ class Policy:
 
         Args:
             critics: with SAC's critics and their targets, which a training needs to start from the file
-                (`enn.reinforcement.training.Training(initial=…)`); acting does not need them.
+                (`enn.Training(initial=…)`); acting does not need them.
             half: weights in half precision, as some are shipped: half the size.
             half_critics: those of the critics alone, so that it acts as before.
 
@@ -197,7 +191,6 @@ class Policy:
                 "settings": asdict(self.encoder.settings),
                 "weights": {key: kept(value) for key, value in self.encoder.state_dict().items()},
             },
-            "passthrough": list(self.passthrough),
             "action_repeat": self.action_repeat,
             "metadata": self.metadata,
         }
@@ -216,7 +209,7 @@ class Policy:
         encoder = None
         try:
             observation_space, action_space = _space(content["observation_space"]), _space(content["action_space"])
-            network = NetworkSettings(**content["network"])
+            network = _network_of(content)
             if content["encoder"] is not None:
                 from enn.encoder import Encoder, EncoderSettings
 
@@ -240,7 +233,6 @@ class Policy:
                 observation_space,
                 action_space,
                 encoder=encoder,
-                passthrough=tuple(content["passthrough"]),
                 action_repeat=content["action_repeat"],
                 metadata=dict(content["metadata"]),
                 critics=critics,
@@ -280,6 +272,16 @@ class PolicyController:
             self._left = self.policy.action_repeat
         self._left -= 1
         return self._action
+
+
+def _network_of(content: dict[str, Any]) -> NetworkSettings:
+    """The network of a file; earlier files have choices in it that there are no more."""
+    sizes = dict(content["network"])
+    former = {name: sizes.pop(name, ()) for name in ("critic_keys", "shared")}
+    former["passthrough"] = content.get("passthrough", ())
+    if any(former.values()):
+        raise ValueError(f"networks with {' or '.join(name for name, value in former.items() if value)} are gone")
+    return NetworkSettings(**sizes)
 
 
 def _acts(network: NetworkSettings, key: str) -> bool:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from guide3d.reading.pair_reading import PairReading as PairReading
     from guide3d.reading.pair_reading import read_pair as read_pair
     from guide3d.reconstruction.reconstruction import Reconstruction as Reconstruction
-    from guide3d.reconstruction.reconstruction import ReconstructionSettings as ReconstructionSettings
     from guide3d.reconstruction.reconstruction import reconstruct as reconstruct
     from guide3d.reconstruction.reconstruction import reconstruct_greedy as reconstruct_greedy
     from guide3d.shipped import load as load
@@ -40,7 +39,7 @@ __getattr__, __dir__, __all__ = lazy_names(
         "geometry.distortion": "Distortion",
         "reading.image_reading": "ImageReading read",
         "reading.pair_reading": "PairReading read_pair",
-        "reconstruction.reconstruction": "Reconstruction ReconstructionSettings reconstruct reconstruct_greedy",
+        "reconstruction.reconstruction": "Reconstruction reconstruct reconstruct_greedy",
         "shipped": "load models",
     },
 )

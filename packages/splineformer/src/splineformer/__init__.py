@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from splineformer.predictor import Prediction as Prediction
     from splineformer.predictor import Predictor as Predictor
     from splineformer.shipped import models as models
-    from splineformer.tokens import TokenSettings as TokenSettings
     from splineformer.tokens import curve_of_tokens as curve_of_tokens
     from splineformer.tokens import tokens_of_polyline as tokens_of_polyline
 
@@ -35,6 +34,6 @@ __getattr__, __dir__, __all__ = lazy_names(
         "learning.training": "train",
         "predictor": "Prediction Predictor",
         "shipped": "models",
-        "tokens": "TokenSettings curve_of_tokens tokens_of_polyline",
+        "tokens": "curve_of_tokens tokens_of_polyline",
     },
 )

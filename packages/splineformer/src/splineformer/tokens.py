@@ -7,17 +7,13 @@ four knots are the length of the curve. Nothing is lost: `curve_of_tokens` puts 
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from annotated_types import Interval
 from numpy.typing import ArrayLike
 from scipy import interpolate
 from scipy.spatial import cKDTree
 
 from guide3d.geometry.bspline import BSplineCurve
 from guide3d.geometry.polyline import Array, arc_length, checked, resample, thinned
-from guide3d.setting_kinds import PixelDistanceOrNone, settings
 from splineformer.image_input import pixels_of_shares
 
 DEGREE = 3
@@ -27,23 +23,12 @@ _COARSER = 2.0  # of the smoothing, until the tokens are few enough
 _LEAST_SQUARES_A_KNOT = 12  # points
 _LENGTH_SAMPLES = 400  # of a curve whose length is measured
 _SAMPLES_A_TOKEN = 40  # of a curve whose distance from a polyline is measured
+_LIMIT = 23  # tokens
+_TOLERANCE_PX = 0.25  # root mean square distance that the smoothing spline may leave; more only to keep the limit
+_CLOSEST_PX = 2.0  # points closer than this are one click made twice, and removed first
 
 
-@settings
-class TokenSettings:
-    """How a curve is turned into tokens.
-
-    Attributes:
-        tolerance_px: root mean square distance that the smoothing spline may leave; more only to keep the limit.
-        closest_px: points closer than this are one click made twice, and removed first.
-    """
-
-    limit: Annotated[int, Interval(ge=FEWEST_TOKENS, le=10_000)] = 23
-    tolerance_px: PixelDistanceOrNone = 0.25
-    closest_px: PixelDistanceOrNone = 2.0
-
-
-def tokens_of_polyline(points_px: ArrayLike, settings: TokenSettings | None = None) -> Array:
+def tokens_of_polyline(points_px: ArrayLike) -> Array:
     """Fits a smoothing cubic to a polyline by chord length and returns its tokens.
 
     Args:
@@ -58,18 +43,17 @@ def tokens_of_polyline(points_px: ArrayLike, settings: TokenSettings | None = No
     Source:
         Dierckx, Curve and Surface Fitting with Splines (1993), smoothing with automatic knots.
     """
-    settings = settings or TokenSettings()
     points = checked(points_px, 2, "curve")
-    if arc_length(points)[-1] > _FEWEST_POINTS * settings.closest_px > 0:
-        points = thinned(points, settings.closest_px)
+    if arc_length(points)[-1] > _FEWEST_POINTS * _CLOSEST_PX:
+        points = thinned(points, _CLOSEST_PX)
     if len(points) < _FEWEST_POINTS:
         points = _subdivided(points)
     u = arc_length(points)
-    smoothing = len(points) * settings.tolerance_px**2
+    smoothing = len(points) * _TOLERANCE_PX**2
     while True:
         (knots, coefficients, _), _ = interpolate.splprep(points.T, u=u, k=DEGREE, s=smoothing, quiet=True)
         tokens = tokens_of_curve(BSplineCurve(np.asarray(knots), np.stack(coefficients, axis=-1), DEGREE))
-        if len(tokens) <= settings.limit:
+        if len(tokens) <= _LIMIT:
             return tokens
         smoothing = max(smoothing * _COARSER, 1e-3)
 

@@ -16,18 +16,16 @@ from enn.reinforcement.checkpoint import CheckpointError
 from enn.reinforcement.evaluation import run_episodes
 from enn.reinforcement.replay import demonstration_replay
 from enn.reinforcement.soft_actor_critic import SacLearner
-from enn.reinforcement.training import (
+from enn.reinforcement.training.result import COLUMNS, Progress, TrainingResult
+from enn.reinforcement.training.settings import (
     DESK_PPO,
     THESIS_PPO,
     THESIS_SAC,
     PpoSettings,
-    Progress,
     SacSettings,
-    Training,
     TrainingSettings,
 )
-from enn.reinforcement.training.result import COLUMNS, TrainingResult
-from enn.reinforcement.training.training import TrainingRun
+from enn.reinforcement.training.training import Training, TrainingRun
 from enn.reinforcement.vector_envs import SampledEnvs
 from tests.enn.conftest import PointEnv
 from tests.enn.event_scalars import scalars
@@ -270,30 +268,18 @@ def test_with_a_frozen_encoder_it_trains_resumes_and_loads(point_env: Any, tmp_p
     torch.manual_seed(0)
     encoder = Encoder(EncoderSettings(keys=("mask",), shapes=((1, 36, 36),), channels=(4,), hidden=16, features=8))
     before = {name: value.clone() for name, value in encoder.state_dict().items()}
-    settings = dataclasses.replace(
-        SMALL, passthrough=("place",), decisions=240, learning_starts=80, evaluate_every=120, evaluation_episodes=3
-    )
+    settings = dataclasses.replace(SMALL, decisions=240, learning_starts=80, evaluate_every=120, evaluation_episodes=3)
     straight = Training(settings, make, None, seed=0, encoder=encoder).run()
     interrupted(Training(settings, make, tmp_path, seed=0, encoder=encoder), 120)
     resumed = Training(settings, make, tmp_path, seed=0, encoder=encoder).run()
-    batch = {"mask": np.zeros((4, 1, 36, 36), np.uint8), "place": np.linspace(-1, 1, 8, dtype=np.float32).reshape(4, 2)}
+    batch = {"mask": np.zeros((4, 1, 36, 36), np.uint8)}
     batch["mask"][np.arange(4), 0, np.arange(4), 5] = 255
     loaded = Policy.load(tmp_path / "policy.pt")
-    assert loaded.keys == ("mask", "place")
-    assert loaded.features(batch).shape == (4, 10)
+    assert loaded.keys == ("mask",)
+    assert loaded.features(batch).shape == (4, 8)
     np.testing.assert_array_equal(straight.policy.act_batch(batch), resumed.policy.act_batch(batch))
     np.testing.assert_array_equal(loaded.act_batch(batch), resumed.policy.act_batch(batch))
     assert all(torch.equal(value, before[name]) for name, value in encoder.state_dict().items())
-
-
-def test_an_asymmetric_critic_needs_nothing_to_act(point_env: Any, tmp_path: Path) -> None:
-    settings = dataclasses.replace(
-        SMALL, keys=("place",), critic_keys=("place", "range"), decisions=240, evaluate_every=240
-    )
-    Training(settings, lambda: point_env(("place", "range", "mask")), tmp_path, seed=0).run()
-    loaded = Policy.load(tmp_path / "policy.pt")
-    assert loaded.keys == ("place",)
-    assert loaded.act({"place": np.zeros(2, np.float32)}).shape == (2,)
 
 
 SHORT = dataclasses.replace(

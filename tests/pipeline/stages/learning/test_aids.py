@@ -6,7 +6,7 @@ from pathlib import Path
 
 from enn.imitation.behaviour_cloning import cloning_settings
 from enn.imitation.dagger import DaggerSettings
-from enn.reinforcement import DESK_SAC, THESIS_SAC
+from enn.reinforcement.training.settings import DESK_SAC, THESIS_SAC
 from pipeline.recording.trials import Origin
 from pipeline.stages.imitation import ImitationJob, of_imitation
 from pipeline.stages.learning.aids import note as note_of_jobs

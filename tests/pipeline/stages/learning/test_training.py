@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from enn.encoder import Encoder, EncoderSettings
-from enn.reinforcement import DESK_PPO, DESK_SAC
+from enn.reinforcement.training.settings import DESK_PPO, DESK_SAC
 from pipeline.jobs.worker import Report
 from pipeline.recording.record import record_episode
 from pipeline.stages.baselines import training_settings as of_baselines

@@ -15,7 +15,8 @@ from enn.device_trials import TrialStatistics
 from enn.policy import Policy
 from enn.reinforcement.evaluation import EpisodeOutcome, EvaluationResult, LatestPolicy
 from enn.reinforcement.rehearsal_rules import RehearsalRules, Turn, in_share
-from enn.reinforcement.training import TrainingResult, TrainingSettings
+from enn.reinforcement.training.result import TrainingResult
+from enn.reinforcement.training.settings import TrainingSettings
 from enn.trajectory import Trajectory
 from pipeline.jobs.worker import Report
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment, training_settings

@@ -18,7 +18,7 @@ from enn.model_file import FittedNetwork
 from enn.networks.devices import bfloat16_on_processor, device_of, seeded
 from enn.networks.image_network import ImageNetwork, ImageSettings
 from enn.networks.normalisation import standardised
-from enn.setting_kinds import PixelsOrNone, Units, UnitsOrNone, Weight, settings
+from enn.setting_kinds import PixelsOrNone, Units, UnitsOrNone, settings
 
 _CLIP = 8.0  # standard deviations: beyond them a vector entry says nothing more
 
@@ -48,15 +48,12 @@ class ForcePredictionSettings:
 
     Attributes:
         network: its sizes that are free; shapes come from the samples.
-        feature_weight: of the mean squared error of the features beside that of the force, both in units of their
-            variance.
 
     Source: thesis, section Downstream Tasks, Force Prediction.
     """
 
     network: ForceNetworkSettings = field(default_factory=ForceNetworkSettings)
     fit: EpisodeFitSettings = field(default_factory=EpisodeFitSettings)
-    feature_weight: Weight = 1.0
 
 
 DESK_FORCE = ForcePredictionSettings(
@@ -147,7 +144,7 @@ def fit_force(
     Raises:
         FitError: a checkpoint of something else.
     """
-    matched = 0 if samples.features is None or not settings.feature_weight else samples.features.shape[1]
+    matched = 0 if samples.features is None else samples.features.shape[1]
     network_settings = replace(
         settings.network,
         image_shape=tuple(samples.images.shape[1:]),
@@ -171,7 +168,7 @@ def fit_force(
             features, force = features.float(), force.float()
             value = nn.functional.mse_loss(force, forces[index].to(device))
             if matched and training:  # the best epoch is the one with the best force
-                value = value + settings.feature_weight * nn.functional.mse_loss(features, target[index].to(device))
+                value = value + nn.functional.mse_loss(features, target[index].to(device))
             return value
 
         digest = (

@@ -20,20 +20,14 @@ class ForceInputs:
 
     images: tuple[str, ...] = ("image",)  # names of image observations, of the end of the step
     vectors: tuple[str, ...] = ()  # names of further observations of that moment
-    # images of that moment and of so many less one before it; an episode's first image stands in for those before the
-    # start
-    frames: int = 1
-    actions: bool = False  # whether the action of the step is seen, too
     matched: bool = True  # whether the expert's features are predicted, too
 
 
 FORCE_INPUTS = {
     "V": ForceInputs(),
     "V_plain": ForceInputs(matched=False),
-    "V3": ForceInputs(frames=3),
     "V+M": ForceInputs(("image", "mask")),
     "I+V": ForceInputs(vectors=("joints",)),
-    "I+V_action": ForceInputs(vectors=("joints",), actions=True),
     "I": ForceInputs((), ("joints",), matched=False),
 }
 
@@ -112,23 +106,16 @@ def force_samples(
     Raises:
         ValueError: no episodes, episodes of different kinds, or features of another length.
     """
-    images, vectors, frames = inputs.images, inputs.vectors, inputs.frames
-    if frames < 1:
-        raise ValueError(f"frames must be at least 1, got {frames}")
+    images, vectors = inputs.images, inputs.vectors
     shapes = require_same_shapes(trajectories, (*images, *vectors))
     side = shapes[images[0]][1:] if images else (0, 0)
     seen, numbers, matched = [], [], []
     for index, trajectory in enumerate(trajectories):
-        moments = np.arange(1, len(trajectory) + 1)
         if images:
-            stacked = np.concatenate([trajectory.observations[key] for key in images], axis=1)
-            history = [stacked[np.maximum(moments - back, 0)] for back in reversed(range(frames))]
-            seen.append(np.concatenate(history, axis=1))
+            seen.append(np.concatenate([trajectory.observations[key][1:] for key in images], axis=1))
         else:
             seen.append(np.zeros((len(trajectory), 0, *side), np.uint8))
         parts = [trajectory.observations[key][1:].reshape(len(trajectory), -1) for key in vectors]
-        if inputs.actions:
-            parts.append(trajectory.actions)
         parts.append(np.zeros((len(trajectory), 0)))
         numbers.append(np.concatenate(parts, axis=1).astype(np.float32))
         if features is not None:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 import torch
-from annotated_types import Interval
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -36,8 +35,6 @@ class BehaviourCloningSettings:
     # weight of the mean squared difference to the expert's features, both normalised, where these are given
     feature_matching: Weight = 0.1
     shift_px: PixelsOrNone = 0  # images are moved by up to this much either way, as augmentation
-    # standard deviation of the grey values' noise, as augmentation
-    noise: Annotated[float, Interval(ge=0, le=255)] = 0.0
 
 
 # Thesis, table of behaviour cloning's hyper-parameters.
@@ -192,15 +189,11 @@ def entropy(log_std: Tensor) -> Tensor:
 def augmented(
     images: Tensor, settings: BehaviourCloningSettings, background: Tensor, generator: np.random.Generator
 ) -> Tensor:
-    """Images moved and made noisy as the settings say; masks among the channels get the noise too."""
-    if settings.shift_px:
-        reach = settings.shift_px
-        offsets = torch.as_tensor(generator.integers(-reach, reach + 1, (len(images), 2)))
-        images = shifted(images, offsets, background)
-    if settings.noise:
-        noise = torch.as_tensor(generator.normal(0.0, settings.noise, tuple(images.shape)).astype(np.float32))
-        images = (images.float() + noise.to(images.device)).clamp(0.0, 255.0)
-    return images
+    """Images moved as the settings say."""
+    reach = settings.shift_px
+    if not reach:
+        return images
+    return shifted(images, torch.as_tensor(generator.integers(-reach, reach + 1, (len(images), 2))), background)
 
 
 def normalised_features(trajectories: Sequence[Trajectory], features: Sequence[NDArray[np.float32]]) -> Tensor:

@@ -13,12 +13,11 @@ from torch import Tensor, nn
 from enn.networks.features import VARIANTS, MultimodalExtractor
 from enn.networks.normalisation import VectorExtractor
 from enn.networks.observation_spaces import select_keys, vector_spaces
-from enn.networks.policies import AsymmetricSACPolicy, LayerNormSACPolicy
+from enn.networks.policies import LayerNormSACPolicy
 from enn.setting_kinds import Units, settings
 
 ALGORITHMS = ("sac", "ppo")
 EXTRACTORS = ("vectors", "multimodal")
-SHARED = ("", "actor", "critic")
 ACTIVATIONS: dict[str, type[nn.Module]] = {"relu": nn.ReLU, "tanh": nn.Tanh}
 
 
@@ -28,16 +27,12 @@ class NetworkSettings:
 
     algorithm: str = "sac"  # "sac" or "ppo"
     keys: tuple[str, ...] = ()  # observations that the actor sees; none: all
-    critic_keys: tuple[str, ...] = ()  # observations that the critic sees, where they differ; SAC only
     extractor: str = "vectors"  # "vectors" (flat, normalised) or "multimodal" (`enn.networks.features`)
     variant: str = "desk"  # of the multimodal extractor: "thesis", "desk", or "baselines"
     # of the multimodal extractor: features an image, 128 in the thesis's table, 256 in its text
     image_features: Units = 128
     hidden: tuple[Units, ...] = (128, 128)
     critic_hidden: tuple[Units, ...] | None = None
-    # features that actor and critic share, by whose loss they are trained: "actor", "critic", or "": each has its own
-    # (SAC; PPO always shares them)
-    shared: str = ""
     activation: str = "relu"  # "relu" or "tanh"
     critic_layer_norm: bool = False  # layer normalisation in the critics; SAC only
 
@@ -47,15 +42,12 @@ class NetworkSettings:
             ("extractor", EXTRACTORS),
             ("variant", VARIANTS),
             ("activation", tuple(ACTIVATIONS)),
-            ("shared", SHARED),
         )
         for name, known in choices:
             if getattr(self, name) not in known:
                 raise ValueError(f"unknown {name} '{getattr(self, name)}'; there are {', '.join(known)}")
-        if self.shared and self.algorithm != "sac":
-            raise ValueError("PPO's actor and critic share their features anyway: leave shared empty")
-        if (self.critic_keys or self.critic_layer_norm) and self.algorithm != "sac":
-            raise ValueError("only SAC has a critic of its own: leave critic_keys and critic_layer_norm out with ppo")
+        if self.critic_layer_norm and self.algorithm != "sac":
+            raise ValueError("only SAC has a critic of its own: leave critic_layer_norm out with ppo")
 
 
 def network_class(settings: NetworkSettings, space: gymnasium.Space[Any]) -> tuple[type[BasePolicy], dict[str, Any]]:
@@ -83,12 +75,6 @@ def network_class(settings: NetworkSettings, space: gymnasium.Space[Any]) -> tup
     arguments |= {"features_extractor_class": extractor[0], "features_extractor_kwargs": extractor[1]}
     if settings.algorithm == "sac":
         arguments["critic_layer_norm"] = settings.critic_layer_norm
-    if settings.critic_keys or settings.shared:
-        critic_keys = select_keys(space, settings.critic_keys) if settings.critic_keys else keys  # type: ignore[arg-type]
-        arguments |= {"actor_keys": keys, "critic_keys": critic_keys}
-        if settings.shared:
-            arguments |= {"share_features_extractor": True, "features_trained_by": settings.shared}
-        return AsymmetricSACPolicy, arguments
     arguments["features_extractor_kwargs"] |= {"keys": keys}
     if settings.algorithm == "ppo":
         return (MultiInputActorCriticPolicy if is_dict else ActorCriticPolicy), arguments

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -21,20 +21,19 @@ Observations = dict[str, np.ndarray]
 
 
 class EncodedEnvs(VecEnvWrapper):
-    """Observations become `features`; some may pass by unchanged, such as those that only a critic sees.
+    """Observations become `features`.
 
     Args:
         venv: whose observation is a Dict with the encoder's keys.
         encoder: used without gradients, in evaluation mode.
-        passthrough: observations kept beside `features`.
 
     Raises:
         ValueError: an observation is missing, or has another shape than the encoder was trained with.
     """
 
-    def __init__(self, venv: VecEnv, encoder: Encoder, passthrough: Sequence[str] = ()) -> None:
-        self.encoder, self.passthrough = encoder, tuple(passthrough)
-        space = require_keys(venv.observation_space, (*encoder.keys, *self.passthrough))
+    def __init__(self, venv: VecEnv, encoder: Encoder) -> None:
+        self.encoder = encoder
+        space = require_keys(venv.observation_space, encoder.keys)
         for key, shape in zip(encoder.keys, encoder.settings.shapes, strict=True):
             if space[key].shape != tuple(shape):
                 raise ValueError(
@@ -43,20 +42,17 @@ class EncodedEnvs(VecEnvWrapper):
                 )
         encoder.eval()
         self._device = device_of(encoder)
-        size = encoder.settings.features
-        features = gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32)
-        spaces = {key: space[key] for key in self.passthrough}
-        super().__init__(venv, observation_space=gymnasium.spaces.Dict({"features": features, **spaces}))
+        features = gymnasium.spaces.Box(-np.inf, np.inf, (encoder.settings.features,), np.float32)
+        super().__init__(venv, observation_space=gymnasium.spaces.Dict({"features": features}))
 
     def encode(self, observations: Mapping[str, np.ndarray]) -> Observations:
-        """Features of a batch, and what passes by. Shapes (n, ...)."""
+        """Features of a batch. Shape (n, features)."""
         with torch.inference_mode():
             seen = {
                 key: torch.from_numpy(np.ascontiguousarray(observations[key])).to(self._device)
                 for key in self.encoder.keys
             }
-            features = self.encoder(seen).cpu().numpy()
-        return {"features": features, **{key: observations[key] for key in self.passthrough}}
+            return {"features": self.encoder(seen).cpu().numpy()}
 
     def reset(self) -> Observations:
         """Starts an episode everywhere."""
@@ -70,7 +66,7 @@ class EncodedEnvs(VecEnvWrapper):
         ended = [index for index in np.flatnonzero(dones) if "terminal_observation" in infos[index]]
         if not ended:
             return self.encode(observations), rewards, dones, infos
-        count, keys = len(rewards), (*self.encoder.keys, *self.passthrough)
+        count, keys = len(rewards), self.encoder.keys
         lasts = [infos[index]["terminal_observation"] for index in ended]
         joined = {key: np.concatenate((observations[key], np.stack([last[key] for last in lasts]))) for key in keys}
         encoded = self.encode(joined)

@@ -21,7 +21,9 @@ from enn.imitation.dagger import Act, record
 from enn.policy import Policy
 from enn.reinforcement.evaluation import EvaluationResult, LatestPolicy
 from enn.reinforcement.resources import Workers
-from enn.reinforcement.training import DESK_SAC, Progress, SacSettings, Training, TrainingResult, TrainingSettings
+from enn.reinforcement.training.result import Progress, TrainingResult
+from enn.reinforcement.training.settings import DESK_SAC, SacSettings, TrainingSettings
+from enn.reinforcement.training.training import Training
 from enn.trajectory import Trajectory
 
 Environment = gymnasium.Env[Any, Any]

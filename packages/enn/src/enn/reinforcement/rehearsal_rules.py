@@ -12,7 +12,8 @@ from typing import Generic, TypeVar
 
 from enn.device_trials import TrialStatistics
 from enn.reinforcement.rehearsal import REHEARSAL
-from enn.reinforcement.training import DESK_PPO, TrainingResult, TrainingSettings
+from enn.reinforcement.training.result import TrainingResult
+from enn.reinforcement.training.settings import DESK_PPO, TrainingSettings
 
 NEEDED, ALWAYS, NEVER = "needed", "always", "never"  # turns of the sampling expert
 # Without demonstrations, whose actions would be cloned, it has to explore.

@@ -30,7 +30,6 @@ class FastSAC(SAC):
     """SAC whose update does the same with fewer operations; noise comes from `noise`, a generator of its own."""
 
     noise: torch.Generator | None = None
-    actor_every: int = 1
     cloning_weight: float = 0.0
     losses: dict[str, Tensor]
     _entropy_weight: Tensor | None = None
@@ -61,10 +60,8 @@ class FastSAC(SAC):
         assert isinstance(self.replay_buffer, ReplayBuffer)
         for step in range(self._n_updates, self._n_updates + gradient_steps):
             data = self.replay_buffer.sample(batch_size)
-            acts = step % self.actor_every == 0
-            if acts:
-                actions, log_prob, mean = self.sample_actions(data.observations)
-                self._learn_entropy_weight(log_prob)
+            actions, log_prob, mean = self.sample_actions(data.observations)
+            self._learn_entropy_weight(log_prob)
             entropy_weight = self._entropy_weight
             assert entropy_weight is not None
             with torch.no_grad():
@@ -77,8 +74,7 @@ class FastSAC(SAC):
             critic_loss.backward()
             self.critic.optimizer.step()
 
-            if acts:
-                self._learn_actor(data, actions, log_prob, mean, entropy_weight)
+            self._learn_actor(data, actions, log_prob, mean, entropy_weight)
             if step % self.target_update_interval == 0:
                 with torch.no_grad():
                     torch._foreach_lerp_(targets, sources, self.tau)
@@ -167,8 +163,7 @@ class SacLearner:
             device=settings.device,
         )
         self.model.noise = torch.Generator().manual_seed(seed)
-        self.model.actor_every, self.model.losses = settings.actor_every, {}
-        self.model.cloning_weight = settings.cloning_weight
+        self.model.cloning_weight, self.model.losses = settings.cloning_weight, {}
         self.policy = self.model.policy
         self.replay: ReplayBuffer = self.model.replay_buffer  # type: ignore[assignment]
         self._generator = np.random.default_rng(seed)

@@ -19,7 +19,7 @@ from guide3d.calibration.cube_files import find_files, read_grey
 from guide3d.calibration.pictures import RESIDUAL_SCALE, draw_beads, draw_displacement, draw_holes
 from guide3d.commands import in_words, run
 from guide3d.files import whole_file
-from guide3d.geometry.distortion import METHODS, leave_out_errors
+from guide3d.geometry.distortion import leave_out_errors
 from guide3d.image_file import write_png
 
 _STYLE = """body{font:16px/1.5 Georgia,serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222}
@@ -32,14 +32,13 @@ def figures(calibration: CubeCalibration) -> dict:
     """The figures of a calibration.
 
     Returns:
-        By detector: holes, leave_out_px (mean), leave_out_rms_px, spline_leave_out_px, swirl_px, and images: by pose:
-        beads (labelled), used, unseen, mean_px, rms_px and max_px over all labelled beads, alone_mean_px (a
-        camera of that image alone, over the beads used).
+        By detector: holes, leave_out_px (mean), leave_out_rms_px, swirl_px, and images: by pose: beads (labelled),
+        used, unseen, mean_px, rms_px and max_px over all labelled beads, alone_mean_px (a camera of that image alone,
+        over the beads used).
     """
     rig, result = calibration.rig, {}
     for detector, holes in calibration.holes.items():
-        errors = leave_out_errors(holes, calibration.distortions[detector].method)
-        spline = leave_out_errors(holes, "spline", spans=16)
+        errors = leave_out_errors(holes)
         images = {}
         for (pose, other), view in calibration.views.items():
             if other != detector or (pose, other) not in rig.used:
@@ -59,7 +58,6 @@ def figures(calibration: CubeCalibration) -> dict:
             "holes": len(holes),
             "leave_out_px": float(errors.mean()),
             "leave_out_rms_px": float(np.sqrt((errors**2).mean())),
-            "spline_leave_out_px": float(spline.mean()),
             "swirl_px": rig.swirl_px.get(detector, 0.0),
             "images": images,
         }
@@ -110,11 +108,11 @@ def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _distortion_table(numbers: dict) -> str:
-    keys = ("leave_out_px", "leave_out_rms_px", "spline_leave_out_px")
     rows = [
-        [d, str(n["holes"]), *(f"{n[key]:.3f}" for key in keys), f"{n['swirl_px']:.2f}"] for d, n in numbers.items()
+        [d, str(n["holes"]), f"{n['leave_out_px']:.3f}", f"{n['leave_out_rms_px']:.3f}", f"{n['swirl_px']:.2f}"]
+        for d, n in numbers.items()
     ]
-    return _table(["detector", "holes", "leave-out mean, px", "RMS, px", "smooth spline, mean, px", "swirl, px"], rows)
+    return _table(["detector", "holes", "leave-out mean, px", "RMS, px", "swirl, px"], rows)
 
 
 def _cube_table(numbers: dict) -> str:
@@ -149,13 +147,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "folder", help="with undistort_<detector>.*, <pose>_<detector>.*, framespec_cm.csv and, if any, *.ref"
     )
     parser.add_argument("--output", required=True, help="folder for the report, the cameras and the distortion maps")
-    parser.add_argument("--method", choices=METHODS, default=METHODS[0], help="of the distortion map")
     parser.add_argument("--swirl", choices=("auto", "never", "always"), default="auto", help="correct a turned field")
     parser.add_argument("--verbose", action="store_true")
     chosen = parser.parse_args(arguments)
     logging.basicConfig(level=logging.DEBUG if chosen.verbose else logging.INFO, format="%(message)s")
     try:
-        calibration = calibrate_folder(chosen.folder, chosen.swirl, chosen.method)
+        calibration = calibrate_folder(chosen.folder, chosen.swirl)
         page = write_report(calibration, chosen.folder, chosen.output)
     except (OSError, ValueError) as error:
         sys.stderr.write(f"{in_words(error)}\n")

@@ -84,7 +84,7 @@ class CubeCalibration:
         return written
 
 
-def calibrate_folder(folder: str | Path, swirl: str = "auto", method: str = "local weighted mean") -> CubeCalibration:
+def calibrate_folder(folder: str | Path, swirl: str = "auto") -> CubeCalibration:
     """Calibrate the detectors whose images lie in a folder.
 
     Args:
@@ -115,7 +115,7 @@ def calibrate_folder(folder: str | Path, swirl: str = "auto", method: str = "loc
         except ValueError as error:
             raise ValueError(f"{files.sheets[detector]}: {error}") from None
     names = {key: str(path) for key, path in files.cubes.items()}
-    return calibrate_cube(holes, images, points_mm, marked, swirl, method, names)
+    return calibrate_cube(holes, images, points_mm, marked, swirl, names)
 
 
 def calibrate_cube(
@@ -124,7 +124,6 @@ def calibrate_cube(
     points_mm: np.ndarray,
     marked: dict[str, int] | None = None,
     swirl: str = "auto",
-    method: str = "local weighted mean",
     names: dict[tuple[str, str], str] | None = None,
 ) -> CubeCalibration:
     """Calibrate detectors from images in memory.
@@ -141,7 +140,7 @@ def calibrate_cube(
     """
     marked, names = marked or {}, names or {key: "_".join(key) for key in images}
     lattice = CubeLattice.of(points_mm)
-    distortions = {detector: Distortion.from_holes(sheet, method) for detector, sheet in holes.items()}
+    distortions = {detector: Distortion.from_holes(sheet) for detector, sheet in holes.items()}
     poses: dict[str, dict] = {}
     detections: dict[tuple[str, str], tuple[Attenuation, Beads, list[WireMark]]] = {}
     for (pose, detector), image in images.items():

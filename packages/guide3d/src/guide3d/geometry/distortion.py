@@ -11,21 +11,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated
+from typing import Any
 
 import numpy as np
-from annotated_types import Interval
 from scipy.interpolate import RectBivariateSpline
 
 from guide3d.calibration.hexagonal_lattice import lattice_points, local_lattice
 from guide3d.calibration.perforated_sheet import SheetHoles
 from guide3d.files import whole_file
-from guide3d.geometry.displacement_field import LocalWeightedMean, SplineField
+from guide3d.geometry.displacement_field import NEIGHBOURS, LocalWeightedMean
 from guide3d.guarded_reading import open_regular
 from guide3d.opencv import cv2
 from guide3d.setting_kinds import Numbers, Pixels, settings
 
-METHODS = ("local weighted mean", "spline")
+# what files say of the fit; the last number has no meaning any more
+_FIT: dict[str, Any] = {"method": "local weighted mean", "fit": [NEIGHBOURS, 24]}
 FRAMES = ("least squares", "bounding box")
 _LARGEST = 64 << 20  # bytes of a map, unpacked too; a sheet has some thousands of holes
 _FOLDS = 13  # of q + 3 r: left-out holes are never neighbours
@@ -67,21 +67,14 @@ class Distortion:
 
     raw_px: (n, 2) control points in the raw image
     ideal_px: (n, 2) the same, undistorted
-    method: "local weighted mean" or "spline"
-    spans: of the spline, along each axis
     """
 
     raw_px: Numbers
     ideal_px: Numbers
     width: Pixels
     height: Pixels
-    method: str = "local weighted mean"
-    neighbours: Annotated[int, Interval(ge=1, le=10_000)] = 25
-    spans: Annotated[int, Interval(ge=1, le=10_000)] = 24
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ValueError(f"expected a method among {', '.join(METHODS)}, found {self.method!r}")
         if (
             np.ndim(self.raw_px) != 2
             or np.shape(self.raw_px) != np.shape(self.ideal_px)
@@ -94,16 +87,9 @@ class Distortion:
             raise ValueError("control points must be finite: leave out what was not found")
 
     @classmethod
-    def from_holes(
-        cls,
-        holes: SheetHoles,
-        method: str = "local weighted mean",
-        neighbours: int = 25,
-        spans: int = 24,
-        frame: str = "least squares",
-    ) -> Distortion:
-        """The map of a sheet's holes; see the class and `ideal_lattice` for the arguments."""
-        return cls(holes.centres_px, ideal_lattice(holes, frame), holes.width, holes.height, method, neighbours, spans)
+    def from_holes(cls, holes: SheetHoles, frame: str = "least squares") -> Distortion:
+        """The map of a sheet's holes; `frame` is that of `ideal_lattice`."""
+        return cls(holes.centres_px, ideal_lattice(holes, frame), holes.width, holes.height)
 
     @classmethod
     def of_function(cls, distort: Callable[[np.ndarray], np.ndarray], size_px: int) -> Distortion:
@@ -122,12 +108,12 @@ class Distortion:
         return cls(raw[inside], ideal[inside], size_px, size_px)
 
     @cached_property
-    def _forward(self) -> LocalWeightedMean | SplineField:
-        return _field(self.raw_px, self.ideal_px, self)
+    def _forward(self) -> LocalWeightedMean:
+        return LocalWeightedMean(self.raw_px, self.ideal_px)
 
     @cached_property
-    def _backward(self) -> LocalWeightedMean | SplineField:
-        return _field(self.ideal_px, self.raw_px, self)
+    def _backward(self) -> LocalWeightedMean:
+        return LocalWeightedMean(self.ideal_px, self.raw_px)
 
     @property
     def displacement_px(self) -> np.ndarray:
@@ -211,8 +197,7 @@ class Distortion:
                 raw_px=self.raw_px,
                 ideal_px=self.ideal_px,
                 size=[self.width, self.height],
-                method=self.method,
-                fit=[self.neighbours, self.spans],
+                **_FIT,
             )
 
     @classmethod
@@ -229,8 +214,10 @@ class Distortion:
         try:
             parts = _parts(path)
             width, height = (int(side) for side in parts["size"])
-            neighbours, spans = (int(number) for number in parts["fit"])
-            return cls(parts["raw_px"], parts["ideal_px"], width, height, str(parts["method"]), neighbours, spans)
+            method, neighbours = str(parts["method"]), int(parts["fit"][0])
+            if (method, neighbours) != (_FIT["method"], NEIGHBOURS):
+                raise ValueError(f"the method {method} of {neighbours} neighbours: make the map again")
+            return cls(parts["raw_px"], parts["ideal_px"], width, height)
         except Exception as error:  # a damaged archive raises a dozen kinds
             raise ValueError(f"{path}: expected a map as Distortion.save writes it, found {error}") from None
 
@@ -245,18 +232,18 @@ def _parts(path: Path) -> dict[str, np.ndarray]:
             return {name: data[name] for name in ("size", "fit", "raw_px", "ideal_px", "method")}
 
 
-def leave_out_errors(holes: SheetHoles, method: str = "local weighted mean", spans: int = 24) -> np.ndarray:
+def leave_out_errors(holes: SheetHoles) -> np.ndarray:
     """How far (n,) px `Distortion.from_holes` puts holes that it was not fitted to from where they should be.
 
     A thirteenth of the holes at a time, no two of them near each other; in the undistorted frame.
     """
-    whole = Distortion.from_holes(holes, method, spans=spans)
+    raw, ideal = holes.centres_px, ideal_lattice(holes)
     fold = (holes.indices[:, 0] + 3 * holes.indices[:, 1]) % _FOLDS
     errors = np.zeros(len(holes))
     for number in range(_FOLDS):
         out = fold == number
-        field = _field(whole.raw_px[~out], whole.ideal_px[~out], whole)
-        errors[out] = np.linalg.norm(field(whole.raw_px[out]) - whole.ideal_px[out], axis=1)
+        field = LocalWeightedMean(raw[~out], ideal[~out])
+        errors[out] = np.linalg.norm(field(raw[out]) - ideal[out], axis=1)
     return errors
 
 
@@ -270,12 +257,6 @@ def swirl_pattern(pixels: np.ndarray, width: int, height: int) -> np.ndarray:
     half = max(width, height) / 2
     away = (np.asarray(pixels, float) - (np.array([width, height]) - 1) / 2) / half
     return np.stack([-away[..., 1], away[..., 0]], axis=-1) * (away**2).sum(axis=-1, keepdims=True)
-
-
-def _field(sources: np.ndarray, targets: np.ndarray, fit: Distortion) -> LocalWeightedMean | SplineField:
-    if fit.method == "spline":
-        return SplineField(sources, targets, (fit.width, fit.height), fit.spans)
-    return LocalWeightedMean(sources, targets, fit.neighbours)
 
 
 def _checked(points: np.ndarray) -> np.ndarray:

@@ -41,7 +41,6 @@ def train_network(
     *,
     folder: Path,
     pictures: Path | None = None,
-    pretrained: Path | None = None,
     seed: int = 0,
     ranks: Ranks | None = None,
     progress: Callable[[FitProgress], None] | None = None,
@@ -51,7 +50,6 @@ def train_network(
     Args:
         form: of the shape network's curves, "spherical" or "cartesian".
         pictures: folder that keeps prepared pictures; None: in memory.
-        pretrained: weights of the shape network's vision transformer, if there are any.
         ranks: that train together; None: this process alone.
 
     Returns:
@@ -62,7 +60,7 @@ def train_network(
     """
     recipe = replace(recipe, preprocessing=replace(recipe.preprocessing, source_px=data.side_px))
     if isinstance(recipe, ShapeRecipe):
-        prepared = _shape(data, split, recipe, form, pictures, pretrained, seed)
+        prepared = _shape(data, split, recipe, form, pictures, seed)
     elif isinstance(recipe, FGRNRecipe):
         prepared = _fgrn(data, split, recipe, pictures, seed)
     else:
@@ -81,10 +79,7 @@ def train_network(
     return predictor(network, size, recipe.preprocessing, {**metadata, "best_epoch": report.best_epoch}), report
 
 
-def _shape(
-    data: Dataset, split: Split, recipe: ShapeRecipe, form: str, pictures: Path | None, pretrained: Path | None,
-    seed: int,
-) -> _Prepared:  # fmt: skip
+def _shape(data: Dataset, split: Split, recipe: ShapeRecipe, form: str, pictures: Path | None, seed: int) -> _Prepared:
     if form not in FORMS:
         raise ValueError(f"unknown form '{form}'; there are {', '.join(FORMS)}")
     walks = walks_of(data, recipe.step_mm)
@@ -96,11 +91,11 @@ def _shape(
         spherical = SphericalForm.fit(learnt, recipe.step_mm, cumulative=recipe.cumulative)
     objective = ShapeObjective(
         PictureStore(data.frames, CAMERA, recipe.preprocessing, pictures), clips, training, walks, positions,
-        form=spherical, loss=recipe.loss, camera=data.camera_a, augmentation=recipe.augmentation,
+        form=spherical, loss=recipe.loss, augmentation=recipe.augmentation,
         anchor=recipe.size.anchor,
     )  # fmt: skip
     torch.manual_seed(seed)
-    network = build_shape_network(recipe.size, spherical, positions, pretrained=pretrained)
+    network = build_shape_network(recipe.size, spherical, positions)
     _fill(network, objective.statistics())
     metadata = {"form": form, "training_frames": len(learnt), "best_epoch": 0, "step_mm": recipe.step_mm}
     return network, objective, ShapePredictor, to_spec(recipe.size, spherical, positions), metadata
@@ -112,7 +107,7 @@ def _fgrn(data: Dataset, split: Split, recipe: FGRNRecipe, pictures: Path | None
     points = max(len(walks[index]) for index in np.unique(clips.targets[:training]))
     objective = ShapeObjective(
         PictureStore(data.frames, CAMERA, recipe.preprocessing, pictures), clips, training, walks, points,
-        camera=data.camera_a, augmentation=recipe.augmentation, spacing_mm=recipe.spacing_mm,
+        augmentation=recipe.augmentation, spacing_mm=recipe.spacing_mm,
     )  # fmt: skip
     torch.manual_seed(seed)
     network = FGRN(points=points, **recipe.sizes)

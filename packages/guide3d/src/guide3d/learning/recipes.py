@@ -39,7 +39,7 @@ class ShapeRecipe:
     step_mm: Millimetres = 1.7
     cumulative: bool = True
     targets: Count = 1
-    augmentation: ShapeAugmentation = field(default_factory=lambda: ShapeAugmentation(0.0, 0.0, 0))
+    augmentation: ShapeAugmentation = field(default_factory=lambda: ShapeAugmentation(0.0, 0.0))
 
 
 @settings
@@ -50,7 +50,7 @@ class FGRNRecipe:
     preprocessing: Preprocessing
     fit: NetworkFitSettings
     spacing_mm: Millimetres = 2.0
-    augmentation: ShapeAugmentation = field(default_factory=lambda: ShapeAugmentation(0.0, 0.0, 0))
+    augmentation: ShapeAugmentation = field(default_factory=lambda: ShapeAugmentation(0.0, 0.0))
 
 
 @settings

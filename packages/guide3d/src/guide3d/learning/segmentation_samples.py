@@ -22,14 +22,12 @@ class SegmentationAugmentation:
     """How crops are varied in training.
 
     Attributes:
-        flips: mirror and transpose: a wire may run anywhere.
         gain: contrast is multiplied by a factor of exp(±gain).
         offset: largest change of brightness, of 255.
         noise: largest standard deviation of noise, of 255.
         on_wire: share of the crops that are centred near the wire.
     """
 
-    flips: bool = True
     gain: Logarithm = 0.3
     offset: Grey = 20.0
     noise: Grey = 5.0
@@ -129,12 +127,11 @@ class SegmentationObjective:
         self, picture: NDArray[np.float32], mask: NDArray[np.uint8], generator: np.random.Generator
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         with_ = self.augmentation
-        if with_.flips:
-            for axis in (0, 1):
-                if generator.uniform() < 0.5:
-                    picture, mask = np.flip(picture, axis), np.flip(mask, axis)
+        for axis in (0, 1):  # mirrored and transposed: a wire may run anywhere
             if generator.uniform() < 0.5:
-                picture, mask = picture.T, mask.T
+                picture, mask = np.flip(picture, axis), np.flip(mask, axis)
+        if generator.uniform() < 0.5:
+            picture, mask = picture.T, mask.T
         middle = picture.mean()
         factor = np.exp(generator.uniform(-with_.gain, with_.gain))
         picture = middle + factor * (picture - middle) + generator.uniform(-with_.offset, with_.offset)

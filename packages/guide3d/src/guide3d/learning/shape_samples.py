@@ -17,12 +17,11 @@ from guide3d.learning.losses import ShapeLoss, fgrn_loss
 from guide3d.learning.picture_store import PictureStore, replace_unreadable
 from guide3d.modeling.shape_network import PredictedShapes
 from guide3d.modeling.spherical import SphericalForm, steps_of_radius
-from guide3d.setting_kinds import Grey, Logarithm, PixelsOrNone, settings
+from guide3d.setting_kinds import Grey, Logarithm, settings
 
 if TYPE_CHECKING:
     from guide3d.dataset.dataset import Dataset
     from guide3d.dataset.frame import Frame
-    from guide3d.geometry.camera import Camera
 
 CAMERA = "a"
 
@@ -107,13 +106,10 @@ class ShapeAugmentation:
     Attributes:
         gain: the grey values are multiplied by a factor of exp(±gain).
         noise: largest standard deviation of noise added to grey values, of 255.
-        shift_px: largest shift of the picture, px of the picture; the curve is shifted with it, parallel to the image
-            at the depth of its anchor.
     """
 
     gain: Logarithm = 0.3
     noise: Grey = 6.0
-    shift_px: PixelsOrNone = 0
 
 
 class ShapeObjective:
@@ -129,7 +125,6 @@ class ShapeObjective:
         *,
         form: SphericalForm | None = None,
         loss: ShapeLoss | None = None,
-        camera: Camera | None = None,
         augmentation: ShapeAugmentation | None = None,
         spacing_mm: float = 2.0,
         anchor: str = "tip",
@@ -144,10 +139,8 @@ class ShapeObjective:
         """
         self.anchor = anchor
         self.store, self.clips, self.walks, self.positions = store, clips, walks, positions
-        self.form, self.weights, self.camera, self.spacing_mm = form, loss, camera, spacing_mm
-        self.augmentation = augmentation or ShapeAugmentation(0.0, 0.0, 0)
-        if self.augmentation.shift_px and camera is None:
-            raise ValueError("a shift of the picture moves the curve by what the camera says: give the camera")
+        self.form, self.weights, self.spacing_mm = form, loss, spacing_mm
+        self.augmentation = augmentation or ShapeAugmentation(0.0, 0.0)
         ids = np.arange(len(clips.frames))
         self.training_items, self.validation_items = ids[:training], ids[training:]
         if not training:
@@ -170,13 +163,11 @@ class ShapeObjective:
         items = replace_unreadable(self, items, generator)
         frames, targets = self.clips.frames[items], self.clips.targets[items].reshape(-1)
         pictures = self.store.pictures(frames).astype(np.float32)
-        points = self._points[targets].copy()
         if generator is not None:
-            pictures, moved = self._varied(pictures, points.reshape(len(items), -1, *points.shape[1:]), generator)
-            points = moved.reshape(points.shape)
+            pictures = self._varied(pictures, generator)
         return {
             "pictures": torch.from_numpy(pictures),
-            "points": torch.from_numpy(points),
+            "points": torch.from_numpy(self._points[targets]),
             "offsets": torch.from_numpy(self._offsets[targets]),
             "last": torch.from_numpy(self._last[targets]),
         }
@@ -227,20 +218,10 @@ class ShapeObjective:
             values["point_scale"] = max(float(tips.std(0).mean()), 1.0)
         return {name: torch.as_tensor(np.asarray(value, np.float32)) for name, value in values.items()}
 
-    def _varied(
-        self, pictures: NDArray[np.float32], points: NDArray[np.float32], generator: np.random.Generator
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Varies clips (n, length, h, w) and their curves (n, targets, M, 3)."""
+    def _varied(self, pictures: NDArray[np.float32], generator: np.random.Generator) -> NDArray[np.float32]:
+        """Varies clips (n, length, h, w)."""
         with_ = self.augmentation
         count = len(pictures)
-        if with_.shift_px:
-            assert self.camera is not None
-            shifts = generator.integers(-with_.shift_px, with_.shift_px + 1, (count, 2))
-            scale = self.store.preprocessing.source_px / self.store.preprocessing.size_px
-            for k, (dx, dy) in enumerate(shifts):
-                pictures[k] = _shifted(pictures[k], int(dx), int(dy))
-                for curve in points[k]:
-                    curve += sideways(self.camera, curve[0], (scale * dx, scale * dy)).astype(np.float32)
         if with_.gain:
             pictures = pictures * np.exp(generator.uniform(-with_.gain, with_.gain, (count, 1, 1, 1))).astype(
                 np.float32
@@ -248,19 +229,4 @@ class ShapeObjective:
         if with_.noise:
             spread = generator.uniform(0, with_.noise, (count, 1, 1, 1)).astype(np.float32)
             pictures = pictures + spread * generator.standard_normal(pictures.shape, np.float32)
-        return np.clip(pictures, 0, 255), points
-
-
-def sideways(camera: Camera, point_mm: Array, shift_px: tuple[float, float]) -> Array:
-    """Shift (3,) mm in space, parallel to the image, that moves a point's projection by `shift_px` (right, down)."""
-    depth = float(camera.R[2] @ point_mm + camera.t_mm[2])
-    across = np.linalg.solve(camera.K[:2, :2], np.asarray(shift_px, float)) * depth
-    return camera.R.T @ np.array([across[0], across[1], 0.0])
-
-
-def _shifted(pictures: NDArray[np.float32], dx: int, dy: int) -> NDArray[np.float32]:
-    """Pictures moved to the right and down; what comes in repeats the border."""
-    height, width = pictures.shape[-2:]
-    rows = np.clip(np.arange(height) - dy, 0, height - 1)
-    columns = np.clip(np.arange(width) - dx, 0, width - 1)
-    return pictures[..., rows[:, None], columns]
+        return np.clip(pictures, 0, 255)

@@ -8,24 +8,20 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from guide3d.learning.precision import attention
-from guide3d.modeling.vision_transformer import FeedForward
+from guide3d.modeling.vision_transformer import FeedForward, SelfAttention
 
 # Added to logits of pairs that a shift has brought into one window. exp(-100) would be denormal, with which products of
 # matrices take twelve times as long.
 _MASKED = -1000.0
 
 
-class WindowAttention(nn.Module):
-    """Multi-head attention inside a window, with a learnt bias for each relative position."""
+class WindowAttention(SelfAttention):
+    """Attention inside a window, with a learnt bias for each relative position."""
 
     bias_index: Tensor
 
     def __init__(self, width: int, heads: int, window: int) -> None:
-        super().__init__()
-        self.heads = heads
-        self.query_key_value = nn.Linear(width, 3 * width)
-        self.projection = nn.Linear(width, width)
+        super().__init__(width, heads)
         self.bias_table = nn.Parameter(torch.zeros((2 * window - 1) ** 2, heads))
         nn.init.trunc_normal_(self.bias_table, std=0.02)
         rows, columns = torch.meshgrid(torch.arange(window), torch.arange(window), indexing="ij")
@@ -33,23 +29,17 @@ class WindowAttention(nn.Module):
         apart = places[:, None] - places[None] + window - 1
         self.register_buffer("bias_index", apart[..., 0] * (2 * window - 1) + apart[..., 1], persistent=False)
 
-    def forward(self, tokens: Tensor, mask: Tensor | None) -> Tensor:
+    def forward(self, tokens: Tensor, mask: Tensor | None = None) -> Tensor:
         """Attends within windows; gives the tokens' shape.
 
         Args:
             tokens: (images * windows, n, width).
             mask: (windows, n, n) added to the logits, or None.
         """
-        batch, count, width = tokens.shape
-        packed = self.query_key_value(tokens).reshape(batch, count, 3, self.heads, width // self.heads)
-        query, key, value = packed.permute(2, 0, 3, 1, 4)
         bias = self.bias_table[self.bias_index].permute(2, 0, 1)[None]
         if mask is not None:
-            images = batch // len(mask)
-            bias = (bias + mask[:, None]).repeat(images, 1, 1, 1)
-        mixed = attention(query, key, value, bias)
-        result: Tensor = self.projection(mixed.transpose(1, 2).reshape(batch, count, width))
-        return result
+            bias = (bias + mask[:, None]).repeat(len(tokens) // len(mask), 1, 1, 1)
+        return super().forward(tokens, bias)
 
 
 class SwinBlock(nn.Module):

@@ -11,14 +11,12 @@ from torch import Tensor, nn
 
 
 def normalisation(kind: str, channels: int) -> nn.Module:
-    """A layer of normalisation: "none" (as in the paper), "batch" or "group"."""
+    """A layer of normalisation: "none" (as in the paper) or "batch"."""
     if kind == "none":
         return nn.Identity()
     if kind == "batch":
         return nn.BatchNorm2d(channels)
-    if kind == "group":
-        return nn.GroupNorm(max(1, channels // 8), channels)
-    raise ValueError(f"unknown normalisation '{kind}'; there are none, batch, group")
+    raise ValueError(f"unknown normalisation '{kind}'; there are none, batch")
 
 
 class DoubleConvolution(nn.Sequential):

@@ -27,12 +27,12 @@ class SelfAttention(nn.Module):
         self.query_key_value = nn.Linear(width, 3 * width)
         self.projection = nn.Linear(width, width)
 
-    def forward(self, tokens: Tensor) -> Tensor:
-        """(batch, n, width) to the same."""
+    def forward(self, tokens: Tensor, bias: Tensor | None = None) -> Tensor:
+        """(batch, n, width) to the same; a bias (batch or 1, heads, n, n) is added to the logits."""
         batch, count, width = tokens.shape
         packed = self.query_key_value(tokens).reshape(batch, count, 3, self.heads, width // self.heads)
         query, key, value = packed.permute(2, 0, 3, 1, 4)
-        mixed = attention(query, key, value)
+        mixed = attention(query, key, value, bias)
         result: Tensor = self.projection(mixed.transpose(1, 2).reshape(batch, count, width))
         return result
 

@@ -7,25 +7,17 @@ The best paths are candidates, because one view alone may not decide which end o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array, arc_length, distances_to
 from guide3d.opencv import cv2
-from guide3d.reading.links import Link, LinkSettings, link_costs
-from guide3d.reading.path_drawing import (
-    CentrelineSettings,
-    ProximalEndSettings,
-    centre_line,
-    path_line,
-    to_border,
-    to_tip,
-)
-from guide3d.reading.path_search import Path, SearchSettings, search
-from guide3d.reading.ridges import Map, Pieces, RidgeSettings, find_pieces
-from guide3d.setting_kinds import PixelDistance, Share, Weight, settings
+from guide3d.reading.links import Link, link_costs
+from guide3d.reading.path_drawing import centre_line, path_line, to_border, to_tip
+from guide3d.reading.path_search import CANDIDATES, GUESSED, TWICE_PX, Path, search
+from guide3d.reading.ridges import BLUR_PX, Map, Pieces, find_pieces
 
 _COARSE = 8  # distances from the border are measured on a map this much smaller
 _LEAVING_PX = 8.0
@@ -33,39 +25,18 @@ UNSURE = 0.5  # confidence below which a point counts as guessed
 _TIPS = 6  # peaks of the tip map that are tried
 
 
-@settings
-class CurveReadingSettings:
-    """How a curve is read from maps; costs are px of certain wire.
-
-    tip_cost: of a tip where the tip map shows none
-    tip_reach_px: how far from a peak of the tip map an end may lie
-    tip_least: least peak of the tip map
-    border_tip: cost of a tip at the border
-    loose_end: cost of a proximal end inside the field
-    border_link: cost of going on from an end that leaves the image
-    tip_link: cost of going on from an end at a peak of the tip map
-    border_px: an end nearer to the border leaves the field
-    least_px: probability, summed along a path, below which there is no wire
-    second_px: and below which there is no further wire
-    prior_px: how far a wire moves from one image to the next
-    """
-
-    ridges: RidgeSettings = field(default_factory=RidgeSettings)
-    links: LinkSettings = field(default_factory=LinkSettings)
-    search: SearchSettings = field(default_factory=SearchSettings)
-    centreline: CentrelineSettings = field(default_factory=CentrelineSettings)
-    proximal: ProximalEndSettings = field(default_factory=ProximalEndSettings)
-    tip_cost: Weight = 60.0
-    tip_reach_px: PixelDistance = 14.0
-    tip_least: Share = 0.1
-    border_tip: Weight = 60.0
-    loose_end: Weight = 50.0
-    border_link: Weight = 150.0
-    tip_link: Weight = 20.0
-    border_px: PixelDistance = 20.0
-    least_px: PixelDistance = 35.0
-    second_px: PixelDistance = 60.0
-    prior_px: PixelDistance = 40.0
+# How a curve is read from maps; costs are px of certain wire.
+_TIP_COST = 60.0  # of a tip where the tip map shows none
+_TIP_REACH_PX = 14.0  # how far from a peak of the tip map an end may lie
+_TIP_LEAST = 0.1  # least peak of the tip map
+_BORDER_TIP = 60.0  # cost of a tip at the border
+_LOOSE_END = 50.0  # cost of a proximal end inside the field
+_BORDER_LINK = 150.0  # cost of going on from an end that leaves the image
+_TIP_LINK = 20.0  # cost of going on from an end at a peak of the tip map
+_BORDER_PX = 20.0  # an end nearer to the border leaves the field
+_LEAST_PX = 35.0  # probability, summed along a path, below which there is no wire
+_SECOND_PX = 60.0  # and below which there is no further wire
+_PRIOR_PX = 40.0  # how far a wire moves from one image to the next
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +106,6 @@ def read_curves(
     catheter: Map | None = None,
     outside: NDArray[np.bool_] | None = None,
     prior: Prior | None = None,
-    settings: CurveReadingSettings | None = None,
 ) -> CurvesOfImage:
     """Reads the wires in probability maps of one image.
 
@@ -149,37 +119,36 @@ def read_curves(
     Raises:
         ValueError: the maps differ in shape.
     """
-    chosen = settings or CurveReadingSettings()
     for name, other in (("tip", tip), ("catheter", catheter), ("outside", outside)):
         if other is not None and other.shape != wire.shape:
             raise ValueError(f"expected maps of one shape, got {wire.shape} of the wire and {other.shape} of {name}")
-    smooth: Map = cv2.GaussianBlur(np.asarray(wire, np.float32), (0, 0), chosen.ridges.blur_px).astype(np.float32)
-    places, heights = _peaks(tip, chosen)
-    pieces = find_pieces(smooth, places, chosen.ridges)
+    smooth: Map = cv2.GaussianBlur(np.asarray(wire, np.float32), (0, 0), BLUR_PX).astype(np.float32)
+    places, heights = _peaks(tip)
+    pieces = find_pieces(smooth, places)
     away = _from_border(wire.shape, outside)
-    inside = _inside(pieces, away, chosen)
-    tipness = _tipness(pieces, places, heights, chosen)
-    start = chosen.border_tip * (1.0 - inside) + chosen.tip_cost * (1.0 - tipness)
-    stop = chosen.loose_end * inside * (1.0 - _at(catheter, pieces.ends))
-    toll = np.where(pieces.joined, 0.0, chosen.border_link * _leaving(pieces, wire.shape) + chosen.tip_link * tipness)
+    inside = _inside(pieces, away)
+    tipness = _tipness(pieces, places, heights)
+    start = _BORDER_TIP * (1.0 - inside) + _TIP_COST * (1.0 - tipness)
+    stop = _LOOSE_END * inside * (1.0 - _at(catheter, pieces.ends))
+    toll = np.where(pieces.joined, 0.0, _BORDER_LINK * _leaving(pieces, wire.shape) + _TIP_LINK * tipness)
     worth = pieces.worth
     if prior is not None and len(pieces):
-        worth, start = _with_prior(pieces, start, prior, chosen)
-    links = link_costs(pieces, smooth, chosen.links, toll)
+        worth, start = _with_prior(pieces, start, prior)
+    links = link_costs(pieces, smooth, toll)
     scene = _Scene(pieces, smooth, (places, heights), away)
-    paths = _paths(pieces, worth, links, start, stop, chosen)
-    if not paths or worth[list(paths[0].pieces)].sum() < chosen.least_px:
+    paths = _paths(pieces, worth, links, start, stop)
+    if not paths or worth[list(paths[0].pieces)].sum() < _LEAST_PX:
         return CurvesOfImage([], [])
     candidates: list[ImageCurve] = []
-    for path in _varied(paths, pieces, chosen):
-        curve = _curve(scene, path, chosen)
+    for path in _varied(paths, pieces):
+        curve = _curve(scene, path)
         if all(_differ(curve, other) for other in candidates):
             candidates.append(curve)
-        if len(candidates) == chosen.search.candidates:
+        if len(candidates) == CANDIDATES:
             break
     candidates.sort(key=lambda curve: -curve.score)
-    candidates = [curve for curve in candidates if curve.guessed <= chosen.search.guessed] or candidates
-    return CurvesOfImage(candidates, _others(scene, worth, links, (start, stop), paths[0], chosen))
+    candidates = [curve for curve in candidates if curve.guessed <= GUESSED] or candidates
+    return CurvesOfImage(candidates, _others(scene, worth, links, (start, stop), paths[0]))
 
 
 def _paths(
@@ -188,21 +157,20 @@ def _paths(
     links: list[list[Link]],
     start: Array,
     stop: Array,
-    settings: CurveReadingSettings,
 ) -> list[Path]:
     joined = pieces.joined.reshape(-1, 2)
-    shared = joined.any(axis=1) & (pieces.lengths <= settings.search.twice_px)
-    return search(worth, pieces.lengths, links, start, stop, shared, settings.search)
+    shared = joined.any(axis=1) & (pieces.lengths <= TWICE_PX)
+    return search(worth, pieces.lengths, links, start, stop, shared)
 
 
-def _varied(paths: list[Path], pieces: Pieces, settings: CurveReadingSettings) -> list[Path]:
+def _varied(paths: list[Path], pieces: Pieces) -> list[Path]:
     """Orders paths so that those from other tips come early: variations of one path are many and tell little."""
     fresh: list[Path] = []
     again: list[Path] = []
     for path in paths:
         tip = pieces.ends[path.entries[0]]
         known = [pieces.ends[other.entries[0]] for other in fresh]
-        near = any(np.hypot(*(tip - place)) < settings.tip_reach_px for place in known)
+        near = any(np.hypot(*(tip - place)) < _TIP_REACH_PX for place in known)
         (again if near else fresh).append(path)
     ordered = [fresh[0], *again[:1], *fresh[1:3], *again[1:], *fresh[3:]]
     return [path for path in ordered if path.score > 0.3 * paths[0].score]
@@ -214,7 +182,6 @@ def _others(
     links: list[list[Link]],
     costs: tuple[Array, Array],
     best: Path,
-    settings: CurveReadingSettings,
 ) -> list[ImageCurve]:
     """Reads what is left when the pieces of a path are taken out, as long as that is a wire."""
     used = set(best.pieces)
@@ -223,23 +190,23 @@ def _others(
         free = [[link for link in onward if link.end // 2 not in used] for onward in links]
         start = costs[0].copy()
         start[[end for piece in used for end in (2 * piece, 2 * piece + 1)]] = np.inf
-        paths = _paths(scene.pieces, worth, free, start, costs[1], settings)
+        paths = _paths(scene.pieces, worth, free, start, costs[1])
         if not paths or not np.isfinite(paths[0].score):
             break
-        if worth[list(paths[0].pieces)].sum() < settings.second_px:
+        if worth[list(paths[0].pieces)].sum() < _SECOND_PX:
             break
-        others.append(_curve(scene, paths[0], settings))
+        others.append(_curve(scene, paths[0]))
         used |= paths[0].pieces
     return others
 
 
-def _peaks(tip: Map | None, settings: CurveReadingSettings) -> tuple[Array, Array]:
+def _peaks(tip: Map | None) -> tuple[Array, Array]:
     """Peaks of the tip map (n, 2) px, below the pixel, and their heights (n,), highest first."""
-    if tip is None or float(tip.max()) < settings.tip_least:
+    if tip is None or float(tip.max()) < _TIP_LEAST:
         return np.empty((0, 2)), np.empty(0)
     tip = np.asarray(tip, np.float32)
     highest = cv2.dilate(tip, np.ones((15, 15), np.uint8))
-    rows, columns = np.nonzero((tip >= highest) & (tip >= settings.tip_least))
+    rows, columns = np.nonzero((tip >= highest) & (tip >= _TIP_LEAST))
     order = np.argsort(tip[rows, columns])[::-1][:_TIPS]
     places: list[Array] = []
     heights: list[float] = []
@@ -263,10 +230,10 @@ def _from_border(shape: tuple[int, ...], outside: NDArray[np.bool_] | None) -> M
     return np.asarray((away - 0.5) * _COARSE, np.float32)
 
 
-def _inside(pieces: Pieces, away: Map, settings: CurveReadingSettings) -> Array:
+def _inside(pieces: Pieces, away: Map) -> Array:
     """Tells (2 k,) of each end how far it is inside the field, from 0 at its border to 1."""
     column, row = (pieces.ends / _COARSE).astype(int).T
-    return np.asarray(np.clip(away[row, column] / settings.border_px - 1.0, 0.0, 1.0))
+    return np.asarray(np.clip(away[row, column] / _BORDER_PX - 1.0, 0.0, 1.0))
 
 
 def _leaving(pieces: Pieces, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -275,15 +242,15 @@ def _leaving(pieces: Pieces, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     return np.asarray(((ahead < 0) | (ahead > np.array([shape[1], shape[0]]) - 1)).any(axis=1))
 
 
-def _tipness(pieces: Pieces, places: Array, heights: Array, settings: CurveReadingSettings) -> Array:
+def _tipness(pieces: Pieces, places: Array, heights: Array) -> Array:
     """Height (2 k,) of the tip map's peaks as each end sees them, at itself or a little ahead."""
     best = np.zeros(len(pieces.ends))
     if not len(places) or not len(pieces):
         return best
     # the soft end of a tip may be in the tip map and not in the wire's
-    for sample in (pieces.ends, pieces.ends + 0.5 * settings.tip_reach_px * pieces.outward):
+    for sample in (pieces.ends, pieces.ends + 0.5 * _TIP_REACH_PX * pieces.outward):
         apart = np.hypot(*(sample[:, None] - places[None]).transpose(2, 0, 1))
-        best = np.maximum(best, (heights * np.exp(-0.5 * (apart / settings.tip_reach_px) ** 2)).max(axis=1))
+        best = np.maximum(best, (heights * np.exp(-0.5 * (apart / _TIP_REACH_PX) ** 2)).max(axis=1))
     return best
 
 
@@ -296,22 +263,21 @@ def _at(values: Map | None, ends: Array) -> Array:
     return np.asarray(around[row, column], float)
 
 
-def _with_prior(pieces: Pieces, start: Array, prior: Prior, settings: CurveReadingSettings) -> tuple[Array, Array]:
+def _with_prior(pieces: Pieces, start: Array, prior: Prior) -> tuple[Array, Array]:
     """Makes pieces near the wire of a moment before worth more, and tips near its tip cheaper."""
     near = [
-        np.exp(-0.5 * (distances_to(prior.points_px, points[::4]) / settings.prior_px) ** 2).mean()
-        for points in pieces.points
+        np.exp(-0.5 * (distances_to(prior.points_px, points[::4]) / _PRIOR_PX) ** 2).mean() for points in pieces.points
     ]
     worth = pieces.worth * (0.5 + 0.5 * np.array(near))
     away = np.hypot(*(pieces.ends - prior.points_px[0]).T)
-    close = np.exp(-0.5 * (away / settings.prior_px) ** 2)
-    return worth, start - 0.5 * settings.tip_cost * close
+    close = np.exp(-0.5 * (away / _PRIOR_PX) ** 2)
+    return worth, start - 0.5 * _TIP_COST * close
 
 
-def _curve(scene: _Scene, path: Path, settings: CurveReadingSettings) -> ImageCurve:
-    line, height = to_tip(path_line(scene.pieces, path), *scene.tips, settings.tip_reach_px)
-    line = to_border(line, scene.smooth, scene.away, _COARSE, settings.proximal)
-    points, confidence, deviation = centre_line(line, scene.smooth, settings.centreline)
+def _curve(scene: _Scene, path: Path) -> ImageCurve:
+    line, height = to_tip(path_line(scene.pieces, path), *scene.tips, _TIP_REACH_PX)
+    line = to_border(line, scene.smooth, scene.away, _COARSE)
+    points, confidence, deviation = centre_line(line, scene.smooth)
     return ImageCurve(points, confidence, deviation, path.score, height)
 
 

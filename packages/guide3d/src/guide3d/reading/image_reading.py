@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from guide3d.geometry.polyline import Array, arc_length, distances_to
 from guide3d.reading.curve_reading import (
     UNSURE,
-    CurveReadingSettings,
     CurvesOfImage,
     ImageCurve,
     Prior,
@@ -115,7 +114,6 @@ def read(
     image: ArrayLike,
     reader: MapReader | None = None,
     prior: Prior | None = None,
-    settings: CurveReadingSettings | None = None,
 ) -> ImageReading:
     """Reads the wire in an X-ray image.
 
@@ -135,7 +133,7 @@ def read(
     scales = grey.at_known_scales()
     network = reader or shipped_reader()
     notes = list(grey.messages)
-    (seen, curves), *readings = _read_at(scales, network, prior, settings)
+    (seen, curves), *readings = _read_at(scales, network, prior)
     faint = _score(curves) < _FAINT_PX
     if faint or not _is_whole(seen, curves):
         # a wire of a small image may be wide in it, too
@@ -143,13 +141,13 @@ def read(
         smaller = [one.resampled(round(share * max(one.pixels.shape))) for one in sized for share in _WIDE_SCALES]
         known = [one.pixels.shape for one in scales]
         smaller = [one for one in smaller if min(one.pixels.shape) >= SMALLEST_PX and one.pixels.shape not in known]
-        readings += _read_at(smaller, network, prior, settings)
+        readings += _read_at(smaller, network, prior)
         wires = [one for one in readings if _is_wide_wire(*one)]
         better = [one for one in wires if _outdoes(*one, curves) or _replaces(*one, seen, curves)]
         seen, curves = better[0] if better else (seen, curves)
     if _score(curves) < _FAINT_PX:
         negatives = [replace(one, pixels=255 - one.pixels, outside=np.zeros_like(one.outside)) for one in scales]
-        seen_inverted, other = _read_at(negatives, network, prior, settings)[0]
+        seen_inverted, other = _read_at(negatives, network, prior)[0]
         if _outdoes(seen_inverted, other, curves):
             seen, curves = seen_inverted, other
             notes.append("the image looks like a negative (wire brighter than its surroundings) and was inverted")
@@ -165,7 +163,7 @@ def read(
 
 
 def _read_at(
-    scales: Sequence[GreyImage], network: MapReader, prior: Prior | None, settings: CurveReadingSettings | None
+    scales: Sequence[GreyImage], network: MapReader, prior: Prior | None
 ) -> list[tuple[GreyImage, CurvesOfImage]]:
     """What is read at each scale, first where there is most certain wire by its share of the image's side.
 
@@ -175,7 +173,7 @@ def _read_at(
     for grey in scales:
         before = None if prior is None else Prior(grey.from_given(prior.points_px))
         maps = network.maps(grey.pixels)
-        readings.append((grey, read_curves(maps.wire, maps.tip, maps.catheter, grey.outside, before, settings)))
+        readings.append((grey, read_curves(maps.wire, maps.tip, maps.catheter, grey.outside, before)))
     sides = [max(grey.pixels.shape) for grey, _ in readings]
     weights = [(1.0 if side >= READ_PX else _SMALLER) / side for side in sides]
     order = np.argsort([-_score(curves) * weight for (_, curves), weight in zip(readings, weights, strict=True)])

@@ -200,7 +200,7 @@ class Source:
         Raises:
             ValueError: it cannot be read.
         """
-        from guide3d.dicom import read_xray
+        from guide3d.dicom.run_folder import read_xray
 
         run = read_xray(self.path)
         self._note(*(f"{self.path.name}: {warning}" for warning in run.warnings))

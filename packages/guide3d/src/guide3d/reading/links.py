@@ -10,36 +10,23 @@ from numpy.typing import NDArray
 from guide3d.geometry.polyline import Array
 from guide3d.opencv import cv2
 from guide3d.reading.ridges import Map, Pieces
-from guide3d.setting_kinds import Angle, Count, PixelDistance, Positive, Share, Weight, settings
 
 _SAMPLES = 12  # of a gap
 
 
-@settings
-class LinkSettings:
-    """What a link costs, in px of certain wire.
-
-    longest: of a gap, as a share of the image's longer side
-    empty_per_px: cost of a px of gap without any probability
-    bending_px: cost of bending energy, which has the unit 1/px: a turn by one radian over n px has energy 1 / n
-    kink: additional cost of a rad by which a link turns more than `kink_from`, if its gap is shorter than `kink_px`
-    unseen_turn: additional cost of a rad beyond `unseen_from` by which a link turns, to and fro, in a longer gap
-    shortest_px: gaps count as this long when they bend
-    dearest: links that cost more are not tried
-    most: links that are tried from each end
-    """
-
-    longest: Share = 0.166
-    empty_per_px: Weight = 0.25
-    bending_px: Positive = 120.0
-    kink: Weight = 80.0
-    kink_from: Angle = 1.2
-    kink_px: PixelDistance = 16.0
-    unseen_turn: Weight = 20.0
-    unseen_from: Angle = 0.6
-    shortest_px: PixelDistance = 12.0
-    dearest: Positive = 120.0
-    most: Count = 8
+# What a link costs, in px of certain wire.
+_LONGEST = 0.166  # of a gap, as a share of the image's longer side
+_EMPTY_PER_PX = 0.25  # cost of a px of gap without any probability
+_BENDING_PX = 120.0  # cost of bending energy, which has the unit 1/px: a turn by one radian over n px has energy 1 / n
+# additional cost of a rad by which a link turns more than `_KINK_FROM`, if its gap is shorter than `_KINK_PX`
+_KINK = 80.0
+_KINK_FROM = 1.2
+_KINK_PX = 16.0
+_UNSEEN_TURN = 20.0  # additional cost of a rad beyond `_UNSEEN_FROM` by which a link turns, to and fro, in a longer gap
+_UNSEEN_FROM = 0.6
+_SHORTEST_PX = 12.0  # gaps count as this long when they bend
+_DEAREST = 120.0  # links that cost more are not tried
+_MOST = 8  # links that are tried from each end
 
 
 class Link(NamedTuple):
@@ -50,7 +37,7 @@ class Link(NamedTuple):
     empty_px: float
 
 
-def link_costs(pieces: Pieces, probability: Map, settings: LinkSettings, toll: Array | None = None) -> list[list[Link]]:
+def link_costs(pieces: Pieces, probability: Map, toll: Array | None = None) -> list[list[Link]]:
     """Computes what it costs to leave a piece at one end and to enter another one.
 
     Args:
@@ -65,18 +52,18 @@ def link_costs(pieces: Pieces, probability: Map, settings: LinkSettings, toll: A
     links: list[list[Link]] = [[] for _ in range(count)]
     if count < 4:
         return links
-    leave, enter = np.nonzero(_near(pieces, settings.longest * max(probability.shape)))
+    leave, enter = np.nonzero(_near(pieces, _LONGEST * max(probability.shape)))
     gap = pieces.ends[enter] - pieces.ends[leave]
     length = np.hypot(*gap.T)
     out, into = pieces.outward[leave], -pieces.outward[enter]
-    bending = bending_energy(out, into, gap, settings.shortest_px) * settings.bending_px
+    bending = bending_energy(out, into, gap, _SHORTEST_PX) * _BENDING_PX
     # a wire that crosses another goes on; it does not kink and go on as the other
-    sharp = np.abs(_turn(out, into)) - settings.kink_from
-    short = np.clip(2.0 - length / settings.kink_px, 0.0, 1.0)
-    bending += settings.kink * np.maximum(sharp, 0.0) * short
-    unseen = np.abs(_turn(out, gap)) + np.abs(_turn(gap, into)) - settings.unseen_from
-    bending += settings.unseen_turn * np.maximum(unseen, 0.0) * (1.0 - short)
-    near = bending < settings.dearest
+    sharp = np.abs(_turn(out, into)) - _KINK_FROM
+    short = np.clip(2.0 - length / _KINK_PX, 0.0, 1.0)
+    bending += _KINK * np.maximum(sharp, 0.0) * short
+    unseen = np.abs(_turn(out, gap)) + np.abs(_turn(gap, into)) - _UNSEEN_FROM
+    bending += _UNSEEN_TURN * np.maximum(unseen, 0.0) * (1.0 - short)
+    near = bending < _DEAREST
     leave, enter, length, bending = leave[near], enter[near], length[near], bending[near]
     if not len(leave):
         return links
@@ -84,9 +71,9 @@ def link_costs(pieces: Pieces, probability: Map, settings: LinkSettings, toll: A
     x, y = np.moveaxis(np.asarray(places, np.float32), -1, 0)
     seen = np.asarray(cv2.remap(probability, x, y, cv2.INTER_LINEAR), float).mean(axis=1)
     empty = length * (1.0 - np.minimum(2.0 * seen, 1.0))
-    cost = bending + toll[leave] + toll[enter] + settings.empty_per_px * empty
+    cost = bending + toll[leave] + toll[enter] + _EMPTY_PER_PX * empty
     for k in np.argsort(cost):
-        if cost[k] < settings.dearest and len(links[leave[k]]) < settings.most:
+        if cost[k] < _DEAREST and len(links[leave[k]]) < _MOST:
             links[leave[k]].append(Link(int(enter[k]), float(cost[k]), float(empty[k])))
     return links
 

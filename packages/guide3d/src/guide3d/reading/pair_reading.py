@@ -15,11 +15,11 @@ from guide3d.geometry.distortion import Distortion
 from guide3d.geometry.epipolar import EpipolarGeometry
 from guide3d.geometry.polyline import Array, arc_length
 from guide3d.geometry.triangulation import projection_jacobian
-from guide3d.reading.curve_reading import CurveReadingSettings, ImageCurve, Prior
+from guide3d.reading.curve_reading import ImageCurve, Prior
 from guide3d.reading.image_reading import ImageReading, MapReader, read
+from guide3d.reading.path_search import GUESSED
 from guide3d.reconstruction.matching import MatchingSettings, clearly_better, image_curve, match_curves
-from guide3d.reconstruction.reconstruction import Reconstruction, ReconstructionSettings, reconstruct
-from guide3d.setting_kinds import Millimetres, PixelDistance, Share, Weight, settings
+from guide3d.reconstruction.reconstruction import Reconstruction, reconstruct
 
 VIEWS = ("A", "B")
 FRAMES = ("auto", "raw", "undistorted")
@@ -30,32 +30,17 @@ _Move = Callable[[Array], Array]
 Image = NDArray[np.generic]
 
 
-@settings
-class PairReadingSettings:
-    """How two views are brought together.
-
-    residual_per_px: what a px of epipolar residual costs a pair of candidates, in px of certain wire
-    coverage: what it costs to match nothing of a curve, in px as well
-    sample_px: spacing of the points that are matched
-    doubtful_px: epipolar residual above which other readings are tried: images already undistorted, cameras swapped
-    common_px: standard deviation of an image's curve that the fit does not see, for it is common to many points
-    tip_px: standard deviation of a tip along its curve
-    tip_mm: how far from the tip that counts
-    refused_px: epipolar residual above which the two curves are not of one wire under these cameras
-    least_coverage: share of the wire below which they are not, either
-    """
-
-    reading: CurveReadingSettings | None = None
-    reconstruction: ReconstructionSettings | None = None
-    residual_per_px: Weight = 25.0
-    coverage: Weight = 300.0
-    sample_px: PixelDistance = 4.0
-    doubtful_px: PixelDistance = 3.0
-    common_px: PixelDistance = 0.3
-    tip_px: PixelDistance = 2.0
-    tip_mm: Millimetres = 3.0
-    refused_px: PixelDistance = 8.0
-    least_coverage: Share = 0.5
+# How two views are brought together.
+_RESIDUAL_PER_PX = 25.0  # what a px of epipolar residual costs a pair of candidates, in px of certain wire
+_COVERAGE = 300.0  # what it costs to match nothing of a curve, in px as well
+_SAMPLE_PX = 4.0  # spacing of the points that are matched
+# epipolar residual above which other readings are tried: images already undistorted, cameras swapped
+_DOUBTFUL_PX = 3.0
+_COMMON_PX = 0.3  # standard deviation of an image's curve that the fit does not see, for it is common to many points
+_TIP_PX = 2.0  # standard deviation of a tip along its curve
+_TIP_MM = 3.0  # how far from the tip that counts
+_REFUSED_PX = 8.0  # epipolar residual above which the two curves are not of one wire under these cameras
+_LEAST_COVERAGE = 0.5  # share of the wire below which they are not, either
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +93,6 @@ def read_pair(
     frame: str = "auto",
     reader: MapReader | None = None,
     priors: Sequence[Prior | None] = (None, None),
-    settings: PairReadingSettings | None = None,
 ) -> PairReading:
     """Reads a wire in space from two X-ray images of one moment.
 
@@ -125,7 +109,6 @@ def read_pair(
         ValueError: an image that cannot be read or shows no wire, of another size than its camera's, one image twice,
             or two curves that have nothing in common.
     """
-    chosen = settings or PairReadingSettings()
     if len(cameras) != 2 or (distortions is not None and len(distortions) != 2):
         raise ValueError("expected two cameras, and two distortions or none")
     if frame not in FRAMES:
@@ -135,8 +118,8 @@ def read_pair(
     check_different(image_a, image_b)
     views = []
     for name, image, camera, prior in zip(VIEWS, (image_a, image_b), cameras, priors, strict=True):
-        views.append(_view(name, np.asarray(image), camera, reader, prior, chosen))
-    return combine(views, cameras, distortions, frame, chosen)
+        views.append(_view(name, np.asarray(image), camera, reader, prior))
+    return combine(views, cameras, distortions, frame)
 
 
 def check_different(image_a: ArrayLike, image_b: ArrayLike) -> None:
@@ -154,43 +137,40 @@ def combine(
     cameras: Sequence[Camera],
     distortions: Sequence[Distortion] | None = None,
     frame: str = "auto",
-    settings: PairReadingSettings | None = None,
 ) -> PairReading:
     """Combines two readings of images to a wire in space; as `read_pair`, which reads the images first."""
-    chosen = settings or PairReadingSettings()
     messages: list[str] = []
     geometry = EpipolarGeometry(cameras[0], cameras[1])
     moves: list[_Move] = [_same, _same]
     if distortions is not None and frame != "undistorted":
         moves = [distortion.undistort_points for distortion in distortions]
     curves = [[move(curve.points_px) for curve in view.candidates] for view, move in zip(views, moves, strict=True)]
-    best = _best(geometry, views, curves, chosen)
-    if best.residual_px > 0.5 * chosen.doubtful_px and distortions is not None and frame == "auto":
+    best = _best(geometry, views, curves)
+    if best.residual_px > 0.5 * _DOUBTFUL_PX and distortions is not None and frame == "auto":
         plain = [[curve.points_px for curve in view.candidates] for view in views]
-        other = _best(geometry, views, plain, chosen)
+        other = _best(geometry, views, plain)
         if clearly_better(other.residual_px, best.residual_px):
             messages.append(
                 f"the images look undistorted already: epipolar residual {other.residual_px:.1f} px, against "
                 f"{best.residual_px:.1f} px after the distortion maps, which were left out"
             )
             best, curves, moves = other, plain, [_same, _same]
-    accepted = best.residual_px <= chosen.refused_px and best.coverage >= chosen.least_coverage
-    doubt = _doubt(best, accepted, views, cameras, distortions if moves[0] is not _same else None, chosen)
+    accepted = best.residual_px <= _REFUSED_PX and best.coverage >= _LEAST_COVERAGE
+    doubt = _doubt(best, accepted, views, cameras, distortions if moves[0] is not _same else None)
     messages += [doubt] if doubt else []
     a, b = best.numbers
     points = (curves[0][a], curves[1][b])
-    wire = reconstruct(cameras[0], cameras[1], *points, settings=chosen.reconstruction)
+    wire = reconstruct(cameras[0], cameras[1], *points)
     read_as = (views[0].with_candidate(a), views[1].with_candidate(b))
     of_views = [f"image {name}: {text}" for name, view in zip(VIEWS, read_as, strict=True) for text in view.messages]
     messages = of_views + messages
-    most = (chosen.reading or CurveReadingSettings()).search.guessed
     unseen = [
-        f"{view.guessed:.0%} of the curve in image {name} is guessed, more than {most:.0%}: a curve in space needs a "
-        "wire that both images show"
+        f"{view.guessed:.0%} of the curve in image {name} is guessed, more than {GUESSED:.0%}: "
+        "a curve in space needs a wire that both images show"
         for name, view in zip(VIEWS, read_as, strict=True)
-        if view.guessed > most
+        if view.guessed > GUESSED
     ]
-    covariance = wire.covariance_mm2 + _reading_covariance(cameras, wire, points, read_as, chosen)
+    covariance = wire.covariance_mm2 + _reading_covariance(cameras, wire, points, read_as)
     refusal = doubt
     if accepted:  # otherwise the reconstruction's warnings say the same once more
         messages += wire.warnings
@@ -206,7 +186,6 @@ def _view(
     camera: Camera,
     reader: MapReader | None,
     prior: Prior | None,
-    settings: PairReadingSettings,
 ) -> ImageReading:
     if image.shape[:2] != (camera.height, camera.width):
         size = " x ".join(str(side) for side in image.shape[1::-1])
@@ -215,7 +194,7 @@ def _view(
             "expected the size that the camera was calibrated for"
         )
     try:
-        view = read(image, reader, prior, settings.reading)
+        view = read(image, reader, prior)
     except ValueError as error:
         raise ValueError(f"image {name}: {error}") from None
     if not view.found:
@@ -231,22 +210,21 @@ def _best(
     geometry: EpipolarGeometry,
     views: Sequence[ImageReading],
     curves: Sequence[Sequence[Array]],
-    settings: PairReadingSettings,
 ) -> _Choice:
     """The pair of candidates that fits both images and the epipolar geometry best."""
     sampled = [
-        [image_curve(points, settings.sample_px, f"curve of image {name}") for points in of_view]
+        [image_curve(points, _SAMPLE_PX, f"curve of image {name}") for points in of_view]
         for name, of_view in zip(VIEWS, curves, strict=True)
     ]
-    matching = MatchingSettings(sample_px=settings.sample_px)
+    matching = MatchingSettings(sample_px=_SAMPLE_PX)
     best: _Choice | None = None
     for i, curve_a in enumerate(sampled[0]):
         for j, curve_b in enumerate(sampled[1]):
             match = match_curves(geometry, curve_a, curve_b, matching)
             residual = match.residual_px if len(match.along_a) else np.inf
             score = _lost(views[0].candidates, i) + _lost(views[1].candidates, j)
-            value = -score - settings.coverage * (1.0 - match.coverage)
-            value -= settings.residual_per_px * min(residual, 2.0 * settings.refused_px)
+            value = -score - _COVERAGE * (1.0 - match.coverage)
+            value -= _RESIDUAL_PER_PX * min(residual, 2.0 * _REFUSED_PX)
             if best is None or value > best.value:
                 best = _Choice(value, (i, j), float(residual), match.coverage)
     assert best is not None
@@ -263,16 +241,15 @@ def _doubt(
     views: Sequence[ImageReading],
     cameras: Sequence[Camera],
     distortions: Sequence[Distortion] | None,
-    settings: PairReadingSettings,
 ) -> str:
     """A sentence on two curves that do not fit well: cameras swapped, another camera, or a wrong curve; else empty."""
     moves: list[_Move] = [_same, _same]
     if distortions is not None:
         moves = [distortions[1].undistort_points, distortions[0].undistort_points]
-    whole = best.residual_px > settings.doubtful_px or not accepted
+    whole = best.residual_px > _DOUBTFUL_PX or not accepted
     options = [view.candidates if whole else [view.candidates[k]] for view, k in zip(views, best.numbers, strict=True)]
     curves = [[move(curve.points_px) for curve in of_view] for of_view, move in zip(options, moves, strict=True)]
-    swapped = _best(EpipolarGeometry(cameras[1], cameras[0]), views, curves, settings)
+    swapped = _best(EpipolarGeometry(cameras[1], cameras[0]), views, curves)
     evidence = f"epipolar residual {best.residual_px:.1f} px, {best.coverage:.0%} of the wire matched"
     if clearly_better(swapped.residual_px, best.residual_px) and swapped.coverage >= best.coverage - 0.05:
         return f"the cameras look swapped: {evidence}, against {swapped.residual_px:.1f} px with A and B exchanged"
@@ -288,7 +265,6 @@ def _reading_covariance(
     wire: Reconstruction,
     points: tuple[Array, Array],
     views: Sequence[ImageReading],
-    settings: PairReadingSettings,
 ) -> Array:
     """What the reading of images adds to the covariance (n, 3, 3) mm^2 of a fit that takes points as independent.
 
@@ -299,7 +275,7 @@ def _reading_covariance(
     for camera, curve, view in zip(cameras, points, views, strict=True):
         nearest = cKDTree(curve).query(camera.project(wire.curve_mm))[1]
         gap = np.maximum(view.sd_px[nearest] ** 2 - view.sd_px.min() ** 2, 0.0)
-        variances += [gap + settings.common_px**2] * 2
+        variances += [gap + _COMMON_PX**2] * 2
         jacobians.append(projection_jacobian(camera, wire.curve_mm))
     back = np.linalg.pinv(np.concatenate(jacobians, axis=1))
     across = np.einsum("nij,jn,nkj->nik", back, np.array(variances), back)
@@ -307,8 +283,8 @@ def _reading_covariance(
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     # px of both images along the wire, and with them the tip's deviation, in mm; the sharper view counts
     along = max(float(np.linalg.norm(jacobian[0] @ tangent[0])) for jacobian in jacobians)
-    tip_mm = settings.tip_px / max(along, 1e-6)
-    share = np.exp(-0.5 * (arc_length(wire.curve_mm) / settings.tip_mm) ** 2)
+    tip_mm = _TIP_PX / max(along, 1e-6)
+    share = np.exp(-0.5 * (arc_length(wire.curve_mm) / _TIP_MM) ** 2)
     return np.asarray(across + (share * tip_mm**2)[:, None, None] * tangent[:, :, None] * tangent[:, None, :])
 
 
@@ -341,7 +317,6 @@ def read_pairs(
     distortions: Sequence[Distortion] | None = None,
     frame: str = "auto",
     reader: MapReader | None = None,
-    settings: PairReadingSettings | None = None,
 ) -> Iterator[FrameReading]:
     """Reads pairs of images, in order, as `read_pair`; a frame without its partner is given, but not read."""
     priors: list[Prior | None] = [None, None]
@@ -350,7 +325,7 @@ def read_pairs(
             yield FrameReading(None, f"there is no image of camera {'A' if a is None else 'B'} at this moment")
             continue
         try:
-            reading = read_pair(a, b, cameras, distortions, frame, reader, priors, settings)
+            reading = read_pair(a, b, cameras, distortions, frame, reader, priors)
         except ValueError as error:
             yield FrameReading(None, str(error))
             continue

@@ -11,7 +11,6 @@ from guide3d.reading.links import bridges
 from guide3d.reading.path_search import Path
 from guide3d.reading.ridges import Map, Pieces
 from guide3d.reconstruction.curve_fitting import smoothed
-from guide3d.setting_kinds import Angle, PixelDistance, Positive, Share, Weight, settings
 
 _TOUCHING_PX = 6.0  # ends that are nearer need no bridge
 
@@ -59,25 +58,15 @@ def _gap(pieces: Pieces, leave: int, enter: int) -> Array:
     return bridges(start, end, pieces.outward[[leave]], -pieces.outward[[enter]], int(length))[0]
 
 
-@settings
-class ProximalEndSettings:
-    """How far and how straight a wire is continued.
-
-    longest: of the continuation, as a share of the image's longer side; 0: none
-    direction_px: length over which the wire's direction at its end is measured
-    turn: standard deviation of a change of direction there
-    bend_per_px: standard deviation of the curvature
-    strength_px: px of certain wire that outweigh one standard deviation
-    """
-
-    longest: Share = 0.166
-    direction_px: PixelDistance = 50.0
-    turn: Angle = 0.07
-    bend_per_px: Positive = 1.5e-3
-    strength_px: PixelDistance = 2.0
+# How far and how straight a wire is continued.
+_LONGEST = 0.166  # of the continuation, as a share of the image's longer side; 0: none
+_DIRECTION_PX = 50.0  # length over which the wire's direction at its end is measured
+_TURN = 0.07  # standard deviation of a change of direction there
+_BEND_PER_PX = 1.5e-3  # standard deviation of the curvature
+_STRENGTH_PX = 2.0  # px of certain wire that outweigh one standard deviation
 
 
-def to_border(line: Array, probability: Map, away: Map, coarse_px: int, settings: ProximalEndSettings) -> Array:
+def to_border(line: Array, probability: Map, away: Map, coarse_px: int) -> Array:
     """Continues a path to the border of the field by the arc that explains most of what is seen there.
 
     Args:
@@ -90,16 +79,16 @@ def to_border(line: Array, probability: Map, away: Map, coarse_px: int, settings
     """
     height, width = probability.shape
     # guessed, it is a third of the path at most
-    longest_px = min(settings.longest * max(height, width), 0.5 * len(line))
+    longest_px = min(_LONGEST * max(height, width), 0.5 * len(line))
     if longest_px < 1.0:
         return line
-    part = line[-max(8, round(settings.direction_px)) :]
+    part = line[-max(8, round(_DIRECTION_PX)) :]
     direction = part[-1] - part[: max(2, len(part) // 3)].mean(axis=0)
     # a line through the last part, whose slope counts at its middle; what it bends is left to the arcs
     heading = np.arctan2(direction[1], direction[0])
     turns, bends = np.meshgrid(np.linspace(-2.5, 2.5, 11), np.linspace(-2.5, 2.5, 11), indexing="ij")
     s = np.arange(1.0, longest_px + 1.0)
-    angle = heading + settings.turn * turns[..., None] + settings.bend_per_px * bends[..., None] * s
+    angle = heading + _TURN * turns[..., None] + _BEND_PER_PX * bends[..., None] * s
     x = line[-1, 0] + np.cumsum(np.cos(angle), axis=-1).reshape(-1, len(s))
     y = line[-1, 1] + np.cumsum(np.sin(angle), axis=-1).reshape(-1, len(s))
     column = np.clip((x / coarse_px).astype(int), 0, away.shape[1] - 1)
@@ -110,35 +99,23 @@ def to_border(line: Array, probability: Map, away: Map, coarse_px: int, settings
         return line
     inside = np.cumsum(left, axis=1) == 0
     seen = cv2.remap(probability, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
-    value = (seen * inside).sum(axis=1) - 0.5 * settings.strength_px * (turns**2 + bends**2).ravel()
+    value = (seen * inside).sum(axis=1) - 0.5 * _STRENGTH_PX * (turns**2 + bends**2).ravel()
     best = int(np.where(reaches, value, -np.inf).argmax())
     count = int(inside[best].sum())
     return np.concatenate([line, np.stack([x[best, :count], y[best, :count]], axis=1)])
 
 
-@settings
-class CentrelineSettings:
-    """How a centre line is measured.
-
-    spacing_px: of its points
-    across_px: how far to both sides the ridge is looked for
-    stiffness_px: length over which the line is smoothed
-    noise_px: standard deviation of a point on a probable ridge
-    growth: growth of the standard deviation by distance from the nearest probable point
-    sure: confidence from which a point counts as probable
-    blend_points: standard deviation of the Gaussian that smooths the confidence along the line, in points
-    """
-
-    spacing_px: PixelDistance = 2.0
-    across_px: PixelDistance = 4.0
-    stiffness_px: PixelDistance = 5.0
-    noise_px: PixelDistance = 0.7
-    growth: Weight = 0.12
-    sure: Positive = 0.5
-    blend_points: Weight = 2.0
+# How a centre line is measured.
+_SPACING_PX = 2.0  # of its points
+_ACROSS_PX = 4.0  # how far to both sides the ridge is looked for
+_STIFFNESS_PX = 5.0  # length over which the line is smoothed
+_NOISE_PX = 0.7  # standard deviation of a point on a probable ridge
+_GROWTH = 0.12  # growth of the standard deviation by distance from the nearest probable point
+_SURE = 0.5  # confidence from which a point counts as probable
+_BLEND_POINTS = 2.0  # standard deviation of the Gaussian that smooths the confidence along the line, in points
 
 
-def centre_line(path: Array, probability: Map, settings: CentrelineSettings) -> tuple[Array, Array, Array]:
+def centre_line(path: Array, probability: Map) -> tuple[Array, Array, Array]:
     """Measures the centre line along a path.
 
     Args:
@@ -150,24 +127,24 @@ def centre_line(path: Array, probability: Map, settings: CentrelineSettings) -> 
         across the line.
     """
     length = arc_length(path)[-1]
-    count = max(4, int(length / settings.spacing_px) + 1)
+    count = max(4, int(length / _SPACING_PX) + 1)
     line = at_length(path, np.linspace(0.0, length, count))
     for _ in range(2):
-        normal = _normals(line, settings)
-        offset, weight = _off_ridge(line, normal, probability, settings.across_px)
+        normal = _normals(line)
+        offset, weight = _off_ridge(line, normal, probability, _ACROSS_PX)
         target = line + offset[:, None] * normal
         weight = weight + 0.05  # across gaps the line keeps the course of the bridge
         weight[[0, -1]] = np.maximum(weight[[0, -1]], 0.3)
-        stiffness = (settings.stiffness_px / settings.spacing_px) ** 4
+        stiffness = (_STIFFNESS_PX / _SPACING_PX) ** 4
         line = smoothed(target, weight, stiffness)
     line = at_length(line, np.linspace(0.0, arc_length(line)[-1], count))
-    _, weight = _off_ridge(line, _normals(line, settings), probability, 2.0)
-    confidence = np.clip(gaussian_filter1d(weight, settings.blend_points, mode="nearest"), 0.0, 1.0)
-    return line, confidence, _deviation(line, confidence, settings)
+    _, weight = _off_ridge(line, _normals(line), probability, 2.0)
+    confidence = np.clip(gaussian_filter1d(weight, _BLEND_POINTS, mode="nearest"), 0.0, 1.0)
+    return line, confidence, _deviation(line, confidence)
 
 
-def _normals(line: Array, settings: CentrelineSettings) -> Array:
-    smooth = gaussian_filter1d(line, 3.0 / settings.spacing_px, axis=0, mode="nearest")
+def _normals(line: Array) -> Array:
+    smooth = gaussian_filter1d(line, 3.0 / _SPACING_PX, axis=0, mode="nearest")
     tangent = np.gradient(smooth, axis=0)
     tangent /= np.maximum(np.hypot(*tangent.T), 1e-9)[:, None]
     return np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
@@ -184,11 +161,11 @@ def _off_ridge(line: Array, normal: Array, probability: Map, across_px: float) -
     return (weight @ off) / np.maximum(total, 1e-6), seen.max(axis=1)
 
 
-def _deviation(line: Array, confidence: Array, settings: CentrelineSettings) -> Array:
+def _deviation(line: Array, confidence: Array) -> Array:
     along = arc_length(line)
-    sure = along[confidence >= settings.sure]
+    sure = along[confidence >= _SURE]
     if not len(sure):
-        return np.full(len(line), settings.noise_px + settings.growth * along[-1])
+        return np.full(len(line), _NOISE_PX + _GROWTH * along[-1])
     at = np.clip(np.searchsorted(sure, along), 1, len(sure) - 1) if len(sure) > 1 else np.zeros(len(along), int)
     away = np.minimum(np.abs(along - sure[at]), np.abs(along - sure[np.maximum(at - 1, 0)]))
-    return np.asarray(np.hypot(settings.noise_px, settings.growth * away))
+    return np.asarray(np.hypot(_NOISE_PX, _GROWTH * away))

@@ -9,34 +9,20 @@ from numpy.typing import NDArray
 
 from guide3d.geometry.polyline import Array
 from guide3d.reading.links import Link
-from guide3d.setting_kinds import Count, PixelDistance, Positive, Share, Weight, settings
 
 # end, pieces walked once and twice: score, px of pieces, px of empty gaps, entries
 _States = dict[tuple[int, int, int], tuple[float, float, float, tuple[int, ...]]]
 
 
-@settings
-class SearchSettings:
-    """What a path costs besides its links, in px of certain wire.
-
-    starts: ends that are tried as tips, the cheapest ones
-    beam: partial paths from one tip that are followed at a time
-    candidates: paths that are returned
-    twice_px: longest piece that may be walked twice, where a wire lies over itself
-    twice_per_px: cost of a px that is walked twice
-    fold: cost of turning back at the end of a piece, as a tip does that lies over its wire
-    deepest: most pieces of a path
-    guessed: largest share of a path that is empty gaps; beyond, two devices may have been joined
-    """
-
-    starts: Count = 10
-    beam: Count = 24
-    candidates: Count = 5
-    twice_px: PixelDistance = 90.0
-    twice_per_px: Weight = 0.2
-    fold: Positive = 8.0
-    deepest: Count = 40
-    guessed: Share = 1 / 3
+# What a path costs besides its links, in px of certain wire.
+_STARTS = 10  # ends that are tried as tips, the cheapest ones
+_BEAM = 24  # partial paths from one tip that are followed at a time
+CANDIDATES = 5  # paths that are returned
+TWICE_PX = 90.0  # longest piece that may be walked twice, where a wire lies over itself
+_TWICE_PER_PX = 0.2  # cost of a px that is walked twice
+_FOLD = 8.0  # cost of turning back at the end of a piece, as a tip does that lies over its wire
+_DEEPEST = 40  # most pieces of a path
+GUESSED = 1 / 3  # largest share of a path that is empty gaps; beyond, two devices may have been joined
 
 
 @dataclass(frozen=True)
@@ -63,7 +49,6 @@ def search(
     start_cost: Array,
     end_cost: Array,
     shared: NDArray[np.bool_],
-    settings: SearchSettings,
 ) -> list[Path]:
     """Finds the best paths by beam search.
 
@@ -74,31 +59,31 @@ def search(
         shared: (k,) whether a piece may be walked twice.
 
     Returns:
-        Paths of different pieces or starts, best first, at most eight times `settings.candidates`.
+        Paths of different pieces or starts, best first, at most eight times `CANDIDATES`.
     """
     worths, spans = worth.tolist(), lengths.tolist()
     starts, stops, may_share = start_cost.tolist(), end_cost.tolist(), shared.tolist()
-    again = [settings.twice_per_px * span if may else np.inf for span, may in zip(spans, may_share, strict=True)]
+    again = [_TWICE_PER_PX * span if may else np.inf for span, may in zip(spans, may_share, strict=True)]
     likely = sorted(range(2 * len(worths)), key=lambda end: starts[end] - 0.3 * min(worths[end // 2], 100.0))
     finished: dict[tuple[int, int], Path] = {}
     # each start has a beam of its own: a path that begins with short pieces must not lose to one that begins with long
-    for start in likely[: settings.starts]:
+    for start in likely[:_STARTS]:
         states: _States = {
             (start, 1 << (start // 2), 0): (worths[start // 2] - starts[start], spans[start // 2], 0.0, (start,))
         }
-        for depth in range(settings.deepest):
-            best = sorted(states.items(), key=lambda item: -item[1][0])[: settings.beam]
+        for depth in range(_DEEPEST):
+            best = sorted(states.items(), key=lambda item: -item[1][0])[:_BEAM]
             states = {}
             for (entered, once, twice), (score, seen, empty, entries) in best:
                 leaving = entered ^ 1
                 whole = score - stops[leaving]
                 key = (start, once)
-                joined = empty <= settings.guessed * (empty + seen)
+                joined = empty <= GUESSED * (empty + seen)
                 if joined and (key not in finished or finished[key].score < whole):
                     finished[key] = Path(whole, entries)
                 onward = links[leaving]
                 if depth == 0 and may_share[entered // 2]:
-                    onward = [*onward, Link(leaving, settings.fold, 0.0)]
+                    onward = [*onward, Link(leaving, _FOLD, 0.0)]
                 for end, cost, gap in onward:
                     piece = end // 2
                     bit = 1 << piece
@@ -114,4 +99,4 @@ def search(
             if not states:
                 break
     paths = sorted(finished.values(), key=lambda path: -path.score)
-    return paths[: 8 * settings.candidates]
+    return paths[: 8 * CANDIDATES]

@@ -10,7 +10,6 @@ from skimage.morphology import skeletonize
 
 from guide3d.geometry.polyline import Array
 from guide3d.opencv import cv2
-from guide3d.setting_kinds import Count, PixelDistance, PixelDistanceOrNone, Positive, Share, settings
 
 Map = NDArray[np.float32]
 
@@ -18,28 +17,15 @@ _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 _MARGIN_PX = 2
 
 
-@settings
-class RidgeSettings:
-    """How pieces are found.
-
-    low: probability from which a pixel may belong to a piece
-    high: probability that a piece reaches somewhere
-    blur_px: standard deviation of the Gaussian that smooths the map first
-    spur_px: pieces with a free end that are shorter, at a junction, are dropped
-    direction_px: length over which the direction of an end is measured
-    junction_px: pixels nearer to a junction belong to no piece
-    worth_above: probability that is worth nothing; a px of a piece is worth what it has more
-    pieces: most pieces that are kept, the most probable ones
-    """
-
-    low: Share = 0.12
-    high: Share = 0.3
-    blur_px: Positive = 1.0
-    spur_px: PixelDistance = 7.0
-    direction_px: PixelDistance = 14.0
-    junction_px: PixelDistanceOrNone = 3.0
-    worth_above: Share = 0.1
-    pieces: Count = 48
+# How pieces are found.
+_LOW = 0.12  # probability from which a pixel may belong to a piece
+_HIGH = 0.3  # probability that a piece reaches somewhere
+BLUR_PX = 1.0  # standard deviation of the Gaussian that smooths the map first
+_SPUR_PX = 7.0  # pieces with a free end that are shorter, at a junction, are dropped
+_DIRECTION_PX = 14.0  # length over which the direction of an end is measured
+_JUNCTION_PX = 3.0  # pixels nearer to a junction belong to no piece
+_WORTH_ABOVE = 0.1  # probability that is worth nothing; a px of a piece is worth what it has more
+_PIECES = 48  # most pieces that are kept, the most probable ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +54,7 @@ class Pieces:
         return np.array([float(len(points)) for points in self.points])
 
 
-def find_pieces(probability: Map, cuts: Array, settings: RidgeSettings) -> Pieces:
+def find_pieces(probability: Map, cuts: Array) -> Pieces:
     """Finds the ridges of a probability map.
 
     Args:
@@ -78,35 +64,35 @@ def find_pieces(probability: Map, cuts: Array, settings: RidgeSettings) -> Piece
     Returns:
         The pieces; none where nothing is probable.
     """
-    mask = cv2.threshold(probability, settings.low, 1, cv2.THRESH_BINARY)[1].astype(np.uint8)
+    mask = cv2.threshold(probability, _LOW, 1, cv2.THRESH_BINARY)[1].astype(np.uint8)
     x, y, width, height = cv2.boundingRect(mask)
     if width == 0:
-        return _described([], probability, settings)
+        return _described([], probability)
     box = (slice(y, y + height), slice(x, x + width))
-    components = _with_peak(mask[box], probability[box], settings.high)
+    components = _with_peak(mask[box], probability[box])
     skeleton = np.pad(skeletonize(components), _MARGIN_PX).astype(np.uint8)
     corner = np.array([x - _MARGIN_PX, y - _MARGIN_PX], float)
-    traced = _split_at_junctions(skeleton, settings)
+    traced = _split_at_junctions(skeleton)
     pieces = [(points + corner, joined) for points, joined in traced]
     for place in cuts:
         pieces = [part for piece in pieces for part in _cut(piece, place)]
-    return _described(pieces, probability, settings)
+    return _described(pieces, probability)
 
 
-def _with_peak(mask: NDArray[np.uint8], probability: Map, high: float) -> NDArray[np.bool_]:
+def _with_peak(mask: NDArray[np.uint8], probability: Map) -> NDArray[np.bool_]:
     """Keeps the connected parts of a mask that reach a probability somewhere."""
     count, labels = cv2.connectedComponents(mask, connectivity=8)
     strong = np.zeros(count, bool)
-    strong[labels[(probability >= high) & (mask > 0)]] = True
+    strong[labels[(probability >= _HIGH) & (mask > 0)]] = True
     strong[0] = False
     return np.asarray(strong[labels])
 
 
-def _split_at_junctions(skeleton: NDArray[np.uint8], settings: RidgeSettings) -> list[tuple[Array, tuple[bool, bool]]]:
+def _split_at_junctions(skeleton: NDArray[np.uint8]) -> list[tuple[Array, tuple[bool, bool]]]:
     """Traces the simple paths that are left when the neighbourhood of every junction is taken out."""
     around = cv2.filter2D(skeleton, -1, _NEIGHBOURS, borderType=cv2.BORDER_CONSTANT)
     junctions = ((skeleton > 0) & (around >= 3)).astype(np.uint8)
-    reach = 2 * round(settings.junction_px) + 1
+    reach = 2 * round(_JUNCTION_PX) + 1
     near = cv2.dilate(junctions, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach)))
     near = cv2.max(near, cv2.dilate(junctions, np.ones((3, 3), np.uint8)))
     rows, columns = np.nonzero((skeleton > 0) & (near == 0))
@@ -116,7 +102,7 @@ def _split_at_junctions(skeleton: NDArray[np.uint8], settings: RidgeSettings) ->
         points = path.astype(float)
         first, last = (bool(at_junction[row, column]) for column, row in (path[0], path[-1]))
         free = not (first and last)
-        if len(points) < (settings.spur_px if free and (first or last) else 3):
+        if len(points) < (_SPUR_PX if free and (first or last) else 3):
             continue
         pieces.append((points, (first, last)))
     return pieces
@@ -153,18 +139,18 @@ def _cut(piece: tuple[Array, tuple[bool, bool]], place: Array) -> list[tuple[Arr
     return [(points[: at + 1], (first, True)), (points[at:], (True, last))]
 
 
-def _described(pieces: list[tuple[Array, tuple[bool, bool]]], probability: Map, settings: RidgeSettings) -> Pieces:
+def _described(pieces: list[tuple[Array, tuple[bool, bool]]], probability: Map) -> Pieces:
     worth = []
     for points, _ in pieces:
         column, row = points.astype(int).T
-        worth.append(float((probability[row, column] - settings.worth_above).sum()))
-    order = [k for k in np.argsort(worth)[::-1][: settings.pieces] if worth[k] > 0]
+        worth.append(float((probability[row, column] - _WORTH_ABOVE).sum()))
+    order = [k for k in np.argsort(worth)[::-1][:_PIECES] if worth[k] > 0]
     sorted_pieces = [pieces[k] for k in order]
     ends, outward, joined = [], [], []
     for points, both in sorted_pieces:
         for way, at_junction in ((points, both[0]), (points[::-1], both[1])):
             ends.append(way[0])
-            outward.append(_outward(way, settings.direction_px))
+            outward.append(_outward(way))
             joined.append(at_junction)
     return Pieces(
         [points for points, _ in sorted_pieces],
@@ -175,9 +161,9 @@ def _described(pieces: list[tuple[Array, tuple[bool, bool]]], probability: Map, 
     )
 
 
-def _outward(points: Array, length_px: float) -> Array:
+def _outward(points: Array) -> Array:
     """Direction out of a piece at its first point: that of a parabola through its beginning."""
-    part = points[: max(4, round(length_px))]
+    part = points[: max(4, round(_DIRECTION_PX))]
     s = np.arange(len(part), dtype=float)
     degree = 2 if len(part) >= 10 else 1
     slope = np.polyfit(s, part, degree)[degree - 1]

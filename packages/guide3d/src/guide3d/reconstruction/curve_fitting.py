@@ -14,10 +14,8 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
 import numpy as np
-from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solveh_banded
 from scipy.special import erfcx
@@ -26,37 +24,19 @@ from guide3d.geometry.bspline import BSplineCurve
 from guide3d.geometry.camera import Camera
 from guide3d.geometry.polyline import Array, arc_length, at_length
 from guide3d.native_library import ImageStruct, PriorStruct, SplineStruct, address, library
-from guide3d.setting_kinds import Millimetres, PixelDistance, Positive, settings
 
-
-@settings
-class CurveFitSettings:
-    """What is known of a wire and of its annotation beforehand.
-
-    pitch_mm: distance of the spline's knots
-    noise_px: noise of an annotated point in each coordinate, to start from
-    least_noise_px: least noise an estimate may have
-    outlier: in noises, the distance at which an annotated point has lost half its weight
-    bending_per_mm: spectral density of the curvature (1/mm)^2 mm; smaller is stiffer
-    bend_per_mm: curvature beyond which more bending costs ever less
-    changing_per_mm3: spectral density of the curvature's derivative
-    change_per_mm2: derivative of the curvature beyond which more change costs ever less
-    speed: how far the parameter may deviate from arc length, relative, per square root of mm
-    margin_mm: how far the spline reaches beyond the matched end
-    """
-
-    pitch_mm: Millimetres = 4.0
-    noise_px: PixelDistance = 1.0
-    estimate_noise: bool = True
-    least_noise_px: PixelDistance = 0.15
-    outlier: Positive = 3.0
-    bending_per_mm: Positive = 3e-4
-    bend_per_mm: Positive = 0.01
-    changing_per_mm3: Positive = 1e-5
-    change_per_mm2: Positive = 2e-3
-    speed: Positive = 0.2
-    margin_mm: Millimetres = 10.0
-    iterations: Annotated[int, Interval(ge=1, le=100_000)] = 25
+# What is known of a wire and of its annotation beforehand.
+PITCH_MM = 4.0  # distance of the spline's knots
+NOISE_PX = 1.0  # noise of an annotated point in each coordinate, to start from
+LEAST_NOISE_PX = 0.15  # least noise an estimate may have
+OUTLIER = 3.0  # in noises, the distance at which an annotated point has lost half its weight
+BENDING_PER_MM = 3e-4  # spectral density of the curvature (1/mm)^2 mm; smaller is stiffer
+BEND_PER_MM = 0.01  # curvature beyond which more bending costs ever less
+CHANGING_PER_MM3 = 1e-5  # spectral density of the curvature's derivative
+CHANGE_PER_MM2 = 2e-3  # derivative of the curvature beyond which more change costs ever less
+SPEED = 0.2  # how far the parameter may deviate from arc length, relative, per square root of mm
+MARGIN_MM = 10.0  # how far the spline reaches beyond the matched end
+ITERATIONS = 25
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +123,6 @@ def fit_curve(
     along: Sequence[Array],
     start_mm: ArrayLike,
     tip_seen: Sequence[bool],
-    settings: CurveFitSettings | None = None,
 ) -> FittedCurve:
     """Fits the most probable curve in space to its annotations in two images.
 
@@ -156,10 +135,9 @@ def fit_curve(
     Raises:
         ValueError: the images do not determine a curve.
     """
-    chosen = settings or CurveFitSettings()
     start = np.asarray(start_mm, dtype=float)
     length = float(arc_length(start)[-1])
-    control = _first_control_points(start, length, chosen)
+    control = _first_control_points(start, length)
     band = np.zeros((control.size, 12))
     images = (ImageStruct * 2)()
     places = tuple(np.array(value, dtype=float, order="C") for value in along)
@@ -171,22 +149,22 @@ def fit_curve(
         held.append((P, points))
         fields = (address(P), address(points), address(places[view]), int(tip_seen[view]), address(offsets[view]))
         images[view] = ImageStruct(len(points), *fields)
-    spline = SplineStruct(len(control), chosen.pitch_mm, address(control), address(band))
+    spline = SplineStruct(len(control), PITCH_MM, address(control), address(band))
     prior = PriorStruct(
-        chosen.noise_px, chosen.least_noise_px, int(chosen.estimate_noise), chosen.outlier, chosen.bending_per_mm,
-        chosen.bend_per_mm, chosen.changing_per_mm3, chosen.change_per_mm2, chosen.speed, chosen.iterations, 0.0,
+        NOISE_PX, LEAST_NOISE_PX, 1, OUTLIER, BENDING_PER_MM, BEND_PER_MM, CHANGING_PER_MM3, CHANGE_PER_MM2, SPEED,
+        ITERATIONS, 0.0,
     )  # fmt: skip
     if library().guide3d_fit(images, ctypes.byref(spline), ctypes.byref(prior)) < 0 or not np.isfinite(control).all():
         raise ValueError(
             f"no curve in space fits the {len(annotated[0])} and {len(annotated[1])} annotated points; "
             "check the order of the cameras and that both annotations start at the tip"
         )
-    knots = chosen.pitch_mm * np.arange(-3.0, len(control) + 1)
+    knots = PITCH_MM * np.arange(-3.0, len(control) + 1)
     end = min(*(float(place[-1]) for place in places), float(knots[-4]))
     curve = BSplineCurve(knots, control)
     noise = float(prior.noise)
-    if chosen.estimate_noise and noise > chosen.least_noise_px:
-        left = _left_by_weights(chosen.outlier)
+    if noise > LEAST_NOISE_PX:
+        left = _left_by_weights(OUTLIER)
         noise, band = noise / np.sqrt(left), band / left
     return FittedCurve(curve, end, band, (places[0], places[1]), noise)
 
@@ -221,14 +199,14 @@ def _basis(s: Array, pitch: float, count: int) -> tuple[NDArray[np.int64], Array
     return cell, np.stack([v**3, 3 * u**3 - 6 * u**2 + 4, 3 * v**3 - 6 * v**2 + 4, u**3], axis=1) / 6
 
 
-def _first_control_points(start: Array, length: float, settings: CurveFitSettings) -> Array:
+def _first_control_points(start: Array, length: float) -> Array:
     """Least squares of the spline through the first curve; beyond its end the spline goes straight on."""
-    count = int(np.ceil((length + settings.margin_mm) / settings.pitch_mm)) + 3
+    count = int(np.ceil((length + MARGIN_MM) / PITCH_MM)) + 3
     s = np.linspace(0.0, length, max(50, 4 * count))
-    cell, value = _basis(s, settings.pitch_mm, count)
+    cell, value = _basis(s, PITCH_MM, count)
     points = at_length(start, s)
     band, right = np.zeros((4, count)), np.zeros((count, 3))
-    difference = _difference_band(count, 1.0 / settings.pitch_mm)
+    difference = _difference_band(count, 1.0 / PITCH_MM)
     band[:3] += difference
     band[0] += 1e-9
     for first in range(4):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,7 @@ from guide3d.geometry.camera import Camera
 from guide3d.geometry.epipolar import EpipolarGeometry
 from guide3d.geometry.polyline import Array, arc_length, checked, distances_to, resample
 from guide3d.geometry.triangulation import calibration_covariance, point_covariance, require_millimetres, triangulate
-from guide3d.reconstruction.curve_fitting import CurveFitSettings, fit_curve, smoothed
+from guide3d.reconstruction.curve_fitting import NOISE_PX, fit_curve, smoothed
 from guide3d.reconstruction.matching import (
     Match,
     MatchingSettings,
@@ -22,7 +22,6 @@ from guide3d.reconstruction.matching import (
     match_curves,
     match_greedily,
 )
-from guide3d.setting_kinds import Millimetres, PixelDistance, PixelDistanceOrNone, settings
 
 _log = logging.getLogger(__name__)
 
@@ -33,31 +32,18 @@ OPEN_SHARE = 0.8  # of the wire along the epilines in both views, above which de
 START_STIFFNESS_PX = 20.0  # length over which triangulated pairs are smoothed for a start
 NEAR_PX = 4.0  # before the start of the match, annotated points still belong to it
 BEYOND_PX = 40.0  # beyond its end
+ANNOTATION_PX = 6.0  # closest distance of the annotated points that enter the fit; denser annotations are thinned
+SPACING_MM = 0.5  # of the reconstructed points
+OUTSIDE_PX = 60.0  # how far an annotated point may lie outside the image: undistorting moves points outwards
+MATCHING = MatchingSettings()
 PX_MM = 0.2  # about a px's size at the wire, to place points beyond the end of the match
-
-
-@settings
-class ReconstructionSettings:
-    """How wires are reconstructed.
-
-    annotation_px: closest distance of the annotated points that enter the fit; denser annotations are thinned
-    rejection_px: mean reprojection error in either image above which a result is not accepted
-    outside_px: how far an annotated point may lie outside the image (undistorting moves points at the border outwards)
-    """
-
-    matching: MatchingSettings = field(default_factory=MatchingSettings)
-    fit: CurveFitSettings = field(default_factory=CurveFitSettings)
-    annotation_px: PixelDistanceOrNone = 6.0
-    spacing_mm: Millimetres = 0.5
-    rejection_px: PixelDistance = REJECTION_PX
-    outside_px: PixelDistanceOrNone = 60.0
 
 
 @dataclass(frozen=True, eq=False)
 class Reconstruction:
     """A wire in space, tip first, up to where it leaves the first of both images.
 
-    curve_mm: (n, 3) every `spacing_mm` of arc length
+    curve_mm: (n, 3) every `SPACING_MM` of arc length
     covariance_mm2: (n, 3, 3) of each point: noise of the annotation, prior, and the cameras' own covariances
     spline: the curve, mm
     residual_a_px, residual_b_px: (n,) distance of each point's image from the annotated curve
@@ -108,7 +94,6 @@ def reconstruct(
     camera_b: Camera,
     points_a: ArrayLike,
     points_b: ArrayLike,
-    settings: ReconstructionSettings | None = None,
 ) -> Reconstruction:
     """Reconstructs a wire: global matching, triangulation, and a smooth curve through both annotations.
 
@@ -119,23 +104,22 @@ def reconstruct(
         ValueError: an annotation of fewer than two points or outside its image, two that have nothing in common, or
             cameras of another unit than mm.
     """
-    chosen = settings or ReconstructionSettings()
     require_millimetres(camera_a, camera_b)
     geometry = EpipolarGeometry(camera_a, camera_b)
-    annotations, curves = _read_in(geometry, (points_a, points_b), chosen)
-    match = match_curves(geometry, curves[0], curves[1], chosen.matching)
+    annotations, curves = _read_in(geometry, (points_a, points_b))
+    match = match_curves(geometry, curves[0], curves[1])
     _check_common(match)
-    start, steps = _first_curve(geometry, match, chosen.matching.sample_px)
+    start, steps = _first_curve(geometry, match, MATCHING.sample_px)
     pairs = [_fit_input(match, annotation, view, steps, start) for view, annotation in enumerate(annotations)]
     used, places = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     tips = (bool(match.along_a[0] <= 0.0), bool(match.along_b[0] <= 0.0))
     if min(len(points) for points in used) < 2:
         raise ValueError("the annotations have less than two points each in common; check that both start at the tip")
-    fitted = fit_curve(geometry.cameras, used, places, start, tips, chosen.fit)
-    curve, covariance = fitted.sample(chosen.spacing_mm)
+    fitted = fit_curve(geometry.cameras, used, places, start, tips)
+    curve, covariance = fitted.sample(SPACING_MM)
     covariance = covariance + calibration_covariance(camera_a, camera_b, curve)
     spline = fitted.spline.until(fitted.end)
-    return _result(geometry, curve, covariance, spline, match, curves, fitted.noise_px, chosen)
+    return _result(geometry, curve, covariance, spline, match, curves, fitted.noise_px)
 
 
 def reconstruct_greedy(
@@ -143,43 +127,38 @@ def reconstruct_greedy(
     camera_b: Camera,
     points_a: ArrayLike,
     points_b: ArrayLike,
-    settings: ReconstructionSettings | None = None,
 ) -> Reconstruction:
     """Reconstructs a wire in the thesis's way: first crossings, PCHIP between, linear triangulation, a spline.
 
-    Takes and raises what `reconstruct` does; of the settings `matching.sample_px`, `fit.noise_px` (for the covariance
-    of single points) and the limits count.
+    Takes and raises what `reconstruct` does.
     """
-    chosen = settings or ReconstructionSettings()
     geometry = EpipolarGeometry(camera_a, camera_b)
-    _, curves = _read_in(geometry, (points_a, points_b), chosen)
-    match = match_greedily(geometry, curves[0], curves[1], chosen.matching.sample_px)
+    _, curves = _read_in(geometry, (points_a, points_b))
+    match = match_greedily(geometry, curves[0], curves[1], MATCHING.sample_px)
     _check_common(match)
     points = triangulate(camera_a, camera_b, match.points_a, match.points_b, iterations=0)
-    spline = fit_bspline(points, smoothing=0.01 * len(points), closest=chosen.spacing_mm, what="triangulated curve")
-    curve = resample(spline.sample(8 * len(points)), spacing=chosen.spacing_mm)
-    covariance = point_covariance(camera_a, camera_b, curve, chosen.fit.noise_px)
+    spline = fit_bspline(points, smoothing=0.01 * len(points), closest=SPACING_MM, what="triangulated curve")
+    curve = resample(spline.sample(8 * len(points)), spacing=SPACING_MM)
+    covariance = point_covariance(camera_a, camera_b, curve, NOISE_PX)
     covariance = covariance + calibration_covariance(camera_a, camera_b, curve)
-    return _result(geometry, curve, covariance, spline, match, curves, None, chosen)
+    return _result(geometry, curve, covariance, spline, match, curves, None)
 
 
-def _read_in(
-    geometry: EpipolarGeometry, points: tuple[ArrayLike, ArrayLike], settings: ReconstructionSettings
-) -> tuple[list[Array], list[Array]]:
+def _read_in(geometry: EpipolarGeometry, points: tuple[ArrayLike, ArrayLike]) -> tuple[list[Array], list[Array]]:
     annotations, curves = [], []
     for camera, annotation, letter in zip(geometry.cameras, points, "AB", strict=True):
         what = f"annotation of camera {letter}"
         polyline = checked(annotation, 2, what)
-        outside = ~camera.contains(polyline, settings.outside_px)
+        outside = ~camera.contains(polyline, OUTSIDE_PX)
         if outside.any():
             first = int(np.flatnonzero(outside)[0])
             raise ValueError(
                 f"{what}: point {first} at ({polyline[first, 0]:.1f}, {polyline[first, 1]:.1f}) px lies outside the "
                 f"image of {camera.width} x {camera.height}; check the image's size and the order of x and y"
             )
-        curve = image_curve(polyline, settings.matching.sample_px, what)
-        if np.median(np.linalg.norm(np.diff(polyline, axis=0), axis=1)) < settings.annotation_px:
-            polyline = resample(polyline, count=max(8, int(arc_length(polyline)[-1] / settings.annotation_px)))
+        curve = image_curve(polyline, MATCHING.sample_px, what)
+        if np.median(np.linalg.norm(np.diff(polyline, axis=0), axis=1)) < ANNOTATION_PX:
+            polyline = resample(polyline, count=max(8, int(arc_length(polyline)[-1] / ANNOTATION_PX)))
         annotations.append(polyline)
         curves.append(curve)
     return annotations, curves
@@ -226,7 +205,6 @@ def _result(
     match: Match,
     curves: list[Array],
     noise_px: float | None,
-    settings: ReconstructionSettings,
 ) -> Reconstruction:
     residuals, shares = [], []
     for view, (camera, annotation) in enumerate(zip(geometry.cameras, curves, strict=True)):
@@ -234,8 +212,8 @@ def _result(
         residuals.append(distances_to(annotation, image))
         shares.append(geometry.tangent_share(view, image))
     means = [float(residual.mean()) for residual in residuals]
-    accepted = max(means) <= settings.rejection_px
-    warnings = _warnings(geometry, match, curves, means, settings)
+    accepted = max(means) <= REJECTION_PX
+    warnings = _warnings(geometry, match, curves, means)
     if min(shares) > OPEN_SHARE:
         warnings.append(
             f"depth is hardly seen: {min(shares):.0%} of the wire runs along the epilines in both views; "
@@ -260,27 +238,24 @@ def _result(
     )
 
 
-def _warnings(
-    geometry: EpipolarGeometry, match: Match, curves: list[Array], means: list[float], settings: ReconstructionSettings
-) -> list[str]:
+def _warnings(geometry: EpipolarGeometry, match: Match, curves: list[Array], means: list[float]) -> list[str]:
     warnings = []
-    if max(means) > settings.rejection_px:
+    if max(means) > REJECTION_PX:
         warnings.append(
-            f"rejected: mean reprojection error {means[0]:.1f} / {means[1]:.1f} px, "
-            f"the limit is {settings.rejection_px:g} px"
+            f"rejected: mean reprojection error {means[0]:.1f} / {means[1]:.1f} px, the limit is {REJECTION_PX:g} px"
         )
     tips = float(geometry.signed_distance(curves[0][:1], curves[1][:1])[0])
     if abs(tips) <= TIPS_PX and match.coverage >= LEAST_COVERAGE:
         return warnings
     # what the greedy matching misses says nothing about the annotation and the cameras
-    judged = match_curves(geometry, curves[0], curves[1], settings.matching)
+    judged = match_curves(geometry, curves[0], curves[1])
     if abs(tips) > TIPS_PX or judged.coverage < LEAST_COVERAGE:
         warnings.append(
             f"the tips miss each other's epilines by {abs(tips):.1f} px, {judged.coverage:.0%} of the wire is "
             "measured; the annotation may be distorted, or an annotated tip is not the tip"
         )
         swapped = EpipolarGeometry(geometry.cameras[1], geometry.cameras[0])
-        other = match_curves(swapped, curves[0], curves[1], settings.matching)
+        other = match_curves(swapped, curves[0], curves[1])
         if clearly_better(other.residual_px, judged.residual_px):
             warnings.append(
                 f"the cameras look swapped: the epipolar residual is {judged.residual_px:.1f} px as given and "

@@ -40,9 +40,7 @@ class Verdict:
     sentence: str
 
 
-def epipolar_residuals(
-    camera_a: Camera, camera_b: Camera, pairs: Sequence[Pair], settings: MatchingSettings | None = None
-) -> Array:
+def epipolar_residuals(camera_a: Camera, camera_b: Camera, pairs: Sequence[Pair]) -> Array:
     """Returns the epipolar residual (n,) px of each pair of annotations, (k, 2) px in A and (l, 2) px in B.
 
     Raises:
@@ -50,7 +48,7 @@ def epipolar_residuals(
     """
     if not len(pairs):
         raise ValueError("expected at least one pair of annotations, got none")
-    chosen = settings or MatchingSettings()
+    chosen = MatchingSettings()
     geometry = EpipolarGeometry(camera_a, camera_b)
     residuals = []
     for a, b in pairs:
@@ -59,7 +57,7 @@ def epipolar_residuals(
             image_curve(b, chosen.sample_px, "annotation of camera B"),
         )
         # what leaves the tips out has no residual of its own, and is as bad as what is matched at the limit
-        residuals.append(min(match_curves(geometry, *curves, settings=chosen).residual_px, 2 * chosen.crossing_px))
+        residuals.append(min(match_curves(geometry, *curves).residual_px, 2 * chosen.crossing_px))
     return np.array(residuals)
 
 

@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -163,14 +162,12 @@ class FluoroscopyObjective:
         drawn: float,
         augmentation: Augmentation,
         background: int,
-        weights: Any = None,
     ) -> None:
         """Args:
         samples: of an epoch.
         drawn: share of samples that are maps drawn without an image.
         augmentation: of the pictures of the pool; only its moves, and of grey levels what is not zero.
         background: grey level that comes in where a picture is moved.
-        weights: of the variant's loss.
 
         Raises:
             ValueError: nothing to learn from.
@@ -182,7 +179,7 @@ class FluoroscopyObjective:
         self.validation_items = np.arange(len(validation))
         self.drawn, self.augmentation, self.background = drawn, augmentation, background
         self.size_px = int(network.settings.image_px)
-        self.targets: Targets = TARGETS[network.variant](network, weights)
+        self.targets: Targets = TARGETS[network.variant](network)
 
     def loss(self, module: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         """Mean loss of a batch."""

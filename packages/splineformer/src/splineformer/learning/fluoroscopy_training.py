@@ -23,7 +23,6 @@ from splineformer.image_input import picture_of
 from splineformer.learning.augmentation import Augmentation
 from splineformer.learning.drawn_maps import drawn_map
 from splineformer.learning.fluoroscopy_samples import ONE, FluoroscopyObjective, draw_pool
-from splineformer.learning.losses import OrderedWeights, PublishedWeights
 from splineformer.learning.recipes import recipe_of
 from splineformer.map_picture import WHITE, picture_by_reader
 from splineformer.modeling.ordered import OrderedSettings
@@ -56,7 +55,6 @@ class FluoroscopyRecipe:
 
     settings: SplineFormerSettings | OrderedSettings
     fit: NetworkFitSettings
-    weights: PublishedWeights | OrderedWeights
     input: str = "maps"
     images: Count = 1500
     validation_images: Count = 200
@@ -93,7 +91,7 @@ def fluoroscopy_recipe(variant: str, size: str, input: str = "maps") -> Fluorosc
             network = replace(network, encoder_layers=4, decoder_layers=2)
     augmentation = _MAPS_TURNED if maps else replace(_MAPS_TURNED, gain=0.3, offset=10.0, noise=3.0)
     recipe = FluoroscopyRecipe(
-        network, replace(common.fit, epochs=30, batch_size=16), common.weights, input, drawn=0.6 if maps else 0.0,
+        network, replace(common.fit, epochs=30, batch_size=16), input, drawn=0.6 if maps else 0.0,
         augmentation=augmentation,
     )  # fmt: skip
     if size == "smoke":
@@ -147,7 +145,7 @@ def train_on_fluoroscopy(
     network = build(recipe.settings)
     objective = FluoroscopyObjective(
         training, validation, network, samples=recipe.samples, drawn=recipe.drawn, augmentation=recipe.augmentation,
-        background=int(WHITE) if recipe.input == "maps" else 0, weights=recipe.weights,
+        background=int(WHITE) if recipe.input == "maps" else 0,
     )  # fmt: skip
     # the training starts from the mean of random curves
     generator = np.random.default_rng((seed, recipe.samples))

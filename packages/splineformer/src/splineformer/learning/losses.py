@@ -9,7 +9,6 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from guide3d.setting_kinds import Count, Weight, settings
 from splineformer.decoding import decode
 from splineformer.modeling.curve_network import ImageKind
 from splineformer.modeling.ordered import OrderedPrediction
@@ -21,56 +20,27 @@ _SLIDE = 0.05  # of the length: so far from its own place a refined point may be
 _ON_WIRE = 0.6  # hundredths of the side: so near a point lies on the wire
 _FAR = 1e3
 
+# Weights of the published loss, and samples of a decoded curve.
+_KNOTS = 100.0  # of the Huber loss of the knots
+_POINTS = 100.0
+_END = 1.0  # of the cross-entropy of the end of the sequence
+_CURVE = 10.0  # of the squared error of samples of the decoded curve
+_TIP = 100.0  # of the squared error of the first token
+_KIND = 0.2  # of the kind of image, which is an addition
+_SAMPLES = 20
 
-@settings
-class PublishedWeights:
-    """Weights of the published loss.
-
-    Attributes:
-        knots: of the Huber loss of the knots.
-        end: of the cross-entropy of the end of the sequence.
-        curve: of the squared error of samples of the decoded curve.
-        tip: of the squared error of the first token.
-        kind: of the kind of image, which is an addition.
-    """
-
-    knots: Weight = 100.0
-    points: Weight = 100.0
-    end: Weight = 1.0
-    curve: Weight = 10.0
-    tip: Weight = 100.0
-    kind: Weight = 0.2
-    samples: Count = 20
-
-
-@settings
-class OrderedWeights:
-    """Weights of the ordered variant's loss; distances are in hundredths of the image's side.
-
-    Attributes:
-        course: of the distance of the course's points, up to the first beyond the tip.
-        length: of the error of the length, in steps.
-        overview: of the distance of the course's points at shares of the length.
-        tip: of the cross-entropy of the heat map with the four cells round the tip.
-        offset: of the distance from those cells' places to the tip.
-        revised: of the distance of the revised points from their own places.
-        refined: of the distance of the refined points from the wire.
-        curve: of the distance of the curve of the control points.
-        spread: of the likelihood of the distances under their predicted spread.
-        on_wire: of the cross-entropy of whether points lie on the wire.
-    """
-
-    course: Weight = 1.0
-    length: Weight = 0.5
-    overview: Weight = 0.5
-    tip: Weight = 1.0
-    offset: Weight = 0.2
-    revised: Weight = 1.0
-    refined: Weight = 1.0
-    curve: Weight = 0.1
-    spread: Weight = 0.1
-    on_wire: Weight = 0.1
-    kind: Weight = 0.4
+# Weights of the ordered variant's loss; distances are in hundredths of the image's side.
+_COURSE = 1.0  # of the distance of the course's points, up to the first beyond the tip
+_LENGTH = 0.5  # of the error of the length, in steps
+_OVERVIEW = 0.5  # of the distance of the course's points at shares of the length
+_HEAT = 1.0  # of the cross-entropy of the heat map with the four cells round the tip
+_OFFSET = 0.2  # of the distance from those cells' places to the tip
+_REVISED = 1.0  # of the distance of the revised points from their own places
+_REFINED = 1.0  # of the distance of the refined points from the wire
+_OF_CONTROL = 0.1  # of the distance of the curve of the control points
+_SPREAD = 0.1  # of the likelihood of the distances under their predicted spread
+_LIES_ON_WIRE = 0.1  # of the cross-entropy of whether points lie on the wire
+_ORDERED_KIND = 0.4
 
 
 def kind_loss(kind: ImageKind, wires: Tensor, inverted: Tensor) -> Tensor:
@@ -78,7 +48,7 @@ def kind_loss(kind: ImageKind, wires: Tensor, inverted: Tensor) -> Tensor:
     return F.cross_entropy(kind.wires, wires) + F.binary_cross_entropy_with_logits(kind.inverted, inverted)
 
 
-def published_loss(taught: TaughtTokens, batch: Mapping[str, Tensor], weights: PublishedWeights) -> Tensor:
+def published_loss(taught: TaughtTokens, batch: Mapping[str, Tensor]) -> Tensor:
     """The published loss; images without exactly one wire count only for the kind of image.
 
     The batch holds "tokens" (B, limit, 3), "lengths", "wires" and "inverted" (B,).
@@ -95,15 +65,15 @@ def published_loss(taught: TaughtTokens, batch: Mapping[str, Tensor], weights: P
     end = F.binary_cross_entropy_with_logits(taught.following.end, last, reduction="none")
     tip = ((taught.first - tokens[:, 0]).square().mean(-1) * one).sum() / one.sum().clamp_min(1.0)
     whole = torch.cat([taught.first[:, None], predicted], 1).float()
-    curves = decode(whole, lengths, weights.samples) - decode(tokens, lengths, weights.samples)
+    curves = decode(whole, lengths, _SAMPLES) - decode(tokens, lengths, _SAMPLES)
     curve = (curves.square().mean((1, 2)) * one).sum() / one.sum().clamp_min(1.0)
     return (
-        weights.knots * knots
-        + weights.points * points
-        + weights.end * (end * valid).sum() / count
-        + weights.curve * curve
-        + weights.tip * tip
-        + weights.kind * kind_loss(taught.kind, batch["wires"], batch["inverted"])
+        _KNOTS * knots
+        + _POINTS * points
+        + _END * (end * valid).sum() / count
+        + _CURVE * curve
+        + _TIP * tip
+        + _KIND * kind_loss(taught.kind, batch["wires"], batch["inverted"])
     )
 
 
@@ -171,7 +141,6 @@ def nearest_on_curve(points: Tensor, curve: Tensor, shares: Tensor | None = None
 def ordered_loss(
     predicted: OrderedPrediction,
     batch: Mapping[str, Tensor],
-    weights: OrderedWeights,
     bases: Tensor,
     shares: Tensor,
     sights: Sequence[float],
@@ -195,31 +164,29 @@ def ordered_loss(
     true = batch["length"]
     steps = torch.arange(predicted.course.shape[1], device=true.device)
     valid = (steps < true[:, None] + 1.0) * one[:, None]
-    total = weights.course * (distance(predicted.course, batch["course"]) * valid).sum() / valid.sum().clamp_min(1.0)
-    total = (
-        total + weights.length * (F.smooth_l1_loss(predicted.length, true, reduction="none", beta=0.1) * share).sum()
-    )
-    total = total + weights.overview * (distance(predicted.overview, points).mean(-1) * share).sum()
+    total = _COURSE * (distance(predicted.course, batch["course"]) * valid).sum() / valid.sum().clamp_min(1.0)
+    total = total + _LENGTH * (F.smooth_l1_loss(predicted.length, true, reduction="none", beta=0.1) * share).sum()
+    total = total + _OVERVIEW * (distance(predicted.overview, points).mean(-1) * share).sum()
     # what looks from near by is learnt from the first images of the batch
     near = len(predicted.tip.place)
     points, curve, one = points[:near], curve[:near], one[:near]
     share = one / one.sum().clamp_min(1.0)
     tip = attention_loss(predicted.tip.logits[:, None], points[:, :1])[:, 0]
-    total = total + weights.tip * (tip * share).sum()
-    total = total + weights.offset * (offset_loss(predicted.tip.offsets, points[:, 0]) * share).sum()
+    total = total + _HEAT * (tip * share).sum()
+    total = total + _OFFSET * (offset_loss(predicted.tip.offsets, points[:, 0]) * share).sum()
     for revised in predicted.revised:
-        total = total + weights.revised * (distance(revised, points).mean(-1) * share).sum()
+        total = total + _REVISED * (distance(revised, points).mean(-1) * share).sum()
     target = points
     for sight, former, stage in zip(sights, predicted.begun, predicted.stages, strict=True):
         target = nearest_on_curve(former.detach(), curve, shares, _SLIDE)
         target = torch.cat([points[:, :1], target[:, 1:-1], points[:, -1:]], 1)
         seen = ((target - former).norm(dim=-1) < sight) * one[:, None]
-        total = total + weights.refined * (distance(stage, target) * seen).sum() / seen.sum().clamp_min(1.0)
-    total = total + weights.curve * (distance(bases @ predicted.control, curve).mean(-1) * share).sum()
+        total = total + _REFINED * (distance(stage, target) * seen).sum() / seen.sum().clamp_min(1.0)
+    total = total + _OF_CONTROL * (distance(bases @ predicted.control, curve).mean(-1) * share).sum()
     off = (100 * (predicted.stages[-1] - target).norm(dim=-1)).detach()
     likelihood = off * torch.exp(-predicted.spread) + predicted.spread
-    total = total + weights.spread * (likelihood.mean(-1) * share).sum()
+    total = total + _SPREAD * (likelihood.mean(-1) * share).sum()
     right = (off < _ON_WIRE).to(off.dtype)
     on_wire = F.binary_cross_entropy_with_logits(predicted.on_wire, right, reduction="none").mean(-1)
-    total = total + weights.on_wire * (on_wire * share).sum()
-    return total + weights.kind * kind_loss(predicted.kind, batch["wires"], batch["inverted"])
+    total = total + _LIES_ON_WIRE * (on_wire * share).sum()
+    return total + _ORDERED_KIND * kind_loss(predicted.kind, batch["wires"], batch["inverted"])

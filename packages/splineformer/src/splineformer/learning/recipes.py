@@ -8,7 +8,6 @@ from guide3d.learning.training import NetworkFitSettings
 from guide3d.setting_kinds import CountOrNone, settings
 from splineformer.build import size_of
 from splineformer.learning.augmentation import Augmentation
-from splineformer.learning.losses import OrderedWeights, PublishedWeights
 from splineformer.modeling.ordered import OrderedSettings
 from splineformer.modeling.published import SplineFormerSettings
 
@@ -33,7 +32,6 @@ class Recipe:
 
     settings: SplineFormerSettings | OrderedSettings
     fit: NetworkFitSettings
-    weights: PublishedWeights | OrderedWeights
     augmentation: Augmentation = field(default_factory=Augmentation)
     images: CountOrNone = 0
     validation_images: CountOrNone = 0
@@ -54,7 +52,6 @@ def recipe_of(variant: str, size: str) -> Recipe:
     """
     settings = size_of(variant, size)
     published = variant == "published"
-    weights = PublishedWeights() if published else OrderedWeights()
     if size.startswith("thesis"):
         # Adam without decay is AdamW with a decay of nothing
         fit = NetworkFitSettings(
@@ -63,7 +60,7 @@ def recipe_of(variant: str, size: str) -> Recipe:
             weight_decay=0.0 if published else 0.02,
         )  # fmt: skip
         kinds = replace(_PLAIN, inverted=0.08, empty=0.05, several=0.05)
-        return Recipe(settings, fit, weights, kinds if published else Augmentation())
+        return Recipe(settings, fit, kinds if published else Augmentation())
     desk = size == "desk"
     epochs = {"published": 4, "ordered": 18}[variant] if desk else 1
     fit = NetworkFitSettings(
@@ -71,4 +68,4 @@ def recipe_of(variant: str, size: str) -> Recipe:
         learning_rate=1e-3 if published else 1.5e-3,
         weight_decay=0.02, schedule="one_cycle", patience=0, clip=1.0 if published else 5.0,
     )  # fmt: skip
-    return Recipe(settings, fit, weights, _NEARLY_STILL, images=0 if desk else 16, validation_images=96 if desk else 4)
+    return Recipe(settings, fit, _NEARLY_STILL, images=0 if desk else 16, validation_images=96 if desk else 4)

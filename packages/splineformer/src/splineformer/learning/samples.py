@@ -22,7 +22,6 @@ from splineformer.learning.augmentation import (
     warped,
     without_wire,
 )
-from splineformer.learning.losses import OrderedWeights, PublishedWeights
 from splineformer.learning.targets import TARGETS, Targets
 from splineformer.modeling.curve_network import WIRES, CurveNetwork
 
@@ -83,7 +82,6 @@ class SplineObjective:
         network: CurveNetwork,
         *,
         augmentation: Augmentation | None = None,
-        weights: PublishedWeights | OrderedWeights | None = None,
     ) -> None:
         """Args:
         stores: of pictures, one a camera, all with as many frames.
@@ -103,7 +101,7 @@ class SplineObjective:
         self.training_items = np.repeat(self.training_items, passes)
         if not len(self.training_items):
             raise ValueError("there is no image to learn from: the data set's training part is empty")
-        self.targets: Targets = TARGETS[network.variant](network, weights)
+        self.targets: Targets = TARGETS[network.variant](network)
 
     def _with_curves(self, items: Indices) -> Indices:
         return np.array([item for item in items if self.curves[item] is not None], np.int64)

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from guide3d.geometry.polyline import arc_length, at_length
 from splineformer.decoding import collocation
 from splineformer.learning.augmentation import at_shares, perturbed
-from splineformer.learning.losses import OrderedWeights, PublishedWeights, ordered_loss, published_loss
+from splineformer.learning.losses import ordered_loss, published_loss
 from splineformer.modeling.ordered import OrderedSplineFormer
 from splineformer.modeling.published import SplineFormer
 
@@ -46,9 +46,8 @@ class PublishedTargets:
     would go on without looking at the image, and its own are never true.
     """
 
-    def __init__(self, network: SplineFormer, weights: Any) -> None:
+    def __init__(self, network: SplineFormer) -> None:
         self.network = network
-        self.weights = weights if isinstance(weights, PublishedWeights) else PublishedWeights()
         knots = torch.from_numpy(network.knots)
         self.shares = np.linspace(0.0, 1.0, _FITTED_A_TOKEN * network.limit)
         self.bases = collocation(knots, torch.from_numpy(self.shares)).numpy()
@@ -66,7 +65,7 @@ class PublishedTargets:
         return {"tokens": tokens, "lengths": torch.full((len(curves),), self.network.limit), "given": inputs}
 
     def loss(self, module: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
-        return published_loss(module(batch["images"], batch["given"]), batch, self.weights)
+        return published_loss(module(batch["images"], batch["given"]), batch)
 
     def start(self, targets: Mapping[str, Tensor]) -> None:
         self.network.tip.start_at(targets["tokens"][:, 0].mean(0))
@@ -88,9 +87,8 @@ class OrderedTargets:
     steps from the end on, "length" (B,) in steps, "starts" (n, queries, 2) and "begins" (n,) of the first n images.
     """
 
-    def __init__(self, network: OrderedSplineFormer, weights: Any) -> None:
+    def __init__(self, network: OrderedSplineFormer) -> None:
         self.network = network
-        self.weights = weights if isinstance(weights, OrderedWeights) else OrderedWeights()
         self.shares = network.shares.double().cpu().numpy()
         self.steps, self.step = network.settings.steps, network.step
         parameters = torch.linspace(0, 1, _CURVE_SAMPLES, dtype=torch.float64)
@@ -120,7 +118,7 @@ class OrderedTargets:
     def loss(self, module: nn.Module, batch: Mapping[str, Tensor]) -> Tensor:
         prediction = module(batch["images"], batch["starts"], batch["begins"])
         bases = self.bases.to(batch["images"].device)
-        return ordered_loss(prediction, batch, self.weights, bases, self.network.shares, self.sights)
+        return ordered_loss(prediction, batch, bases, self.network.shares, self.sights)
 
     def start(self, targets: Mapping[str, Tensor]) -> None:
         self.network.start_at(targets["course"].mean(0), float(targets["length"].mean()))

@@ -85,7 +85,6 @@ def train(
         images_of(data, split.validation, recipe.validation_images),
         network,
         augmentation=recipe.augmentation,
-        weights=recipe.weights,
     )
     # the training starts from the mean of the curves that are learnt from
     items = objective.training_items

@@ -29,7 +29,7 @@ _LEARNING_RATE = 6e-4
 
 @dataclass(frozen=True, eq=False)
 class WirePictures:
-    """Pictures of wires, all of the first camera, then those of the second.
+    """Pictures of wires.
 
     Attributes:
         pictures: (N, size, size) in the network's size.
@@ -40,7 +40,6 @@ class WirePictures:
     pictures: NDArray[Any]
     curves: NDArray[np.float64]
     held_out: NDArray[np.bool_]
-    cameras: int
 
 
 class _Stored:
@@ -78,12 +77,11 @@ def fine_tune(
     Returns:
         The predictor, and the number of images, the CPU time in minutes, and the errors before and after.
     """
-    count, places = len(data.curves) // data.cameras, np.arange(len(data.curves))
-    stores = [_Stored(data.pictures[n * count : (n + 1) * count]) for n in range(data.cameras)]
+    places = np.arange(len(data.curves))
     recipe = recipe_of(variant, "desk")
     objective = SplineObjective(
-        stores, list(data.curves), places[~data.held_out], places[data.held_out], predictor.network,
-        augmentation=recipe.augmentation, weights=recipe.weights,
+        [_Stored(data.pictures)], list(data.curves), places[~data.held_out], places[data.held_out], predictor.network,
+        augmentation=recipe.augmentation,
     )  # fmt: skip
     outcome: dict[str, Any] = {f"{name}_before": value for name, value in errors(predictor, data).items()}
     settings = replace(recipe.fit, epochs=epochs, learning_rate=_LEARNING_RATE)

@@ -80,13 +80,12 @@ class TrainingInputs:
 
         Where updates are made meanwhile, by another thread, they get a process of their own, if it is worth its start.
         """
-        keys = tuple(dict.fromkeys((*settings.keys, *settings.critic_keys))) if settings.keys else ()
         common: dict[str, Any] = {
             "factories": [self.make_env] * settings.n_envs,
             "seed": self.seed,
             "action_repeat": settings.action_repeat,
             "start_state_buffer": start_state_buffer,
-            "keys": keys if self.encoder is None else (),
+            "keys": settings.keys if self.encoder is None else (),
         }
         threads = min(settings.threads, settings.n_envs)
         overlap = isinstance(settings, SacSettings) and settings.overlap
@@ -110,7 +109,7 @@ def start_from(learner: SacLearner | PpoLearner, policy: Policy, settings: Train
         raise ValueError(
             "the policy to start from has no critics: train it again with keep_critics=True, or start from nothing"
         )
-    if policy.encoder is not None or settings.passthrough:
+    if policy.encoder is not None:
         raise ValueError("a training starts from a policy without an encoder: give one that sees its observations")
     mine, theirs = asdict(settings.network), asdict(policy.network)
     differing = [name for name in mine if mine[name] != theirs[name]]

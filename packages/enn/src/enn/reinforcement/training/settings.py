@@ -23,7 +23,6 @@ class TrainingSettings(NetworkSettings):
     One decision is one action of one environment, held for `action_repeat` steps.
     """
 
-    passthrough: tuple[str, ...] = ()  # observations beside the encoder's features
     # fits mean and scale of vector observations to the first decisions; never with an encoder, whose features are
     # normalised
     normalise: bool = True
@@ -108,7 +107,6 @@ class SacSettings(TrainingSettings):
     # decisions
     overlap: bool = False
     gradient_steps: Annotated[float, Interval(ge=0, le=1e4)] = 1.0  # updates a decision; may be a fraction
-    actor_every: Count = 1  # updates of the critic for one of the actor and of the entropy's weight
     tau: Annotated[float, Interval(gt=0, le=1)] = 0.005  # share of the new weights in the target critic
     ent_coef: str | Weight = "auto_0.05"  # weight of the entropy; "auto" or "auto_0.05" learns it, from 1 or 0.05
     # that "auto" aims at; None: minus the number of actions. A fixed weight has none.

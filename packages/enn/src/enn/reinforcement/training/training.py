@@ -70,7 +70,7 @@ class TrainingRun:
             from enn.reinforcement.encoded import EncodedEnvs
 
             inputs.encoder.to(get_device(settings.device))
-            self.envs = EncodedEnvs(self.sampled, inputs.encoder, settings.passthrough)
+            self.envs = EncodedEnvs(self.sampled, inputs.encoder)
         demonstrations = self._demonstrations()
         self.learner: SacLearner | PpoLearner
         self.overlap = isinstance(settings, SacSettings) and settings.overlap
@@ -87,7 +87,6 @@ class TrainingRun:
             self.sampled.observation_space,
             self.sampled.action_space,  # type: ignore[arg-type]
             encoder=inputs.encoder,
-            passthrough=settings.passthrough,
             action_repeat=settings.action_repeat,
             metadata={"seed": inputs.seed, **(inputs.metadata or {})},
         )
