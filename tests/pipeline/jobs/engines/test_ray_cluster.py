@@ -55,7 +55,7 @@ def test_a_node_that_dies_has_its_jobs_done_by_the_other(two_nodes: Any, tmp_pat
                 two_nodes.remove_node(two_nodes.second, allow_graceful=False)
             return super().result_of(key)
 
-    with folder.locked(), chosen_engine(RaySettings(retries=2, memory_gb=0.1, lease_s=5.0)):
+    with folder.locked(), chosen_engine(RaySettings(retries=2, memory_gb=0.1)):
         folder.prepare()
         watched = WatchedFolder(folder.path, folder.identity)
         # the last job waits for both, so that the folder is asked again and again
