@@ -139,7 +139,6 @@ class Needs:
 class Executor(ABC):
     """A cluster's scheduler: runs tasks on machines that share a folder."""
 
-    capacity: int  # jobs beside each other, for the estimate of the end
     has_gpus: bool  # for stage.device=auto
 
     def fits(self, needs: Needs) -> bool:
@@ -190,7 +189,6 @@ class ClusterEngine:
         self._folder, self._executor, self._settings = folder, executor, settings
         self._on_gpus = device != CPU and (device != AUTO or executor.has_gpus)
         self._at_once = at_once
-        self.capacity = min(at_once or executor.capacity, executor.capacity)
         self._attempts: dict[str, _Attempt] = {}
         self._messages: list[tuple[str, Message]] = []
         self._environment = contextlib.ExitStack()  # of jobs that inherit this process's

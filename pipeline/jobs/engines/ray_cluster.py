@@ -40,8 +40,7 @@ class RayExecutor(Executor):
         # The function goes to the machines by value: what one of them lacks is then named by it, not by Ray.
         ray.cloudpickle.register_pickle_by_value(task_module)
         self._run: Any = ray.remote(max_retries=0, max_calls=1)(task_module.run_task)
-        total = ray.cluster_resources()
-        self.capacity, self.has_gpus = max(int(total.get("CPU", 1)), 1), total.get("GPU", 0) > 0
+        self.has_gpus = ray.cluster_resources().get("GPU", 0) > 0
 
     def _connect(self, address: str | None) -> None:
         if address is not None and address not in ("auto", "local"):
