@@ -55,7 +55,6 @@ $(INSTALLED): $(INSTALL_INPUTS)
 	@$(PY) -m pip install -qq --disable-pip-version-check --no-compile --no-build-isolation -c constraints.txt -r requirements.txt
 	@# Ours, too, where an environment forbids Python to: every start of a stage would compile them again.
 	@$(PY) -m compileall -qq -j 0 $(VENV)/lib packages/*/src pipeline >/dev/null 2>&1 || true  # some files of libraries are for other versions
-	@$(PY) pipeline/installation.py after
 	@echo "source $(VENV)/bin/activate: then python, endonav and examples/ run as the documents write them"
 	@touch $@
 

@@ -1,6 +1,6 @@
-"""What an installation needs, checked before pip runs (Python, compiler, GL library), and how large it became.
+"""What an installation needs, checked before pip runs: Python, a compiler, a GL library.
 
-Runs with the standard library alone, before anything is installed: ``python pipeline/installation.py before|after``.
+Runs with the standard library alone, before anything is installed: ``python pipeline/installation.py before``.
 """
 
 from __future__ import annotations
@@ -8,21 +8,17 @@ from __future__ import annotations
 import argparse
 import ctypes
 import ctypes.util
-import importlib.metadata
 import importlib.util
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 
 OLDEST_PYTHON = (3, 11)
 # Renderers of MuJoCo without a screen, in the order of preference: MUJOCO_GL's value and the shared library behind it.
 GL_LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 DEBIAN_GL_PACKAGES = ("libegl1", "libgl1-mesa-dri", "libosmesa6")
-# What torch brings where its build has CUDA, and what it is called with other versions of CUDA.
-CUDA_DISTRIBUTIONS = ("nvidia-", "cuda-", "triton")
 NEEDED_GB = 4.0  # on the disk of a new environment: its smallest form, and one package on its way there
 
 
@@ -75,40 +71,14 @@ def install_gl() -> None:
         subprocess.run(command, check=False, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
-def size_note(sizes: Mapping[str, int]) -> str:
-    """Says how large an environment is, by bytes of distributions, and how to get one without CUDA."""
-    cuda = [name for name in sizes if name.lower().startswith(CUDA_DISTRIBUTIONS)]
-    note = f"installed: {sum(sizes.values()) / 1e9:.1f} GB"
-    if not cuda:
-        return note
-    share = sum(sizes[name] for name in [*cuda, "torch"] if name in sizes) / 1e9
-    return (
-        f"{note}, {share:.1f} of them torch with CUDA; without a GPU a smaller build does: remove the environment and "
-        "run `make setup TORCH_INDEX=ADDRESS` with the address for CPU on PyTorch's install page"
-    )
-
-
-def installed_sizes() -> dict[str, int]:
-    """The bytes of every distribution of this environment, by its name."""
-    return {
-        str(distribution.metadata["Name"]): sum(file.size or 0 for file in distribution.files or [])
-        for distribution in importlib.metadata.distributions()
-    }
-
-
 def main(arguments: list[str]) -> int:
-    """Runs the command line: ``before`` or ``after`` an installation, or ``gl``."""
+    """Runs the command line: ``before`` an installation, or ``gl``."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "when", choices=["before", "after", "gl"], help="the installation; gl prints the renderer to use"
-    )
+    parser.add_argument("when", choices=["before", "gl"], help="the installation; gl prints the renderer to use")
     parser.add_argument("--environment", default=".venv", help="folder of the environment to install into")
     options = parser.parse_args(arguments)
     if options.when == "gl":
         print(gl_backend() or "disabled")
-        return 0
-    if options.when == "after":
-        print(size_note(installed_sizes()))
         return 0
     problems = missing_for_build(options.environment)
     if gl_backend() is None:

@@ -201,9 +201,9 @@ def main(arguments: list[str]) -> int:
         return _say(INTERRUPTED, EXIT_INTERRUPTED)
     except (_Stop, Exception) as stop:
         error = stop.error if isinstance(stop, _Stop) else stop
-        if interrupted() and not isinstance(error, PipelineError):
-            _LOGGER.debug("what came after Ctrl-C", exc_info=True)  # shown with hydra.verbose=true
-            return _say(INTERRUPTED, EXIT_INTERRUPTED)
+        if (code := interrupted()) and not isinstance(error, PipelineError):
+            _LOGGER.debug("what came after the signal", exc_info=True)  # shown with hydra.verbose=true
+            return _say(INTERRUPTED, code)
         if not is_foreseen(error):
             raise
         is_usage = isinstance(error, PipelineError) or system_error(error) is None

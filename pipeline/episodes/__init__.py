@@ -11,7 +11,6 @@ from pipeline.episodes.records import (
     EpisodeReadError,
     EpisodeWriteError,
     StepRecord,
-    ViewerError,
 )
 from pipeline.episodes.writer import EpisodeWriter
 
@@ -27,5 +26,4 @@ __all__ = [
     "EpisodeWriter",
     "PhantomMesh",
     "StepRecord",
-    "ViewerError",
 ]

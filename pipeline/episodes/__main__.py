@@ -1,6 +1,6 @@
-"""The command line of episode logs: `python -m pipeline.episodes info|check|recover|view|film FILE`, `export FOLDER`.
+"""The command line of episode logs: `python -m pipeline.episodes info|check|recover|film FILE`, `export FOLDER`.
 
-Exit codes: 0 all is well, 1 a log is damaged, 2 wrong usage, a file that is not there or cannot be written, no viewer.
+Exit codes: 0 all is well, 1 a log is damaged, 2 wrong usage, a file that is not there or cannot be written.
 """
 
 from __future__ import annotations
@@ -92,16 +92,6 @@ def _run_recover(source: Path, destination: Path | None, overwrite: bool) -> int
     return FINE
 
 
-def _run_view(source: Path, destination: Path | None) -> int:
-    from pipeline.episodes.rerun import save_recording, show_episode
-
-    if destination is None:
-        show_episode(source)
-    else:
-        _say(save_recording(source, destination))
-    return FINE
-
-
 def _run_film(source: Path, destination: Path | None) -> int:
     from pipeline.recording.replay import film_of
 
@@ -133,11 +123,10 @@ def _run_export(arguments: argparse.Namespace, folder: Path) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog=written("episodes"),
-        description="Look at episode logs, check them, recover damaged ones, view them in Rerun, film and export them.",
-        epilog="Exit codes: 0 all is well; 1 a log is damaged; 2 wrong usage, missing file, unwritable destination, no "
-        "viewer.",
+        description="Look at episode logs, check them, recover damaged ones, film and export them.",
+        epilog="Exit codes: 0 all is well; 1 a log is damaged; 2 wrong usage, missing file, unwritable destination.",
     )
-    commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|recover|view|film|export")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="info|check|recover|film|export")
 
     def command(name: str, text: str, *, argument: str = "FILE", about: str = "a log", nargs: Any = 1) -> Any:
         made = commands.add_parser(name, help=text, description=f"{text[:1].upper()}{text[1:]}.")
@@ -154,8 +143,6 @@ def _parser() -> argparse.ArgumentParser:
     text = "the valid log (default: FILE without .partial, or with .recovered before its ending)"
     recovering.add_argument("out", nargs="?", type=Path, metavar="OUT", help=text)
     recovering.add_argument("--overwrite", action="store_true", help="replace OUT if it exists")
-    viewing = command("view", "open a log in the Rerun viewer (extra rerun), or save it as a Rerun recording")
-    viewing.add_argument("--save", type=Path, metavar="OUT", help="write a .rrd file instead of opening a window")
     filming = command("film", "repeat a logged episode in the simulator and film fluoroscopy and 3-D view")
     filming.add_argument("out", nargs="?", type=Path, metavar="OUT", help="the GIF (default: FILE with that ending)")
     exporting = command(
@@ -187,8 +174,6 @@ def _run(arguments: argparse.Namespace, path: Path) -> int:
             return _show_info(path)
         if arguments.command == "check":
             return _show_check(path)
-        if arguments.command == "view":
-            return _run_view(path, arguments.save)
         if arguments.command == "film":
             return _run_film(path, arguments.out)
         return _run_recover(path, arguments.out, arguments.overwrite)

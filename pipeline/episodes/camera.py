@@ -73,12 +73,14 @@ class Camera:
 
     def transform(self, name: str, time_ns: int) -> FrameTransform:
         """Give the pose as `foxglove.FrameTransform`: source in m, rotation camera to world as a unit quaternion."""
+        from scipy.spatial.transform import Rotation
+
         message = FrameTransform(parent_frame_id=WORLD_FRAME, child_frame_id=camera_frame(name))
         message.timestamp.FromNanoseconds(time_ns)
         x, y, z = (-self.R.T @ self.t).tolist()
         message.translation.x, message.translation.y, message.translation.z = x, y, z
-        quaternion = _quaternion(self.R.T)
-        message.rotation.w, message.rotation.x, message.rotation.y, message.rotation.z = quaternion
+        rotation = Rotation.from_matrix(self.R.T).as_quat().tolist()
+        message.rotation.x, message.rotation.y, message.rotation.z, message.rotation.w = rotation
         return message
 
     def to_json(self) -> dict[str, Any]:
@@ -90,18 +92,3 @@ class Camera:
     def from_json(cls, values: Mapping[str, Any]) -> Camera:
         """Read what `to_json` gave."""
         return cls(**{name: values[name] for name in ("P", "K", "R", "t", "width", "height")})
-
-
-def _quaternion(R: FloatArray) -> tuple[float, float, float, float]:
-    """Unit quaternion (w, x, y, z) of a rotation, as the eigenvector that survives every angle (Bar-Itzhack)."""
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-    matrix = np.array(
-        [
-            [a - e - i, b + d, c + g, h - f],
-            [b + d, e - a - i, f + h, c - g],
-            [c + g, f + h, i - a - e, d - b],
-            [h - f, c - g, d - b, a + e + i],
-        ]
-    )
-    x, y, z, w = np.linalg.eigh(matrix)[1][:, -1].tolist()
-    return w, x, y, z

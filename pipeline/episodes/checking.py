@@ -15,7 +15,6 @@ from mcap.records import Channel, DataEnd, MessageIndex, Schema
 
 from pipeline.episodes.encoding import schema
 from pipeline.episodes.encoding.scan import MessageSpan, check_magic, messages, open_chunk, parse_record, walk
-from pipeline.episodes.encoding.step_codec import decode_devices, decode_with_norm
 from pipeline.episodes.reader import EpisodeReader
 from pipeline.episodes.records import ContainerError, EpisodeReadError, damaged
 from pipeline.episodes.recovery import mapped
@@ -55,9 +54,7 @@ def check(path: Path) -> CheckReport:
                 raise damaged(path, error) from error
         with EpisodeReader(path) as log:
             _check_index(log, section, report)
-            _check_times(log, _check_steps(log, report), report)
-            if log.info.has_catheter:
-                _check_devices(log, report)
+            _check_times(log, _check_records(log, report), report)
             _check_pictures(log, report)
             mesh = log.phantom_mesh()
             if mesh is None:
@@ -128,43 +125,29 @@ def _check_index(log: EpisodeReader, section: _DataSection, report: CheckReport)
             _add(report, f"the index declares {type(one).__name__.lower()} {one.id} otherwise than the data section")
 
 
-def _check_steps(log: EpisodeReader, report: CheckReport) -> list[int]:
-    """Verify that steps follow each other, stand at their time and hold finite numbers; give their indices."""
-    missing = set(log.outcome.missing_steps)
-    expected, shapes = 0, None
+def _check_records(log: EpisodeReader, report: CheckReport) -> list[int]:
+    """Verify that the records, which the reader finds in order and at their times, hold finite numbers; give steps."""
     steps: list[int] = []
-    for time_ns, payload in log.payloads(schema.STEP_TOPIC):
-        try:
-            record, norm = decode_with_norm(payload)
-        except ValueError as error:
-            _add(report, f"the record after step {expected - 1} cannot be decoded: {error}")
-            expected += 1
-            continue
-        while expected in missing:
-            expected += 1
-        if record.step != expected:
-            _add(report, f"step {expected} was expected, step {record.step} stands there")
-        expected = record.step + 1
-        if time_ns != log.info.time_ns(record.step):
-            _add(report, f"step {record.step} has log time {time_ns}, expected {log.info.time_ns(record.step)}")
+    shapes = None
+    for record in log:
         for name in schema.STEP_FIELDS:
             if not np.isfinite(getattr(record, name)).all():
                 _add(report, f"step {record.step} has a non-finite number in {name}")
         for key, value in record.extra.items():
             if not np.isfinite(value):
                 _add(report, f"step {record.step} has a non-finite number in extra {key}")
-        if not np.isclose(norm, record.resultant_force_norm, rtol=1e-9, atol=1e-12, equal_nan=True):
-            _add(report, f"step {record.step} has force norm {norm}, its vector {record.resultant_force_norm}")
+        if (devices := record.devices) is not None:
+            present = np.array([len(devices.wire_points), len(devices.catheter_points)]) > 0
+            for name in schema.DEVICE_FIELDS:
+                value = np.asarray(getattr(devices, name, record.step))
+                if not np.isfinite(value[present] if name == "tip_rotations" else value).all():
+                    _add(report, f"step {record.step} has a non-finite number in {name} of its devices")
         record_shapes = (record.action.shape, record.joint_positions.shape, record.joint_velocities.shape)
         shapes = shapes or record_shapes
         if record_shapes != shapes:
             _add(report, f"step {record.step} has shapes {record_shapes}, the first record {shapes}")
         steps.append(record.step)
     report.records = len(steps)
-    while expected in missing:
-        expected += 1
-    if expected - 1 != log.outcome.steps:
-        _add(report, f"the outcome counts {log.outcome.steps} steps, the records {expected - 1}")
     return steps
 
 
@@ -189,23 +172,6 @@ def _check_times(log: EpisodeReader, steps: Sequence[int], report: CheckReport) 
             number = next((number for number, (one, other) in pairs if one != other), None)
             if number is not None:
                 _add(report, f"{channel.topic} has {len(times)} messages for {len(due_times)}, odd from {number} on")
-
-
-def _check_devices(log: EpisodeReader, report: CheckReport) -> None:
-    """Verify that every record has both devices, at its time and with finite numbers."""
-    for number, (time_ns, payload) in enumerate(log.payloads(schema.DEVICES_TOPIC)):
-        try:
-            step, devices = decode_devices(payload)
-        except ValueError as error:
-            _add(report, f"the devices of record {number} cannot be decoded: {error}")
-            continue
-        if time_ns != log.info.time_ns(step):
-            _add(report, f"the devices of step {step} have log time {time_ns}, expected {log.info.time_ns(step)}")
-        device_mask = np.array([len(devices.wire_points), len(devices.catheter_points)]) > 0
-        for name in schema.DEVICE_FIELDS:
-            value = np.asarray(getattr(devices, name, step))
-            if not np.isfinite(value[device_mask] if name == "tip_rotations" else value).all():
-                _add(report, f"step {step} has a non-finite number in {name} of its devices")
 
 
 def _check_pictures(log: EpisodeReader, report: CheckReport) -> None:

@@ -38,10 +38,6 @@ class EpisodeReadError(PipelineError, ValueError):
     """A log cannot be read, because it is damaged, foreign or too new."""
 
 
-class ViewerError(PipelineError, RuntimeError):
-    """A log cannot be shown: the viewer's package is missing, or its file cannot be written."""
-
-
 class ContainerError(ValueError):
     """A part of an MCAP file is damaged; the message is the reason alone, without file name or advice."""
 

@@ -10,20 +10,15 @@ path of a task may be one of theirs.
 from __future__ import annotations
 
 import logging
-import os
-import signal
-from collections.abc import Iterator, Sequence
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.evaluations.forces import device_of, wall_forces
-from pipeline.store.interruption import end_with_parent, stop_if_interrupted
+from pipeline.store.interruption import stop_if_interrupted
 from pipeline.store.provenance import hash_value
 
 if TYPE_CHECKING:
@@ -220,8 +215,6 @@ def _origin(info: EpisodeInfo, relative: Path) -> dict[str, Any]:
     }
 
 
-PARALLEL_FROM = 200  # logs; fewer are read sooner than processes start
-
 _LOGGER = logging.getLogger(__name__)
 
 
@@ -234,7 +227,7 @@ class EvaluationSet:
     left_out: dict[str, str] = field(default_factory=dict)  # log -> why it does not count
 
 
-def read_logs(folders: Sequence[Path], *, processes: int | None = None) -> EvaluationSet:
+def read_logs(folders: Sequence[Path]) -> EvaluationSet:
     """Reads every log below stage folders of one run; one that cannot be used is left out with a warning.
 
     Returns:
@@ -248,7 +241,9 @@ def read_logs(folders: Sequence[Path], *, processes: int | None = None) -> Evalu
     run_path = folders[0].parent
     paths = [path for folder in folders for path in sorted(folder.rglob("*.mcap"))]
     evaluations = []
-    for path, result in zip(paths, _read_all(paths, run_path, processes), strict=True):
+    for path in paths:
+        result = _read_one(path, run_path)
+        stop_if_interrupted()
         if isinstance(result, Evaluation):
             evaluations.append(result)
             continue
@@ -269,29 +264,6 @@ def _read_one(path: Path, run_path: Path) -> Evaluation | ValueError:
     except (AttributeError, IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
         # checksums are right, so another program wrote what no version of this one would
         return UnusableLogError(f"what it says cannot be used ({type(error).__name__}: {error})")
-
-
-def _read_all(paths: list[Path], run_path: Path, processes: int | None) -> Iterator[Evaluation | ValueError]:
-    count = min(processes or len(os.sched_getaffinity(0)), 1 + len(paths) // PARALLEL_FROM)
-    done = 0
-    if count > 1:
-        pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"), initializer=_start_worker)
-        try:
-            for result in pool.map(partial(_read_one, run_path=run_path), paths, chunksize=16):
-                yield result
-                done += 1
-        except BrokenExecutor:
-            _LOGGER.warning("a process that read logs died: the rest is read without it")
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-    for path in paths[done:]:
-        yield _read_one(path, run_path)
-        stop_if_interrupted()
-
-
-def _start_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent stops its processes itself
-    end_with_parent()
 
 
 def _named_apart(evaluations: list[Evaluation]) -> list[Evaluation]:

@@ -1,4 +1,4 @@
-"""Progress of jobs beside each other: a bar on a terminal, a line now and then in a log, and when it will end."""
+"""Progress of jobs beside each other: a bar on a terminal, a line now and then in a log."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import logging
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from tqdm import tqdm
@@ -13,52 +14,30 @@ from tqdm import tqdm
 _LOGGER = logging.getLogger(__name__)
 _SECONDS_BETWEEN_LINES = 20.0
 _SHOWN_IN_A_LINE = 4
-_LEAST_FRACTION = 0.02  # of a job before its pace says anything
 
 
+@dataclass
 class JobState:
     """How far one job is; its status is "waiting", "running", "done" or "failed"."""
 
-    def __init__(self, key: str, weight: float = 1.0, *, done: bool = False) -> None:
-        """Its weight: how long it takes beside others (0: not known); done: by an earlier, interrupted run."""
-        self.key, self.weight, self.status = key, weight, "done" if done else "waiting"
-        self.fraction, self.text = float(done), ""
-        self._first: float | None = None  # fraction that an earlier run had done already
-        self._started = self._spent_s = 0.0
+    key: str
+    status: str = "waiting"
+    fraction: float = 0.0
+    text: str = ""
 
-    def start(self) -> None:
-        """Its process has started, maybe not for the first time."""
-        self.status, self._started, self._first = "running", time.monotonic(), None
-
-    def update(self, fraction: float, text: str) -> None:
-        """Takes the job's progress, 0 to 1."""
-        self._first = fraction if self._first is None else self._first
-        self.fraction, self.text = fraction, text
-
-    def finish(self, *, has_run: bool = True) -> None:
+    def finish(self) -> None:
         """It is done."""
         self.status, self.fraction = "done", 1.0
-        if has_run:
-            self._spent_s = time.monotonic() - self._started
-        else:
-            self.weight = 0.0
-
-    def total_s(self) -> float | None:
-        """Seconds that all of it takes at the pace it has shown; None while that is unknown."""
-        first = self._first or 0.0
-        if self.status == "done" and self._spent_s:
-            return self._spent_s / max(1.0 - first, _LEAST_FRACTION)
-        if self.status == "running" and self.fraction - first >= _LEAST_FRACTION:
-            return (time.monotonic() - self._started) / (self.fraction - first)
-        return None
 
 
 class JobDisplay:
     """Shows the jobs of a stage."""
 
-    def __init__(self, label: str, states: Sequence[JobState], *, workers: int) -> None:
-        """Shows states of jobs, of which so many workers run at the same time."""
-        self.label, self.states, self.workers = label, {state.key: state for state in states}, workers
+    def __init__(self, label: str, keys: Sequence[str], todo: Sequence[str]) -> None:
+        """Shows jobs by their keys; those that are not to do were done by an earlier, interrupted run."""
+        self.label, self.states = label, {key: JobState(key) for key in keys}
+        for key in set(keys).difference(todo):
+            self.states[key].finish()
         self._bar: Any = None
         self._started = self._last_line = time.monotonic()
         self._last_done = self._count("done")
@@ -76,22 +55,8 @@ class JobDisplay:
     def _count(self, *statuses: str) -> int:
         return sum(state.status in statuses for state in self.states.values())
 
-    def remaining_s(self) -> float | None:
-        """Seconds until every job is done, by the pace of those that have shown one; None while none has."""
-        paced = [(total, s.weight) for s in self.states.values() if s.weight and (total := s.total_s()) is not None]
-        if not paced:
-            return None
-        per_weight = sum(total for total, _ in paced) / max(sum(weight for _, weight in paced), 1e-9)
-        left = [
-            (1.0 - state.fraction) * (state.total_s() or per_weight * state.weight)
-            for state in self.states.values()
-            if state.status in ("waiting", "running")
-        ]
-        # No job is shared by two processes: the longest one bounds the end.
-        return max([sum(left) / self.workers, *left]) if left else 0.0
-
     def line(self) -> str:
-        """Words the progress: ``trainings 3/12, 2 running: a 45 % (success 0.8), b 3 %; 120 s, about 300 s left``."""
+        """Words the progress: ``trainings 3/12, 2 running: a 45 % (success 0.8), b 3 %; 120 s``."""
         running = [state for state in self.states.values() if state.status == "running"]
         job_texts = ", ".join(
             f"{state.key} {100 * state.fraction:.0f} %" + (f" ({state.text})" if state.text else "")
@@ -99,13 +64,11 @@ class JobDisplay:
         )
         more = ", …" if len(running) > _SHOWN_IN_A_LINE else ""
         failed = self._count("failed")
-        left = self.remaining_s()
         return (
             f"{self.label} {self._count('done')}/{len(self.states)}"
             + (f", {failed} failed" if failed else "")
             + (f", {len(running)} running: {job_texts}{more}" if running else "")
             + f"; {time.monotonic() - self._started:.0f} s"
-            + (f", about {left:.0f} s left" if left else "")
         )
 
     def show(self) -> None:

@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
-from pipeline.jobs.display import JobDisplay, JobState
+from pipeline.jobs.display import JobDisplay
 from pipeline.jobs.engines.local import LocalEngine, available_workers
 from pipeline.jobs.engines.settings import EngineSettings, RaySettings, SlurmSettings
 from pipeline.jobs.machine import CPU, Machine
@@ -119,8 +119,7 @@ def run_jobs(
         try:
             for job in todo:
                 engine.check(job)
-            states = [JobState(job.key, job.weight, done=job not in todo) for job in jobs]
-            with JobDisplay(label, states, workers=engine.capacity) as display:
+            with JobDisplay(label, [job.key for job in jobs], [job.key for job in todo]) as display:
                 failures = _Pool(folder, todo, display, engine).run()
         finally:
             engine.close()
@@ -172,7 +171,7 @@ class _Pool:
                 continue
             elif self._is_known(job):
                 self._waiting.remove(job)
-                self._display.states[job.key].finish(has_run=False)
+                self._display.states[job.key].finish()
             elif self._engine.submit(job):
                 self._waiting.remove(job)
                 self._taken[job.key] = job
@@ -199,12 +198,12 @@ class _Pool:
         if message.cost is not None:
             keep_cost(self._folder.path, key, message.cost)
         if message.kind == STARTED:
-            state.start()
+            state.status = "running"
         elif message.kind == AGAIN:
             state.status = "waiting"
             _LOGGER.warning("%s: %s", key, message.text)
         elif message.kind == "progress":
-            state.update(message.fraction, message.text)
+            state.fraction, state.text = message.fraction, message.text
         elif message.kind == "log":
             _LOGGER.log(message.level, "%s: %s", key, message.text)
         elif message.kind in ("done", "failed"):

@@ -1,8 +1,8 @@
-"""Interruption: Ctrl-C and SIGTERM stop the work at once, Ctrl-C at the next item when a library swallowed it.
+"""Interruption: Ctrl-C and SIGTERM stop the work at once, or at the next item when a library swallowed them.
 
-While a package is being imported, what a signal raises may land in a library's ``except`` clause and vanish, or leave
-the package half imported; in a finaliser Python prints it and goes on. So it is raised once the import or the finaliser
-is over. Ctrl-C is remembered, and work made of items looks between them.
+What a signal raises may land in a library's ``except`` clause and vanish, leave a package half imported, or come in a
+finaliser, where Python goes on. So both are remembered: work made of items looks between them, and an error that comes
+after a signal is its consequence.
 """
 
 from __future__ import annotations
@@ -15,11 +15,8 @@ import time
 from multiprocessing import parent_process
 from types import FrameType
 
-_AGAIN_S = 0.02
 _SECONDS_TO_END = 10.0  # that what a process runs has after the process that started it has ended
-_interrupted = threading.Event()
-_held_back = [signal.SIGINT]  # the signal that is sent again when an import or a finaliser is over
-EXIT_TERMINATED = 128 + signal.SIGTERM
+_came: list[int] = []  # signals since the functions below were called
 
 
 def let_ctrl_c_interrupt() -> None:
@@ -35,54 +32,31 @@ def let_sigterm_exit() -> None:
 
 def _unwind_at(number: signal.Signals) -> None:
     signal.signal(number, _interrupt)
-    signal.signal(signal.SIGALRM, _send_again)
     sys.unraisablehook = _unraisable
 
 
-def interrupted() -> bool:
-    """Whether Ctrl-C has come since ``let_ctrl_c_interrupt``: an error after it may be its consequence."""
-    return _interrupted.is_set()
+def interrupted() -> int:
+    """The exit code of Ctrl-C or SIGTERM once one has come, else 0: an error after it may be its consequence."""
+    return 128 + _came[-1] if _came else 0
 
 
 def stop_if_interrupted() -> None:
-    """Raises KeyboardInterrupt when Ctrl-C has come since ``let_ctrl_c_interrupt`` and nothing has come of it."""
-    if interrupted():
-        raise KeyboardInterrupt
+    """Raises what a signal has raised when nothing has come of it."""
+    if _came:
+        raise _exception(_came[-1])
 
 
-def _interrupt(signum: int, frame: FrameType | None) -> None:
-    if signum == signal.SIGINT:
-        _interrupted.set()
-    if _importing(frame):
-        _hold_back(signal.Signals(signum))
-        return
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
-    raise KeyboardInterrupt if signum == signal.SIGINT else SystemExit(EXIT_TERMINATED)
+def _exception(number: int) -> BaseException:
+    return KeyboardInterrupt() if number == signal.SIGINT else SystemExit(128 + number)
 
 
-def _hold_back(number: signal.Signals) -> None:
-    _held_back[0] = number
-    signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)  # no thread: its locks may be held where the signal came
-
-
-def _importing(frame: FrameType | None) -> bool:
-    while frame is not None:
-        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
-            return True
-        frame = frame.f_back
-    return False
-
-
-def _send_again(signum: int, frame: FrameType | None) -> None:
-    os.kill(os.getpid(), _held_back[0])  # not raised here, so that it can be held back as the first one can
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    _came.append(number)
+    raise _exception(number)
 
 
 def _unraisable(error: sys.UnraisableHookArgs) -> None:
-    if error.exc_type is KeyboardInterrupt:
-        _hold_back(signal.SIGINT)
-    elif isinstance(error.exc_value, SystemExit) and error.exc_value.code == EXIT_TERMINATED:
-        _hold_back(signal.SIGTERM)
-    else:
+    if not (interrupted() and isinstance(error.exc_value, KeyboardInterrupt | SystemExit)):
         sys.__unraisablehook__(error)
 
 

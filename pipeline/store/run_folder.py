@@ -26,7 +26,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipeline.jobs.display import JobDisplay, JobState
+from pipeline.jobs.display import JobDisplay
 from pipeline.store.atomic_files import remove_unfinished, write_json, write_text
 from pipeline.store.costs import kept_costs
 from pipeline.store.errors import StageError
@@ -161,10 +161,9 @@ class RunFolder(FinishedItems):
         to the summary calls ``mark_done(key, result)`` itself, as its last act.
         """
         todo = self.pending(items, key=key)
-        states = [JobState(key(item), done=item not in todo) for item in items]
-        with JobDisplay(label, states, workers=1) as display:
+        with JobDisplay(label, [key(item) for item in items], [key(item) for item in todo]) as display:
             for item in todo:
-                display.states[key(item)].start()
+                display.states[key(item)].status = "running"
                 yield item
                 if self.result_of(key(item)) is None:
                     self.mark_done(key(item))

@@ -17,12 +17,13 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name, parse_wheel_filename
 
 from pipeline.config import BUDGETS
-from pipeline.installation import CUDA_DISTRIBUTIONS
 from pipeline.stages import available_stages
 from pipeline.store.manifest import read_manifest
 
 PROJECT_ROOT = Path(__file__).resolve().parents[2]
 DISTRIBUTIONS = ("cathsim", "enn", "guide3d", "splineformer")
+# What torch brings where its build has CUDA, and what it is called with other versions of CUDA.
+CUDA_DISTRIBUTIONS = ("nvidia-", "cuda-", "triton")
 
 USE_CATHSIM = """
 import gymnasium, numpy as np, cathsim

@@ -12,7 +12,7 @@ SOURCES = sorted(
 )
 PICKLERS = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
 # They unpickle what another process of the same program sends, and no file.
-OWN_PROCESSES = {"guarded_reading.py", "cluster_worker.py"}
+OWN_PROCESSES = ("guarded_reading.py", "engines/task.py")
 UNSAFE_YAML = {"load", "load_all", "unsafe_load", "full_load"}
 # Without one of these words a text holds no such call, and need not be parsed.
 WORDS = ("weights_only", "allow_pickle", "torch.load", "yaml", *PICKLERS)
@@ -63,7 +63,7 @@ def test_no_file_runs_code() -> None:
     offences = [
         f"{file.relative_to(PROJECT_ROOT)}, {call}"
         for file in SOURCES
-        if file.name not in OWN_PROCESSES
+        if not file.as_posix().endswith(OWN_PROCESSES)
         for call in unsafe_calls(file.read_text(encoding="utf-8"))
     ]
     assert not offences

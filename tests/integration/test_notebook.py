@@ -154,11 +154,6 @@ def test_the_blocks_of_the_pages_run(tmp_path: Path, monkeypatch: pytest.MonkeyP
             **frames,
         }
         for block in blocks:
-            if "pipeline.episodes.rerun" in block:
-                try:
-                    import rerun  # noqa: F401
-                except ModuleNotFoundError:
-                    continue
             exec(compile(quick(block, used), page, "exec"), results[page])
     logged = results["pipeline/logs.md"]
     assert logged["force"].shape == (41,)

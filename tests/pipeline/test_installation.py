@@ -10,26 +10,7 @@ import pytest
 from pipeline import installation
 from pipeline.stages import available_stages
 from pipeline.store.provenance import PROJECT_ROOT
-
-
-def test_setup_takes_torch_with_cuda_and_says_how_large_it_is(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cuda = ("cuda-bindings", "cuda-toolkit", "nvidia-cublas", "nvidia-cudnn-cu13", "triton")  # some of what pip brings
-    sizes = dict.fromkeys(cuda, 380_000_000) | {"torch": 1_000_000_000, "numpy": 600_000_000}
-    monkeypatch.setattr(installation, "installed_sizes", lambda: sizes)
-    assert installation.main(["after"]) == 0
-    said = capsys.readouterr()
-    assert said.out.startswith("installed: 3.5 GB, 2.9 of them torch with CUDA")
-    assert "make setup TORCH_INDEX=" in said.out
-    assert not said.err
-    assert installation.size_note({"torch": 700_000_000, "numpy": 50_000_000}) == "installed: 0.8 GB"  # without CUDA
-
-
-def test_sizes_are_those_of_the_files() -> None:
-    sizes = installation.installed_sizes()
-    assert sizes["torch"] > 500_000_000
-    assert 10_000_000 < sizes["numpy"] < 500_000_000
+from tests.integration.test_distributions import CUDA_DISTRIBUTIONS
 
 
 @pytest.mark.parametrize("index", ["", "https://example.invalid/cpu"])
@@ -104,5 +85,5 @@ def test_constraints_pin_every_requirement_exactly() -> None:
     assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9.]+", line) for line in lines)
     pins = dict(line.lower().split("==") for line in lines)
     assert "torchvision" not in pins
-    assert not [name for name in pins if name.startswith(installation.CUDA_DISTRIBUTIONS)]
+    assert not [name for name in pins if name.startswith(CUDA_DISTRIBUTIONS)]
     assert {"torch", "mujoco", "numpy", "hydra-core", "pytest", "ruff", "setuptools"} <= set(pins)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -31,21 +32,18 @@ def _encode(kind: Any, values: dict[str, Any], **further: Any) -> bytes:
 
 def decode_step(data: bytes, devices: bytes | None = None) -> StepRecord:
     """Read an `endonav.Step`, and `endonav.Devices` if there is a catheter; a ValueError where bytes are none such."""
-    return decode_with_norm(data, devices)[0]
-
-
-def decode_with_norm(data: bytes, devices: bytes | None = None) -> tuple[StepRecord, float]:
-    """Read a message, and the force's norm in newtons as it stands there, to compare it with the vector."""
     message, values = _decode(Step, STEP_FIELDS, data)
-    norm = values.pop("resultant_force_norm")
-    both = None if devices is None else decode_devices(devices)[1]
-    return StepRecord(**values, extra=dict(message.extra), devices=both), norm
-
-
-def decode_devices(data: bytes) -> tuple[int, DeviceRecord]:
-    """Read an `endonav.Devices` message: the step's index, and the devices; raises as `decode_step` does."""
-    _, values = _decode(Devices, DEVICE_FIELDS, data)
-    return values.pop("step"), DeviceRecord(**values)
+    norm, both = values.pop("resultant_force_norm"), None
+    if devices is not None:
+        _, of_devices = _decode(Devices, DEVICE_FIELDS, devices)
+        if (step := of_devices.pop("step")) != values["step"]:
+            raise ValueError(f"the devices of step {values['step']} are those of step {step}")
+        both = DeviceRecord(**of_devices)
+    record = StepRecord(**values, extra=dict(message.extra), devices=both)
+    known = record.resultant_force_norm
+    if not math.isclose(norm, known, rel_tol=1e-9, abs_tol=1e-12) and math.isfinite(known):
+        raise ValueError(f"step {record.step} has force norm {norm}, its vector {known}")
+    return record
 
 
 def _decode(kind: Any, fields: dict[str, StepField], data: bytes) -> tuple[Any, dict[str, Any]]:

@@ -39,6 +39,7 @@ class Field:
     frame: str  # "world", "device" (along and about its feeder), "image" or "" of what has none
     meaning: str
     parts: tuple[str, ...] = ()  # names of its entries; none where there are many
+    source: str = ""  # the array of `EpisodeReader.load_arrays` that holds it; "": that of its name
 
     def describe(self) -> dict[str, Any]:
         """Give the field as JSON holds it."""
@@ -112,14 +113,14 @@ def layout_of(log: EpisodeReader, *, pictures: bool = True, masks: bool = False)
     mesh = log.phantom_mesh()
     return Layout(
         control_dt=log.info.control_dt,
-        action=action_field(len(first.action)),
-        observations=observation_fields(first, goal=mesh is not None),
-        infos=info_fields(first),
+        action=_action_field(len(first.action)),
+        observations=_observation_fields(first, goal=mesh is not None),
+        infos=_info_fields(first),
         pictures=cameras,
     )
 
 
-def action_field(size: int) -> Field:
+def _action_field(size: int) -> Field:
     """Describe the actions of so many numbers."""
     moves: tuple[str, ...] = ("translation", "rotation")
     if size == TWO_DEVICES:
@@ -131,7 +132,7 @@ def action_field(size: int) -> Field:
     return Field((size,), "1", "device", "commands to the feeders, -1 to 1 of a step's full movement", moves)
 
 
-def observation_fields(first: StepRecord, *, goal: bool) -> dict[str, Field]:
+def _observation_fields(first: StepRecord, *, goal: bool) -> dict[str, Field]:
     """Describe the observations of a log by its first record, and the goal where the log has it."""
     feeder: tuple[str, ...] = _FEEDER
     if len(first.action) == TWO_DEVICES:
@@ -140,7 +141,14 @@ def observation_fields(first: StepRecord, *, goal: bool) -> dict[str, Field]:
     fields = {
         "tip": Field((3,), "m", "world", "the tip", tuple(f"tip_{axis}" for axis in _AXES)),
         "feeder": Field((len(feeder),), "mixed", "device", "how far the devices are fed in and turned", feeder),
-        "force": Field((3,), "N", "world", "largest resultant of the contact forces in the step", ("x", "y", "z")),
+        "force": Field(
+            (3,),
+            "N",
+            "world",
+            "largest resultant of the contact forces in the step",
+            ("x", "y", "z"),
+            "resultant_force",
+        ),
         "joint_positions": Field((len(first.joint_positions),), "m or rad", "device", joints),
         "joint_velocities": Field((len(first.joint_velocities),), "m/s or rad/s", "device", f"velocities: {joints}"),
     }
@@ -149,15 +157,16 @@ def observation_fields(first: StepRecord, *, goal: bool) -> dict[str, Field]:
     return fields
 
 
-def info_fields(first: StepRecord) -> dict[str, Field]:
+def _info_fields(first: StepRecord) -> dict[str, Field]:
     """Describe what is known of each moment beside the observations, by a log's first record."""
+    norm = "norm of the largest resultant of the contact forces in the step"
     fields = {
-        "force_norm": Field((), "N", "", "norm of the largest resultant of the contact forces in the step"),
+        "force_norm": Field((), "N", "", norm, source="resultant_force_norm"),
         "insertion": Field((), "m", "device", "how far the wire is fed in, or a catheter that is alone"),
         "rotation": Field((), "rad", "device", "how far its hub is turned"),
     }
     for key in first.extra:
-        fields[key] = Field((), "in the name", "", FURTHER)
+        fields[key] = Field((), "in the name", "", FURTHER, source=f"extra/{key}")
     if first.devices is not None:
         pair = ("wire", "catheter")
         for name, unit, meaning in (
@@ -167,8 +176,9 @@ def info_fields(first: StepRecord) -> dict[str, Field]:
             ("feeder_forces", "N", "what the feeders push with"),
             ("hub_torques", "N m", "by which the hubs are held"),
         ):
-            fields[f"device_{name}"] = Field((2,), unit, "device", meaning, pair)
-        fields["device_lead"] = Field((), "m", "device", "how far the wire's tip is before the catheter's")
+            fields[f"device_{name}"] = Field((2,), unit, "device", meaning, pair, f"devices/{name}")
+        meaning = "how far the wire's tip is before the catheter's"
+        fields["device_lead"] = Field((), "m", "device", meaning, source="devices/lead")
     return fields
 
 
@@ -271,8 +281,12 @@ def open_episode(path: Path, layout: Layout) -> Iterator[ExportEpisode]:
     with EpisodeReader(path) as log:
         arrays = log.load_arrays(pictures=False)
         mesh = log.phantom_mesh() if "goal" in layout.observations else None
-        observations = observation_values(arrays, None if mesh is None else np.asarray(mesh.target, np.float64))
-        infos = {name: info_values(name, arrays) for name in layout.infos}
+        known = {**arrays, "feeder": _feeder_values(arrays)}
+        if mesh is not None:
+            known["goal"] = np.tile(np.asarray(mesh.target, np.float64), (len(arrays["tip"]), 1))
+        missing = np.full(len(arrays["tip"]), np.nan)  # of a further scalar that this log lacks
+        observations = {name: known[one.source or name] for name, one in layout.observations.items()}
+        infos = {name: known.get(one.source or name, missing).astype(np.float64) for name, one in layout.infos.items()}
         actions, rewards = arrays["action"][1:], arrays["reward"][1:]
         for name, values in {**observations, "action": actions, "reward": rewards}.items():
             if not np.isfinite(values).all():
@@ -283,21 +297,7 @@ def open_episode(path: Path, layout: Layout) -> Iterator[ExportEpisode]:
         yield ExportEpisode(log, arrays, observations, infos, actions, rewards, terminated, truncated)
 
 
-def observation_values(
-    arrays: Mapping[str, NDArray[Any]], goal: NDArray[np.float64] | None
-) -> dict[str, NDArray[np.float64]]:
-    """The observations of a layout from arrays of `EpisodeReader.load_arrays` and the target, (3,) m, or None."""
-    observations = {
-        "tip": arrays["tip"],
-        "feeder": feeder_values(arrays),
-        "force": arrays["resultant_force"],
-        "joint_positions": arrays["joint_positions"],
-        "joint_velocities": arrays["joint_velocities"],
-    }
-    return observations if goal is None else observations | {"goal": np.tile(goal, (len(arrays["tip"]), 1))}
-
-
-def feeder_values(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+def _feeder_values(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
     """The observable `feeder` of `NavigateEnv` from a log's arrays, (n + 1, 3); of a wire in a catheter (n + 1, 7)."""
     if arrays["action"].shape[1] != TWO_DEVICES:
         inserted, turned = arrays["insertion"][:, None], arrays["rotation"][:, None]
@@ -305,13 +305,3 @@ def feeder_values(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
     inserted, turned = arrays["devices/insertions"], arrays["devices/hub_rotations"]
     parts = np.stack((inserted, np.cos(turned), np.sin(turned)), axis=2).reshape(len(inserted), 6)
     return np.concatenate((parts, arrays["devices/lead"][:, None]), axis=1)
-
-
-def info_values(name: str, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
-    """An info of a layout, from a log's arrays; NaN where the log lacks it."""
-    own = {"force_norm": "resultant_force_norm", "insertion": "insertion", "rotation": "rotation"}
-    key = own.get(name) or (f"devices/{name.removeprefix('device_')}" if name.startswith("device_") else None)
-    if key is not None and key in arrays:
-        return arrays[key].astype(np.float64)
-    missing = np.full(len(arrays["tip"]), np.nan)
-    return arrays.get(f"extra/{name}", missing).astype(np.float64)

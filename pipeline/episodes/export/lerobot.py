@@ -5,7 +5,7 @@
     meta/tasks.parquet                          the tasks in words
     meta/episodes/chunk-000/file-000.parquet    where each episode lies, and its statistics
     meta/endonav.json                           units and frames of every field; of each episode what its log knows
-    data/chunk-000/file-000.parquet             one row a step
+    data/chunk-000/file-000.parquet             one row a step, one file an episode
     videos/observation.images.<camera>/chunk-000/file-000.mp4
 
 A row holds the observation before its action, the action, and what followed: next.reward, next.done, next.truncated,
@@ -25,13 +25,13 @@ import numpy as np
 
 from pipeline.episodes.export import statistics
 from pipeline.episodes.export.layout import ExportEpisode, ExportError, Layout
-from pipeline.episodes.export.statistics import CODEC, GreyVideo, Statistics, pixel_format
+from pipeline.episodes.export.statistics import CODEC, Statistics, pixel_format
 from pipeline.episodes.records import as_json
 
 VERSION = "v3.0"
 STATE = ("tip", "feeder")  # as the environment's observation ("tip", "feeder") gives them
 FILES_IN_CHUNK = 1000
-DATA_MB, VIDEO_MB = 100, 200  # of a file, after which the next one is begun
+DATA_MB, VIDEO_MB = 100, 200  # of a file, as LeRobot has them where it adds episodes
 _DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _VIDEO = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 _EPISODES = "meta/episodes/chunk-000/file-000.parquet"
@@ -54,10 +54,6 @@ class LeRobotWriter:
         self._statistics: list[dict[str, Statistics]] = []
         self._described: list[dict[str, Any]] = []
         self._frames = 0
-        self._data_file = 0
-        self._parquet: Any = None
-        self._films: dict[str, GreyVideo] = {}
-        self._film_files = dict.fromkeys(layout.pictures, 0)
 
     def add(self, episode: ExportEpisode) -> None:
         index, steps = len(self._rows), episode.steps
@@ -80,7 +76,7 @@ class LeRobotWriter:
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
         }
-        row |= self._place("data", self._write_rows(columns))
+        row |= self._write_rows(columns)
         for camera in self._layout.pictures:
             place, summaries[_video_key(camera)] = self._write_pictures(camera, episode)
             row |= place
@@ -91,61 +87,36 @@ class LeRobotWriter:
         self._described.append(episode.describe())
         self._frames += steps
 
-    @staticmethod
-    def _place(what: str, file: int) -> dict[str, int]:
-        chunk, rest = divmod(file, FILES_IN_CHUNK)
-        return {f"{what}/chunk_index": chunk, f"{what}/file_index": rest}
-
-    def _path(self, pattern: str, file: int, **names: str) -> Path:
-        chunk, rest = divmod(file, FILES_IN_CHUNK)
-        path = self._folder / pattern.format(chunk_index=chunk, file_index=rest, **names)
+    def _place(self, what: str, pattern: str, **names: str) -> tuple[Path, dict[str, Any]]:
+        """The file of the present episode, and how its row names it."""
+        chunk, file = divmod(len(self._rows), FILES_IN_CHUNK)
+        path = self._folder / pattern.format(chunk_index=chunk, file_index=file, **names)
         path.parent.mkdir(parents=True, exist_ok=True)
-        return path
+        return path, {f"{what}/chunk_index": chunk, f"{what}/file_index": file}
 
-    def _write_rows(self, columns: dict[str, np.ndarray]) -> int:
-        """Write the rows of an episode; give the number of their file."""
+    def _write_rows(self, columns: dict[str, np.ndarray]) -> dict[str, Any]:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
+        path, place = self._place("data", _DATA)
         arrays = {name: _column(columns[name], self.features[name]["dtype"]) for name in _stored(self.features)}
-        table = pa.table(arrays)
-        path = self._path(_DATA, self._data_file)
-        if self._parquet is not None and path.stat().st_size > DATA_MB * 2**20:
-            self._parquet.close()
-            self._parquet = None
-            self._data_file += 1
-            path = self._path(_DATA, self._data_file)
-        if self._parquet is None:
-            self._parquet = pq.ParquetWriter(path, table.schema, compression="snappy")
-        self._parquet.write_table(table)
-        return self._data_file
+        pq.write_table(pa.table(arrays), path, compression="snappy")
+        return place
 
     def _write_pictures(self, camera: str, episode: ExportEpisode) -> tuple[dict[str, Any], Statistics]:
-        """Write an episode's pictures; give where they lie in the film, and their statistics."""
-        key, film = _video_key(camera), self._films.get(camera)
-        if film is not None and film.written_bytes > VIDEO_MB * 2**20:
-            film.close()
-            film = None
-            self._film_files[camera] += 1
-        if film is None:
-            path = self._path(_VIDEO, self._film_files[camera], video_key=key)
-            height, width = self._layout.pictures[camera].shape
-            film = self._films[camera] = GreyVideo(path, (height, width), self._layout.fps)
-        first, greys = film.frames, statistics.GreyStatistics()
-        for picture, _ in zip(episode.pictures(camera), range(episode.steps), strict=False):
-            film.add(picture)
-            greys.add(picture)
-        place: dict[str, Any] = dict(self._place(f"videos/{key}", self._film_files[camera]))
-        place[f"videos/{key}/from_timestamp"] = first / self._layout.fps
-        place[f"videos/{key}/to_timestamp"] = film.frames / self._layout.fps
-        return place, greys.values()
+        key = _video_key(camera)
+        path, place = self._place(f"videos/{key}", _VIDEO, video_key=key)
+        pictures = [picture for picture, _ in zip(episode.pictures(camera), range(episode.steps), strict=False)]
+        statistics.write_grey_video(path, pictures, self._layout.fps)
+        place[f"videos/{key}/from_timestamp"] = 0.0
+        place[f"videos/{key}/to_timestamp"] = episode.steps / self._layout.fps
+        return place, statistics.of_greys(pictures)
 
     def finish(self) -> None:
-        """Write the metadata and close all files."""
+        """Write the metadata."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        self._close()
         meta = self._folder / "meta"
         (self._folder / _EPISODES).parent.mkdir(parents=True, exist_ok=True)
         pq.write_table(pa.Table.from_pylist(self._rows), self._folder / _EPISODES)
@@ -175,18 +146,11 @@ class LeRobotWriter:
         known = {"name": self._name, "layout": self._layout.describe(), "episodes": self._described}
         _write_json(meta / "endonav.json", json.loads(as_json(known)))
 
-    def _close(self) -> None:
-        if self._parquet is not None:
-            self._parquet.close()
-            self._parquet = None
-        for film in self._films.values():
-            film.close()
-
     def __enter__(self) -> LeRobotWriter:
         return self
 
     def __exit__(self, *unused: object) -> None:
-        self._close()
+        """Every file is whole already."""
 
 
 def _video_key(camera: str) -> str:

@@ -43,33 +43,21 @@ def of_rows(values: NDArray[np.generic]) -> Statistics:
     }
 
 
-class GreyStatistics:
-    """Statistics of pictures, exact, from the counts of their grey values."""
-
-    def __init__(self) -> None:
-        self.counts = np.zeros(_GREYS, np.int64)
-        self.pictures = 0
-
-    def add(self, picture: NDArray[np.uint8]) -> None:
-        """Count a picture."""
-        self.counts += np.bincount(picture.ravel(), minlength=_GREYS)
-        self.pictures += 1
-
-    def values(self) -> Statistics:
-        """Statistics of grey values as shares of 255, of three equal channels: shape (3, 1, 1); count, (1,)."""
-        greys = np.arange(_GREYS) / (_GREYS - 1)
-        share = self.counts / self.counts.sum()
-        mean = float(greys @ share)
-        present, total = np.flatnonzero(self.counts), np.cumsum(share)
-        scalars = {
-            "min": greys[present[0]],
-            "max": greys[present[-1]],
-            "mean": mean,
-            "std": np.sqrt(max(float(greys**2 @ share) - mean**2, 0.0)),
-            **{quantile_name(q): greys[min(int(np.searchsorted(total, q)), _GREYS - 1)] for q in QUANTILES},
-        }
-        spread = {name: np.full((3, 1, 1), value) for name, value in scalars.items()}
-        return spread | {"count": np.array([self.pictures], np.int64)}
+def of_greys(pictures: Sequence[NDArray[np.uint8]]) -> Statistics:
+    """Statistics of pictures as shares of 255, exact, of three equal channels: shape (3, 1, 1); count, (1,)."""
+    counts = np.sum([np.bincount(picture.ravel(), minlength=_GREYS) for picture in pictures], axis=0)
+    greys, share = np.arange(_GREYS) / (_GREYS - 1), counts / counts.sum()
+    mean = float(greys @ share)
+    present, total = np.flatnonzero(counts), np.cumsum(share)
+    scalars = {
+        "min": greys[present[0]],
+        "max": greys[present[-1]],
+        "mean": mean,
+        "std": np.sqrt(max(float(greys**2 @ share) - mean**2, 0.0)),
+        **{quantile_name(q): greys[min(int(np.searchsorted(total, q)), _GREYS - 1)] for q in QUANTILES},
+    }
+    spread = {name: np.full((3, 1, 1), value) for name, value in scalars.items()}
+    return spread | {"count": np.array([len(pictures)], np.int64)}
 
 
 def together(episodes: Sequence[Statistics]) -> Statistics:
@@ -104,39 +92,25 @@ def pixel_format(size: Sequence[int]) -> str:
     return "yuv444p" if size[0] % 2 or size[1] % 2 else "yuv420p"
 
 
-class GreyVideo:
-    """Writes pictures of one size (height, width, px) into an mp4 file."""
+def write_grey_video(path: Path, pictures: Sequence[NDArray[np.uint8]], fps: float) -> None:
+    """Writes pictures of one size, (height, width), into an mp4 file."""
+    import imageio_ffmpeg
 
-    def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
-        import imageio_ffmpeg
-
-        self.path, self.frames = path, 0
-        path.parent.mkdir(parents=True, exist_ok=True)
-        options = ["-crf", str(_CONSTANT_RATE_FACTOR), "-g", str(_WHOLE_EVERY), "-bf", "0", "-preset", "veryfast"]
-        self._ffmpeg: Any = imageio_ffmpeg.write_frames(
-            str(path),
-            (size[1], size[0]),
-            fps=fps,
-            codec=_ENCODER,
-            pix_fmt_in="gray",
-            pix_fmt_out=pixel_format(size),
-            macro_block_size=1,
-            quality=None,
-            ffmpeg_log_level="error",
-            output_params=[*options, "-movflags", "+faststart"],
-        )
-        self._ffmpeg.send(None)
-
-    @property
-    def written_bytes(self) -> int:
-        """Size of the file so far; the encoder makes it some time after the first frames came."""
-        return self.path.stat().st_size if self.path.exists() else 0
-
-    def add(self, picture: NDArray[np.uint8]) -> None:
-        """Write the next frame, (height, width) uint8."""
-        self._ffmpeg.send(np.ascontiguousarray(picture))
-        self.frames += 1
-
-    def close(self) -> None:
-        """Finish the file; closing again does nothing."""
-        self._ffmpeg.close()
+    height, width = pictures[0].shape
+    options = ["-crf", str(_CONSTANT_RATE_FACTOR), "-g", str(_WHOLE_EVERY), "-bf", "0", "-preset", "veryfast"]
+    film: Any = imageio_ffmpeg.write_frames(
+        str(path),
+        (width, height),
+        fps=fps,
+        codec=_ENCODER,
+        pix_fmt_in="gray",
+        pix_fmt_out=pixel_format((height, width)),
+        macro_block_size=1,
+        quality=None,
+        ffmpeg_log_level="error",
+        output_params=[*options, "-movflags", "+faststart"],
+    )
+    film.send(None)
+    for picture in pictures:
+        film.send(np.ascontiguousarray(picture))
+    film.close()

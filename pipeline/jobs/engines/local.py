@@ -38,7 +38,7 @@ class LocalEngine:
 
     def __init__(self, machine: Machine, workers: int, preload: Sequence[str]) -> None:
         """For so many jobs of a stage at the same time, which share a machine, maybe with those of other stages."""
-        self.capacity, self._machine = workers, machine
+        self._workers, self._machine = workers, machine
         self._running: list[_Running] = []
         self._messages: list[tuple[str, Message]] = []
         self._open = contextlib.ExitStack()
@@ -58,7 +58,7 @@ class LocalEngine:
 
     def submit(self, job: Job) -> bool:
         """Starts a job when a core, the memory and the GPUs that it needs are free."""
-        if len(self._running) >= self.capacity or (gpus := self._machine.take(job)) is None:
+        if len(self._running) >= self._workers or (gpus := self._machine.take(job)) is None:
             return False
         ours, theirs = self._context.Pipe()
         arguments = (job.run, job.given, theirs, tuple(gpu.visible for gpu in gpus))

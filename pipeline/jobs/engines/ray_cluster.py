@@ -36,15 +36,11 @@ class RayExecutor(Executor):
                 f"engine=ray needs Ray, which is not installed: run `{installing('make ray')}`, or take engine=local"
             ) from (error)
         self._ray: Any = ray
-        worker: Any = ray._private.worker
-        if hasattr(worker, "print_to_stdstream"):  # prints a page of a lost machine's log; the engine says a sentence
-            worker.print_to_stdstream = _say_nothing
         self._connect(settings.address or os.environ.get(ADDRESS))
         # The function goes to the machines by value: what one of them lacks is then named by it, not by Ray.
         ray.cloudpickle.register_pickle_by_value(task_module)
-        self._run: Any = ray.remote(max_retries=0)(task_module.run_task)
-        total = ray.cluster_resources()
-        self.capacity, self.has_gpus = max(int(total.get("CPU", 1)), 1), total.get("GPU", 0) > 0
+        self._run: Any = ray.remote(max_retries=0, max_calls=1)(task_module.run_task)
+        self.has_gpus = ray.cluster_resources().get("GPU", 0) > 0
 
     def _connect(self, address: str | None) -> None:
         if address is not None and address not in ("auto", "local"):
@@ -88,7 +84,7 @@ class RayExecutor(Executor):
             return _first_sentence(error)
 
     def cancel(self, handle: Any) -> None:
-        """Cancels a task; its process ends, and the job's with it."""
+        """Cancels a task; its process ends."""
         with contextlib.suppress(self._ray.exceptions.RayError, ValueError):
             self._ray.cancel(handle, force=True)
 
@@ -96,10 +92,6 @@ class RayExecutor(Executor):
         """Leaves the cluster."""
         with _signals_kept():
             self._ray.shutdown()
-
-
-def _say_nothing(*unused: Any, **also_unused: Any) -> None:
-    """In place of what Ray prints."""
 
 
 def _first_sentence(error: BaseException) -> str:

@@ -13,7 +13,6 @@ JOBS = ".jobs"  # folder of a stage where a cluster's jobs are
 
 Retries = Annotated[int, Ge(0), Le(100)]
 Gigabytes = Annotated[float, Gt(0), Le(10_000)]
-Lease = Annotated[float, Ge(5), Le(3600)]
 Hours = Annotated[float, Gt(0), Le(10_000)]
 
 
@@ -29,8 +28,6 @@ class ClusterSettings:
     """What the engines of a cluster share."""
 
     retries: Retries = 2  # how often a job is done again whose machine was lost
-    # seconds that a job works on without a sign of its driver; after a machine was lost, its jobs wait as long
-    lease_s: Lease = 60.0
     memory_gb: Gigabytes = 2.0  # that is named for each job at the least; more where a job says that it needs more
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.jobs.engines.cluster import Executor, Needs
-from pipeline.jobs.engines.local import available_workers
 from pipeline.jobs.engines.settings import LOCAL, SLURM, SlurmSettings
 from pipeline.jobs.engines.task import Task, run_task
 from pipeline.store.errors import StageError
@@ -30,7 +29,6 @@ class SlurmExecutor(Executor):
             )
         self._settings = settings
         self._executor = submitit.AutoExecutor(folder=str(shared / "submitit" / "%j"), cluster=settings.manager)
-        self.capacity = available_workers() if settings.manager == LOCAL else settings.jobs or 1
         self.has_gpus = settings.gpus
 
     def parameters(self, name: str, needs: Needs) -> dict[str, Any]:

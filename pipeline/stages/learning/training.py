@@ -79,7 +79,7 @@ def evaluate(
     return outcome
 
 
-_SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the estimate of the end
+_SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the progress
 _SECONDS_A_DECISION = 1e-2
 
 
@@ -204,7 +204,6 @@ def _demonstrations(job: PolicyTrainingJob) -> list[Trajectory]:
 
 
 THESIS = "thesis"
-_SECONDS_AN_ENCODER_SAMPLE = 3e-3
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -293,7 +292,6 @@ def run_trainings(
                 train_and_evaluate,
                 training,
                 after=(_encoders_key(training),) if by_encoder else (),
-                weight=training.weight,
                 memory_gb=training_gb(training.task, training.keys, training.settings, encoded=by_encoder),
                 gpu_gb=training_gpu_gb(size_px, training.keys, 0 if by_encoder else training.settings.batch_size),
             )
@@ -352,7 +350,7 @@ def _encoders(
         ),
     )
     gpu_gb = max(training_gpu_gb(settings.task.image_size_px, keys) for keys in sets)
-    return Job(key, fit_encoders, job, weight=len(sets) * job.samples * _SECONDS_AN_ENCODER_SAMPLE, gpu_gb=gpu_gb)
+    return Job(key, fit_encoders, job, gpu_gb=gpu_gb)
 
 
 def demonstrations(task: LearningTask, context: StageContext) -> tuple[Path, ...]:

@@ -159,7 +159,6 @@ def training_job(
     learn: Callable[[TrainingJob, Any], Any],
     settings: TrainingSettings,
     context: StageContext,
-    weight: float = 1.0,
     shipped: str | None = None,
 ) -> Job:
     """The job that trains one network, named and with a folder after it, with a GPU for each of its processes."""
@@ -173,7 +172,7 @@ def training_job(
         shipped=shipped,
     )
     gpu_gb = network_gb(network, settings.size)
-    return Job(network, learn, learn_job, weight=weight, gpu_gb=gpu_gb, gpus=settings.processes)
+    return Job(network, learn, learn_job, gpu_gb=gpu_gb, gpus=settings.processes)
 
 
 def cost_cells(outcome: dict[str, Any]) -> dict[str, Any]:

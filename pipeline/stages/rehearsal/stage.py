@@ -47,7 +47,6 @@ BEFORE, AFTER = "before", "after"
 TRAINING, FILM = "training", "film"
 _LOGGER = logging.getLogger(__name__)
 _PARTS = 2  # of the tests in copies, beside each other
-_SECONDS = {"decision": 15e-3, "test": 1.0, "demonstration": 1.5, "film": 40.0}  # guesses
 
 
 def check_rehearsal(settings: RehearsalSettings) -> None:
@@ -126,8 +125,8 @@ def plan(
     job = RehearsalJob(context.path, origin, settings, task, target, start, trial_statistics=trial_statistics)
     jobs = _demonstrations(replace(job, demonstrators=tuple(demonstrators))) if settings.demonstrations else []
     demonstration_keys = tuple(one.key for one in jobs)
-    weight, memory = settings.decisions * _SECONDS["decision"], policy_gb(settings.task.image_size_px, 0)
-    jobs.append(Job(TRAINING, train, job, after=demonstration_keys, weight=weight, gpu_gb=memory))
+    memory = policy_gb(settings.task.image_size_px, 0)
+    jobs.append(Job(TRAINING, train, job, after=demonstration_keys, gpu_gb=memory))
     jobs += [] if start is None else _tests(job, BEFORE, start, ())
     trained = job.own_folder / POLICY
     tests = _tests(job, AFTER, trained, (TRAINING,))
@@ -137,7 +136,6 @@ def plan(
             film_scan,
             replace(job, policy=trained, tested=AFTER),
             after=(f"{AFTER}/{SCAN}",),
-            weight=_SECONDS["film"],
         )
         tests.insert(1, filmed)
     jobs += tests
@@ -149,14 +147,12 @@ def _demonstrations(job: RehearsalJob) -> list[Job]:
     jobs: list[Job] = []
     for turn in range(job.rules.most_turns(len(job.demonstrators))):
         before = tuple(one.key for one in jobs[-PARTS:])
-        weight = 0.0 if turn else _SECONDS["demonstration"] * len(job.training_cases) / PARTS
         jobs += [
             Job(
                 f"{DEMONSTRATIONS}/{turn}/{part}",
                 record_demonstrations,
                 replace(job, turn=turn, part=part),
                 after=before,
-                weight=weight,
                 known=nothing_to_record,
             )
             for part in range(PARTS)
@@ -185,7 +181,6 @@ def _tests(job: RehearsalJob, tested: str, policy: Path, after: tuple[str, ...])
             play,
             replace(job, policy=policy, tested=tested, copies=those),
             after=after,
-            weight=_SECONDS["test"] * (len(those) if those != (0,) else job.settings.scan_episodes),
         )
         for key, those in sets.items()
     ]

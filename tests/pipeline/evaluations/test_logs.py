@@ -9,12 +9,12 @@ import pytest
 import trimesh
 from PIL import Image
 
-import pipeline.evaluations.logs as reading_module
 from cathsim.metrics.episodes import wilson_interval
 from cathsim.metrics.forces import compare_forces
 from pipeline.evaluations import forces
 from pipeline.evaluations.forces import EpisodeForces
 from pipeline.evaluations.logs import (
+    EvaluationSet,
     UnusableLogError,
     changed_settings,
     evaluation_folders,
@@ -63,8 +63,8 @@ def test_logs_that_do_not_count_say_why(tmp_path: Path, arguments: dict, reason:
         read_evaluation(path, tmp_path)
 
 
-def read(run: Path, **arguments: object) -> reading_module.EvaluationSet:
-    return read_logs(evaluation_folders(run), **arguments)  # type: ignore[arg-type]
+def read(run: Path) -> EvaluationSet:
+    return read_logs(evaluation_folders(run))
 
 
 def test_one_damaged_log_among_others_is_left_out_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -88,15 +88,6 @@ def test_an_episode_recorded_twice_counts_once_the_latest(tmp_path: Path) -> Non
     assert [one.folder for one in reading.evaluations] == ["enn", "enn"]
     assert len(reading.left_out) == 2
     assert all("recorded again in enn/type_1" in reason for reason in reading.left_out.values())
-
-
-def test_processes_give_the_same_as_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (path, *_) = write_row(tmp_path, "enn", "I", successes=(True, False, True))
-    path.write_bytes(b"no log")
-    alone = read(tmp_path)
-    monkeypatch.setattr(reading_module, "PARALLEL_FROM", 1)
-    assert read(tmp_path, processes=2) == alone
-    assert len(alone.left_out) == 1
 
 
 def test_table_has_the_rows_of_the_thesis() -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.jobs.display import JobDisplay, JobState
+from pipeline.jobs.display import JobDisplay
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import Message, Report
 from pipeline.store.costs import kept_costs
@@ -175,35 +175,15 @@ def test_a_killed_stage_takes_its_jobs_along_and_the_next_run_goes_on(tmp_path: 
     assert {result["count"] for result in results.values()} == {40}
 
 
-def test_estimate_of_the_end() -> None:
-    states = [JobState("a"), JobState("b"), JobState("c", weight=2.0), JobState("d", done=True)]
-    display = JobDisplay("toys", states, workers=2)
-    assert display.remaining_s() is None
-    now = time.monotonic()
-    for state in states[:2]:
-        state.start()
-        state._started = now - 10.0
-        state.update(0.0, "")
-        state.update(0.5, "half")
-    assert display.remaining_s() == pytest.approx(40.0, abs=0.5)  # c alone takes twice the twenty seconds of the others
-    states[2].weight = 1.0
-    assert display.remaining_s() == pytest.approx(20.0, abs=0.5)
+def test_the_line_of_the_progress() -> None:
+    display = JobDisplay("toys", "abcd", "abc")
+    assert display.line().startswith("toys 1/4; ")
+    for key in "ab":
+        display.states[key].status, display.states[key].fraction, display.states[key].text = "running", 0.5, "half"
     assert display.line().startswith("toys 1/4, 2 running: a 50 % (half), b 50 % (half); ")
-
-
-def test_what_was_left_out_or_done_by_an_earlier_run_is_no_pace() -> None:
-    states = [JobState("a"), JobState("b", weight=0.0)]
-    display = JobDisplay("toys", states, workers=1)
-    states[1].finish(has_run=False)
-    assert display.remaining_s() is None
-    assert display.line().startswith("toys 1/2; ")
-    state = states[0]
-    state.start()
-    state._started -= 10.0
-    state.update(0.8, "")
-    assert state.total_s() is None
-    state.update(0.9, "")
-    assert state.total_s() == pytest.approx(100.0, abs=1.0)
+    display.states["a"].finish()
+    display.states["b"].status = "failed"
+    assert display.line().startswith("toys 2/4, 1 failed; ")
 
 
 def test_a_report_is_throttled_and_stops_the_job() -> None:

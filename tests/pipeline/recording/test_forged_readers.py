@@ -65,7 +65,7 @@ def test_a_configuration_that_cannot_be_used_is_one_sentence(name: str, log: Pat
     forged = with_configuration(log, folder / "0.mcap", WRONG_CONFIGURATION[name])
     uses = (
         lambda: replay(forged),
-        lambda: read_logs([tmp_path / "run" / "enn"], processes=1),
+        lambda: read_logs([tmp_path / "run" / "enn"]),
         lambda: read_forces(tmp_path / "run"),
         lambda: gather([forged], UserStudySettings()),
     )

@@ -11,8 +11,9 @@ import pytest
 
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.export.exporting import export_logs
-from pipeline.episodes.export.statistics import GreyStatistics, GreyVideo, of_rows, together
+from pipeline.episodes.export.statistics import of_greys, of_rows, together, write_grey_video
 
+pa = pytest.importorskip("pyarrow")
 pq = pytest.importorskip("pyarrow.parquet")
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
@@ -60,7 +61,8 @@ def test_the_files_hold_what_they_say(kind: str, request: pytest.FixtureRequest,
     expected = expected_columns(folder)
     info = json.loads((tmp_path / "out" / "meta" / "info.json").read_text())
     assert (info["total_episodes"], info["total_frames"], info["fps"]) == (2, 15, 10)
-    table = pq.read_table(tmp_path / "out" / info["data_path"].format(chunk_index=0, file_index=0))
+    files = [tmp_path / "out" / info["data_path"].format(chunk_index=0, file_index=index) for index in range(2)]
+    table = pa.concat_tables(map(pq.read_table, files))
     stored = {name for name, feature in info["features"].items() if feature["dtype"] != "video"}
     assert set(table.column_names) == stored
     for name in set(expected) & stored:
@@ -71,7 +73,8 @@ def test_the_files_hold_what_they_say(kind: str, request: pytest.FixtureRequest,
         assert feature["names"] is None or len(feature["names"]) == feature["shape"][0]
     episodes = pq.read_table(tmp_path / "out" / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_pylist()
     assert [one["dataset_from_index"] for one in episodes] == [0, 7]
-    assert episodes[1]["videos/observation.images.frontal/from_timestamp"] == pytest.approx(0.7)
+    assert episodes[1]["data/file_index"] == episodes[1]["videos/observation.images.frontal/file_index"] == 1
+    assert episodes[1]["videos/observation.images.frontal/to_timestamp"] == pytest.approx(0.8)
     known = json.loads((tmp_path / "out" / "meta" / "endonav.json").read_text())
     assert known["layout"]["observations"]["tip"]["unit"] == "m"
     assert known["episodes"][1]["target"] == "lcca"
@@ -99,13 +102,8 @@ def test_lerobot_reads_the_data_set(kind: str, request: pytest.FixtureRequest, t
 def test_pictures_come_back(size: tuple[int, int], stored: str, tmp_path: Path) -> None:
     rows, columns = np.indices(size)
     pictures = [((rows * 3 + columns * 2 + 40 * index) % 200 + 30).astype(np.uint8) for index in range(9)]
-    film = GreyVideo(tmp_path / "deep" / "a.mp4", size, 7.5)
-    for picture in pictures:
-        film.add(picture)
-    film.close()
-    film.close()
-    assert film.written_bytes == (tmp_path / "deep" / "a.mp4").stat().st_size
-    frames = imageio_ffmpeg.read_frames(str(tmp_path / "deep" / "a.mp4"), pix_fmt="gray", bits_per_pixel=8)
+    write_grey_video(tmp_path / "a.mp4", pictures, 7.5)
+    frames = imageio_ffmpeg.read_frames(str(tmp_path / "a.mp4"), pix_fmt="gray", bits_per_pixel=8)
     meta = next(frames)
     assert meta["fps"] == 7.5
     assert meta["pix_fmt"].startswith(stored)
@@ -113,14 +111,6 @@ def test_pictures_come_back(size: tuple[int, int], stored: str, tmp_path: Path) 
     assert len(found) == len(pictures)
     for one, picture in zip(found, pictures, strict=True):
         assert np.abs(one.astype(int) - picture).mean() < 3
-
-
-def test_a_film_of_which_nothing_is_written_yet_has_no_size(tmp_path: Path) -> None:
-    film = GreyVideo(tmp_path / "a.mp4", (48, 64), 7.5)
-    film.path = tmp_path / "later.mp4"
-    assert film.written_bytes == 0
-    film.add(np.zeros((48, 64), np.uint8))
-    film.close()
 
 
 def test_rows_against_numpy() -> None:
@@ -141,10 +131,7 @@ def test_a_part_without_numbers_gives_zeros() -> None:
 
 def test_pictures_against_numpy() -> None:
     pictures = np.random.default_rng(1).integers(0, 256, (5, 20, 30), np.uint8)
-    greys = GreyStatistics()
-    for picture in pictures:
-        greys.add(picture)
-    found, shares = greys.values(), pictures / 255.0
+    found, shares = of_greys(list(pictures)), pictures / 255.0
     assert found["mean"].shape == (3, 1, 1)
     np.testing.assert_allclose(found["mean"][0], shares.mean())
     np.testing.assert_allclose(found["std"][0], shares.std())

@@ -38,9 +38,6 @@ def two_nodes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
 
 
 def test_a_node_that_dies_has_its_jobs_done_by_the_other(two_nodes: Any, tmp_path: Path, caplog) -> None:
-    connected = RayExecutor(RaySettings())
-    assert connected.capacity == 2
-    connected.close()
     folder = RunFolder(tmp_path / "stage", Identity("c", {}, 1))
     toys = {name: Toy(folder.path / name, steps=40, seconds_a_step=0.1) for name in "ab"}
     jobs = [Job(name, train, toy) for name, toy in toys.items()]
@@ -55,7 +52,7 @@ def test_a_node_that_dies_has_its_jobs_done_by_the_other(two_nodes: Any, tmp_pat
                 two_nodes.remove_node(two_nodes.second, allow_graceful=False)
             return super().result_of(key)
 
-    with folder.locked(), chosen_engine(RaySettings(retries=2, memory_gb=0.1, lease_s=5.0)):
+    with folder.locked(), chosen_engine(RaySettings(retries=2, memory_gb=0.1)):
         folder.prepare()
         watched = WatchedFolder(folder.path, folder.identity)
         # the last job waits for both, so that the folder is asked again and again
