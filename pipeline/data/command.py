@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from pipeline.data.download import DownloadError, download
@@ -13,6 +15,7 @@ from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_file
 
 _FINE, _FAILED, _USAGE = 0, 1, 2
+_PERCENT = 100
 
 
 def main(arguments: list[str]) -> int:
@@ -49,7 +52,7 @@ def _fetch(sources: Sources, names: list[str]) -> int:
         for file in sources.missing(name):
             url, place = sources.url(name, file), sources.place(name, file)
             try:
-                download(url, place, file.bytes, file.sha256)
+                download(url, place, file.bytes, file.sha256, _progress(f"{name}/{file.name}", file.bytes))
             except DownloadError as error:
                 failed = True
                 say(f"{name}: {url} {error}; or bring {file.name}: `endonav data add FOLDER`", error=True)
@@ -73,3 +76,11 @@ def _add(sources: Sources, folder: Path) -> int:
             say(f"{entry[0]}: {path.name}")
     say(f"{taken} files taken; missing: {len(files_by_hash)}")
     return _FINE if taken or not files_by_hash else _FAILED
+
+
+def _progress(what: str, size: int) -> Callable[[int], None]:
+    def tell(byte_count: int) -> None:
+        if sys.stderr.isatty():
+            sys.stderr.write(f"\r{what}: {_PERCENT * byte_count // size} %" + "\n" * (byte_count >= size))
+
+    return tell

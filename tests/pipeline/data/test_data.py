@@ -1,6 +1,7 @@
 """The command `endonav data`: files of a server arrive whole and verified, or a sentence says why not."""
 
 import hashlib
+import re
 import threading
 from collections.abc import Iterator
 from functools import partial
@@ -18,18 +19,23 @@ COMMIT = "ab12"
 
 
 class Handler(SimpleHTTPRequestHandler):
-    """A file server that cuts what it sends where it is told to."""
+    """A file server that gives parts, unless told not to, and cuts what it sends where it is told to."""
 
     cut_at: int | None = None
-    asked = 0
+    parts = True
+    asked: tuple[str, ...] = ()
 
     def do_GET(self) -> None:
         content = Path(self.translate_path(self.path)).read_bytes()
-        Handler.asked += 1
-        self.send_response(200)
-        self.send_header("Content-Length", str(len(content)))
+        asked = self.headers.get("Range")
+        Handler.asked += (asked or "",)
+        start = int(re.findall(r"\d+", asked)[0]) if asked and Handler.parts else 0
+        self.send_response(206 if start else 200)
+        if start:
+            self.send_header("Content-Range", f"bytes {start}-{len(content) - 1}/{len(content)}")
+        self.send_header("Content-Length", str(len(content) - start))
         self.end_headers()
-        self.wfile.write(content[: Handler.cut_at])
+        self.wfile.write(content[start : Handler.cut_at])
         self.close_connection = True
 
     def log_message(self, *_: object) -> None:
@@ -39,7 +45,7 @@ class Handler(SimpleHTTPRequestHandler):
 @pytest.fixture
 def sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A file of sources, whose address is a server's on this machine."""
-    Handler.cut_at, Handler.asked = None, 0
+    Handler.cut_at, Handler.parts, Handler.asked = None, True, ()
     monkeypatch.setenv("ENDONAV_DATA", str(tmp_path / "data"))
     served = tmp_path / "served" / "who" / "what" / COMMIT / "some folder"
     served.mkdir(parents=True)
@@ -75,19 +81,21 @@ def test_a_file_is_downloaded_once(sources: Path, capsys: pytest.CaptureFixture[
     assert place.read_bytes() == CONTENT
     assert [path.name for path in place.parent.iterdir()] == ["vessel.stl"]
     assert _data(sources, "fetch", "tree") == 0
-    assert Handler.asked == 1
+    assert len(Handler.asked) == 1
     assert _data(sources, "list") == 0
     assert "tree: here" in capsys.readouterr().out
 
 
-def test_a_download_that_was_cut_off_leaves_nothing(sources: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    Handler.cut_at = 100_000
+@pytest.mark.parametrize("parts", [True, False])
+def test_a_download_that_was_cut_off_goes_on(sources: Path, parts: bool, capsys: pytest.CaptureFixture[str]) -> None:
+    Handler.cut_at, Handler.parts = 100_000, parts
     assert _data(sources, "fetch") == 1
     assert "was cut off at 100,000 of 256,000 bytes" in capsys.readouterr().err
     place = read_sources(sources).anatomy("tree")
-    assert not list((sources.parent / "data").rglob("*"))
+    assert not place.exists()
     Handler.cut_at = None
     assert _data(sources, "fetch") == 0
+    assert Handler.asked == ("", "bytes=100000-")
     assert place.read_bytes() == CONTENT
 
 
@@ -96,9 +104,17 @@ def test_another_file_is_not_kept(sources: Path, capsys: pytest.CaptureFixture[s
     sources.write_text(text.replace(hashlib.sha256(CONTENT).hexdigest(), "f" * 64))
     assert _data(sources, "fetch") == 1
     assert "is another file" in capsys.readouterr().err
-    assert not list((sources.parent / "data").rglob("*"))
+    assert not list((sources.parent / "data" / "tree").iterdir())
     sources.write_text(text.replace("some folder/vessel.stl", "some folder"))
     assert _data(sources, "fetch") == 1
+
+
+def test_a_longer_part_is_thrown_away(sources: Path) -> None:
+    place = read_sources(sources).anatomy("tree")
+    place.parent.mkdir(parents=True)
+    place.with_name(".vessel.stl.part").write_bytes(CONTENT + b"more")
+    assert _data(sources, "fetch") == 1
+    assert _data(sources, "fetch") == 0
 
 
 def test_without_a_network_files_come_from_a_folder(
