@@ -51,6 +51,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("{data}", "--output", "{out}", "--images", "{data}/none"),
         ("{data}", "--output", "{out}", "--calibration", "{data}/file"),
         ("{data}", "--output", "{out}", "--curves", "{data}/file", "--network", "fgrn"),
+        ("{data}", "--output", "{out}", "--pretrained", "{data}", "--network", "spherical"),
     ],
 )
 def test_training_refuses_with_one_sentence(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import field
 from importlib.resources import as_file, files
+from pathlib import Path
 from typing import Annotated
 
 from annotated_types import Ge, Le
@@ -66,6 +67,15 @@ class ShapeSettings(ShippedSettings):
 
     name: str = "shape"
     rows: _ShapeRows = field(default_factory=lambda: ["spherical", "cartesian", "fgrn"])  # networks to train
+    pretrained: kinds.PathText | None = None  # weights of the vision transformer, under timm's or torchvision's names
+    pretrained_sha256: str | None = None  # of that, filled in
+
+    def __post_init__(self) -> None:
+        """Trains where the user gives weights to start from: the shipped network did not."""
+        self.shipped = self.shipped and self.pretrained is None
+        file = Path(self.pretrained or "")
+        self.pretrained_sha256 = hash_file(file) if file.is_file() else None
+        super().__post_init__()
 
 
 @kinds.validated()

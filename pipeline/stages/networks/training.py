@@ -233,7 +233,10 @@ def learn(job: TrainingJob, report: Report) -> dict[str, Any]:
 
 def train_network(job: TrainingJob, report: Report) -> dict[str, Any]:
     """Trains a network, or goes on with its training; returns what ``training.json`` holds."""
-    return train("guide3d.train", job, ["--network", job.network], ("images", "calibration", "curves"), report)
+    words = ["--network", job.network]
+    if getattr(job.settings, "pretrained", None) is not None and job.network != "fgrn":  # that has no transformer
+        words += ["--pretrained", job.settings.pretrained]
+    return train("guide3d.train", job, words, ("images", "calibration", "curves"), report)
 
 
 def _evaluate_shape(job: TrainingJob, data: Dataset, test: tuple[str, ...], report: Report) -> Any:

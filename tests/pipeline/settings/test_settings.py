@@ -38,8 +38,8 @@ ZERO_IS_LEGAL = {
 }  # fmt: skip
 ZERO_IS_REFUSED_THERE = {("unseen", "epochs"), ("navigation", "epochs")}
 # Texts that are no names: paths, which may lie anywhere, and what is filled in.
-NOT_NAMES = {"mesh", "unit", "root", "image_root", "calibration", "root_sha256", "ct", "ct_sha256",
-             "catheter", "file", "file_sha256", "policy", "policy_sha256",
+NOT_NAMES = {"mesh", "unit", "root", "image_root", "calibration", "pretrained", "root_sha256", "ct", "ct_sha256",
+             "catheter", "file", "file_sha256", "pretrained_sha256", "policy", "policy_sha256",
              "navigator_sha256", "shipped_sha256", "entry", "own_entry"}  # fmt: skip
 BAD_NAMES = ("../elsewhere", "/etc", "a/b", "..", "a b", "", "a" * 300, "a\\b")
 

@@ -46,6 +46,7 @@ def arguments(words: list[str]) -> argparse.Namespace:
     parser.add_argument("--size", choices=SIZES, default="desk")
     parser.add_argument("--settings", type=json_fields, default={}, help="JSON: fields of the recipe, such as images")
     parser.add_argument("--fit", type=json_fields, default={}, help="JSON: fields of the fit, such as learning_rate")
+    parser.add_argument("--pretrained", type=Path, help="weights of a vision transformer, of timm or torchvision")
     parser.add_argument("--curves", type=Path, help="file of fitted curves and curves in space, like sphere.json")
     return parser.parse_args(words)
 
@@ -61,6 +62,8 @@ def train_command(given: argparse.Namespace, progress: Progress | None = None) -
         What ``training.json`` holds.
     """
     form = "spherical" if given.network == ANGLES_ALONE else given.network
+    if given.pretrained is not None and form not in FORMS:
+        raise ValueError("--pretrained fills the vision transformer of the shape network only")
     recipe: Any
     if form in FORMS:
         recipe = shape_recipe(given.size)
@@ -74,7 +77,7 @@ def train_command(given: argparse.Namespace, progress: Progress | None = None) -
     recipe = with_epochs(recipe, given.epochs)
 
     def learn(**common: Any) -> tuple[Any, FitReport]:
-        return train_network(*data_and_split(given), recipe, form, **common)
+        return train_network(*data_and_split(given), recipe, form, pretrained=given.pretrained, **common)
 
     return run_training(given, learn, {"network": given.network, "size": given.size}, progress)
 

@@ -93,6 +93,10 @@ def test_a_training_without_its_data_set_or_its_weights_says_so(run: Path, tmp_p
     shutil.rmtree(tmp_path / "guide3d" / "dataset")
     with pytest.raises((StageError, FileNotFoundError), match="is missing"):
         train_network(job, Report())
+    settings = replace(settings, pretrained=str(tmp_path / "vit.pt"))
+    job = shape.plan(settings, context(run, "elsewhere", reads=("guide3d",)))[0].given
+    with pytest.raises(FileNotFoundError, match="there are no pretrained weights"):
+        train_network(job, Report())
 
 
 @pytest.mark.parametrize(
@@ -145,7 +149,7 @@ def test_a_shipped_network_is_taken_in_place_of_its_training(
     ours, rows = context(run, "shape", reads=("guide3d",)), ["spherical", "cartesian"]
     jobs = {job.key: job.given for job in shape.plan(ShapeSettings(shipped=True, rows=rows), ours)}
     assert {row: job.shipped for row, job in jobs.items()} == {"spherical": "shape", "cartesian": None}
-    for other in ({"shipped": False}, {"epochs": 3}):
+    for other in ({"shipped": False}, {"pretrained": "vit.pt"}, {"epochs": 3}):
         assert shipped_rows(ShapeSettings(**{"shipped": True, **other}), ours) == {}
     training = train_network(replace(jobs["spherical"], folder=tmp_path), Report())
     assert training["best_epoch"] == len(training["rows"]) == 20

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from torch import nn
 
+from guide3d.modeling.pretrained import load_pretrained
 from guide3d.modeling.shape_network import ImageFeatures, ShapeNetwork
 from guide3d.modeling.spherical import SphericalForm
 from guide3d.modeling.swin_transformer import SwinUnet
@@ -87,17 +89,25 @@ SEGMENTER_SIZES: dict[str, dict[str, dict[str, Any]]] = {
 }  # fmt: skip
 
 
-def build_shape_network(size: ShapeSize, form: SphericalForm | None, positions: int) -> ShapeNetwork:
+def build_shape_network(
+    size: ShapeSize, form: SphericalForm | None, positions: int, *, pretrained: Path | str | None = None
+) -> ShapeNetwork:
     """Builds the shape network.
 
     Args:
         form: of the curve; None: the Cartesian twin.
         positions: M, points of the longest curve.
+        pretrained: weights of the vision transformer, if there are any.
+
+    Raises:
+        FileNotFoundError, ValueError: the pretrained weights are missing or do not fit.
     """
     transformer = VisionTransformer(
         image_px=size.image_px, patch_px=size.patch_px, channels=1, width=size.width, depth=size.depth,
         heads=size.heads, hidden=size.hidden, dropout=size.dropout, stem=tuple(size.stem),
     )  # fmt: skip
+    if pretrained is not None:
+        load_pretrained(transformer, pretrained)
     features = ImageFeatures(transformer, size.width, size.features, size.pooling, size.dropout, size.kept)
     return ShapeNetwork(
         features, form, positions=positions, size=size.features, frames=size.frames, state=size.state,

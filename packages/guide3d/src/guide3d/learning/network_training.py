@@ -41,6 +41,7 @@ def train_network(
     *,
     folder: Path,
     pictures: Path | None = None,
+    pretrained: Path | None = None,
     seed: int = 0,
     ranks: Ranks | None = None,
     progress: Callable[[FitProgress], None] | None = None,
@@ -50,6 +51,7 @@ def train_network(
     Args:
         form: of the shape network's curves, "spherical" or "cartesian".
         pictures: folder that keeps prepared pictures; None: in memory.
+        pretrained: weights of the shape network's vision transformer, if there are any.
         ranks: that train together; None: this process alone.
 
     Returns:
@@ -60,7 +62,7 @@ def train_network(
     """
     recipe = replace(recipe, preprocessing=replace(recipe.preprocessing, source_px=data.side_px))
     if isinstance(recipe, ShapeRecipe):
-        prepared = _shape(data, split, recipe, form, pictures, seed)
+        prepared = _shape(data, split, recipe, form, pictures, pretrained, seed)
     elif isinstance(recipe, FGRNRecipe):
         prepared = _fgrn(data, split, recipe, pictures, seed)
     else:
@@ -79,7 +81,10 @@ def train_network(
     return predictor(network, size, recipe.preprocessing, {**metadata, "best_epoch": report.best_epoch}), report
 
 
-def _shape(data: Dataset, split: Split, recipe: ShapeRecipe, form: str, pictures: Path | None, seed: int) -> _Prepared:
+def _shape(
+    data: Dataset, split: Split, recipe: ShapeRecipe, form: str, pictures: Path | None, pretrained: Path | None,
+    seed: int,
+) -> _Prepared:  # fmt: skip
     if form not in FORMS:
         raise ValueError(f"unknown form '{form}'; there are {', '.join(FORMS)}")
     walks = walks_of(data, recipe.step_mm)
@@ -95,7 +100,7 @@ def _shape(data: Dataset, split: Split, recipe: ShapeRecipe, form: str, pictures
         anchor=recipe.size.anchor,
     )  # fmt: skip
     torch.manual_seed(seed)
-    network = build_shape_network(recipe.size, spherical, positions)
+    network = build_shape_network(recipe.size, spherical, positions, pretrained=pretrained)
     _fill(network, objective.statistics())
     metadata = {"form": form, "training_frames": len(learnt), "best_epoch": 0, "step_mm": recipe.step_mm}
     return network, objective, ShapePredictor, to_spec(recipe.size, spherical, positions), metadata
