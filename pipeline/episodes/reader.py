@@ -68,9 +68,6 @@ class EpisodeReader:
             self.info, self._cameras = self._metadata(EPISODE_METADATA, open_episode)
             self.outcome: EpisodeOutcome = self._metadata(OUTCOME_METADATA, open_outcome)
             self._topics = self._channels()
-        except VersionError as error:
-            self.close()
-            raise EpisodeReadError(f"{self.path} cannot be read: {error}") from error
         except (ContainerError, OSError) as error:
             self.close()
             raise damaged(self.path, error) from error

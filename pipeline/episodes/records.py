@@ -43,7 +43,9 @@ class ContainerError(ValueError):
 
 
 def damaged(path: Path, reason: object) -> EpisodeReadError:
-    """Make the error of a damaged log."""
+    """Make the error of a damaged log, or of a file that is no log or is too new."""
+    if isinstance(reason, VersionError):
+        return EpisodeReadError(f"{path} cannot be read: {reason}")
     return EpisodeReadError(f"{path} is damaged: {reason}; run '{recover_command(path)}' to save what is intact")
 
 

@@ -147,7 +147,9 @@ def _made(read: Sequence[dict[str, Any]]) -> str:
 
 def _time(read: Sequence[dict[str, Any]]) -> str:
     minutes = [result["summary"].get("cpu_min") for result in read]
-    return "" if None in minutes else f", {sum(minutes):.0f} min of processor time"
+    if None in minutes or (total := round(sum(minutes))) == 0:
+        return ""
+    return f", {total} min of processor time"
 
 
 def _targets(read: Sequence[dict[str, Any]]) -> str:

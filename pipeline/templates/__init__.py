@@ -77,4 +77,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say(f"{prefix / _REGISTRY}: the stage is registered before the report")
     place = f"cd {shlex.quote(str(folder))} && " if prefix == folder else ""
     say(f"run it: {place}{kind.run.replace('NAME', name)}\ntest it: {place}{kind.test.replace('NAME', name)}")
+    if options.kind == "stage":
+        say("before make check: give it a row in the table of docs/pipeline/stages.md")
     return 0

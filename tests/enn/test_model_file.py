@@ -59,8 +59,15 @@ def test_what_is_no_model_is_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"there is no toy .*toy\.pt: build one first"):
         read(path)
     path.write_bytes(b"something else")
+    with pytest.raises(ValueError, match=r"is damaged or no toy \(it does not begin as one\): give the path of one"):
+        read(path)
+    path.write_bytes(encoded({"format": "toy-1"})[:-1])
     with pytest.raises(ValueError, match=r"is damaged or no toy \(its digest does not match\): build it again"):
         read(path)
+    for other, got in (({"format": "shape-1"}, "'shape-1'"), ({}, "None"), ({"format": 1}, "1")):
+        write_model(path, other)
+        with pytest.raises(ValueError, match=f"is no toy of format toy-1, but {got}: give the path of one"):
+            read(path)
     write_model(path, {"format": "toy-0"})
     with pytest.raises(ValueError, match="is no toy of format toy-1, but 'toy-0': build it again"):
         read(path)

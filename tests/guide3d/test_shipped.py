@@ -106,6 +106,12 @@ def test_a_wrong_bit_is_refused(tmp_path: Path) -> None:
     model.save(path)
     messages = refusals(path, lambda: ShapePredictor.load(path))
     assert all("model.pt is damaged or no network" in message for message in messages)
+    path.write_text("something else")
+    with pytest.raises(ValueError, match=r"no network \(it does not begin as one\): give the path of one"):
+        ShapePredictor.load(path)
+    write_content(path, {"format": "enn-policy-1"})
+    with pytest.raises(ValueError, match="no network of format guide3d-network-1, but 'enn-policy-1': give the path"):
+        ShapePredictor.load(path)
 
 
 @pytest.mark.parametrize("kind", MODELS)
@@ -161,5 +167,7 @@ def test_files_of_other_versions_are_one_sentence(kind: str, tmp_path: Path) -> 
             write_content(path, {key: value for key, value in content.items() if key != name} | change)
             if name == "metadata" and isinstance(change.get(name), dict):
                 continue
-            with pytest.raises(ValueError, match=r"model\.pt is .*(train it again|give the other file)"):
+            with pytest.raises(
+                ValueError, match=r"model\.pt is .*(train it again|give the other file|give the path of one)"
+            ):
                 type(model).load(path)

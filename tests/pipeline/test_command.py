@@ -101,6 +101,21 @@ def test_a_new_stage_is_named_by_absolute_paths_from_elsewhere(
         assert (f"cd '{clone}' && python" in lines[4]) == bool(shown)
 
 
+def test_what_is_new_keeps_the_rules_of_lint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder in ("tests", "pipeline/stages"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "pipeline/stages/__init__.py").write_text('    "report": (\n')
+    monkeypatch.setattr("pipeline.templates.PROJECT_ROOT", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for kind in ("stage", "policy", "phantom"):
+        assert command.main(["new", kind, f"mine_with_{kind}"]) == 0
+    Path("pipeline/stages/__init__.py").unlink()  # a line of it
+    Path("pyproject.toml").write_bytes((PROJECT_ROOT / "pyproject.toml").read_bytes())
+    for words in (["check"], ["format", "--check"]):
+        done = subprocess.run([sys.executable, "-m", "ruff", *words, "."], capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout
+
+
 def test_a_new_policy_and_a_new_phantom_pass_their_tests(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -23,7 +23,7 @@ from mcap.records import Channel, ChunkIndex, Metadata, MetadataIndex, Schema, S
 from mcap.writer import MCAP0_MAGIC
 
 from pipeline.episodes.encoding.schema import EPISODE_METADATA, OUTCOME_METADATA
-from pipeline.episodes.records import ContainerError, EpisodeReadError
+from pipeline.episodes.records import ContainerError, EpisodeReadError, VersionError
 
 _RECORD_HEAD = struct.Struct("<BQ")
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
@@ -91,9 +91,12 @@ def check_magic(fd: int) -> int:
     """Check that a file begins as MCAP, and give its size in bytes."""
     size = os.fstat(fd).st_size
     if size == 0:
-        raise ContainerError("it is empty")
+        raise VersionError("it is empty, so it is no episode log; give the path of one")
     if os.pread(fd, len(MCAP0_MAGIC), 0) != MCAP0_MAGIC:
-        raise ContainerError("it does not begin as an MCAP file")
+        raise VersionError(
+            "it does not begin as an MCAP file, so it is no episode log; give the path of one "
+            "(where the beginning of a log is damaged, recover saves the rest)"
+        )
     return size
 
 

@@ -100,6 +100,17 @@ def test_copies_of_wrapped_and_of_vector_environments(way: str) -> None:
     other.close()
 
 
+def test_what_is_no_saved_moment_is_one_sentence(make_env: MakeEnv) -> None:
+    env = make_env()
+    env.reset(seed=0)
+    saved = env.state()
+    partial = {key: value for key, value in saved.items() if key != "robots"}
+    for other, got in ((partial, "dict without robots"), ({}, "dict without ended, forces, "), (None, "NoneType")):
+        with pytest.raises(ValueError, match=f"expected what env.state\\(\\) gave, got {got}"):
+            env.restore(other)
+    assert same(env.state(), saved)
+
+
 def test_the_robot_is_saved_in_every_phase_of_its_cycle(make_env: MakeEnv) -> None:
     env, other = (make_env(drive="robot", observation="feeder") for _ in range(2))
     env.reset(seed=0)

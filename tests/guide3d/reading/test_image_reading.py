@@ -143,6 +143,8 @@ def test_channels_that_agree_are_grey_and_a_photograph_is_refused() -> None:
         (np.zeros((256, 256), np.uint8), "no contrast"),
         (RNG.integers(0, 255, (64, 64), dtype=np.uint8), "at least 128 x 128 px, got 64 x 64"),
         (np.zeros(10), "expected a grey image"),
+        ("a.png", "got the path 'a.png': read the file first, by guide3d.image_file.read_grey_levels"),
+        (Path("a.png"), "got the path 'a.png': read the file first"),
         (np.where(RNG.random((200, 200)) < 0.01, np.nan, 1.0), "finite"),
         (np.repeat(GREY[..., None], 3, axis=2) * 1e305, "finite grey values of at most 1e[+]30"),
     ],

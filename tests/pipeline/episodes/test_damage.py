@@ -48,6 +48,15 @@ def assert_recovered(path, episode, assert_same, at_least: int) -> int:
     return len(kept)
 
 
+def test_a_file_of_another_kind_is_not_called_damaged(tmp_path):
+    path = tmp_path / "notes.txt"
+    for content, reason in ((b"", "it is empty"), (b"a" * 999, "it does not begin as an MCAP file")):
+        path.write_bytes(content)
+        said = read_or_refuse(path)[1]
+        assert said.startswith(f"{path} cannot be read: {reason}, so it is no episode log; give the path of one")
+    assert check(path).problems == [said]
+
+
 def test_every_flipped_bit_is_found(log_path, episode, assert_same, tmp_path):
     data = log_path.read_bytes()
     rng = np.random.default_rng(5)

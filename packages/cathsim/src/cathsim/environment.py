@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from cathsim.robot.follower import FollowerRobot
 
 ACTIONS = ("feeder", "tip_motors")
+# of a saved moment
+_SAVED = {"simulation", "forces", "generator", "steps", "ended", "target", "remaining", "sensors", "robots", "observed"}
 
 
 class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
@@ -347,7 +349,15 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
 
     @exclusive
     def restore(self, state: dict[str, Any]) -> Any:
-        """Goes on where an environment with the same arguments was saved by `state`; returns the observation."""
+        """Goes on where an environment with the same arguments was saved by `state`; returns the observation.
+
+        Raises:
+            ValueError: `state` gave no such dictionary; the environment stays as it is.
+        """
+        missing = sorted(_SAVED - state.keys()) if isinstance(state, dict) else None
+        if missing or missing is None:
+            got = type(state).__name__ + (f" without {', '.join(missing)}" if missing else "")
+            raise ValueError(f"expected what env.state() gave, got {got}: save a moment by env.state() first")
         if state["target"] != self.task.target:
             self._set_task(dataclasses.replace(self._own_task, target=state["target"]))
         self.simulation.restore(state["simulation"])

@@ -25,7 +25,12 @@ from enn.bounded_content import built_from, load_content, tensors
 from enn.networks.devices import on_cpu
 
 Network = TypeVar("Network", bound=nn.Module)
+_MARK = b"sha256 "
 LARGEST_BYTES = 4 << 30
+
+
+class ForeignFileError(ValueError):
+    """A file does not begin as a model file does, so it was hardly ever one."""
 
 
 def encoded(content: Any) -> bytes:
@@ -43,8 +48,11 @@ def decoded(data: bytes) -> Any:
     """The content of what `encoded` gave.
 
     Raises:
+        ForeignFileError: the first bytes are others.
         ValueError: a byte is missing or differs.
     """
+    if not data.startswith(_MARK):
+        raise ForeignFileError("it does not begin as one")
     body = memoryview(data)[len(_digest_line(b"")) :]
     if data[: len(data) - len(body)] != _digest_line(body):
         raise ValueError("its digest does not match")
@@ -113,10 +121,14 @@ def read_model(path: Path, form: str, *, kind: str, verb: str) -> dict[str, Any]
         raise ValueError(f"{path} cannot be read ({error.strerror}): look at the disk, or {verb} it again") from error
     except Exception as error:
         reason = str(error) if isinstance(error, ValueError) else type(error).__name__
-        raise ValueError(f"{path} is damaged or no {kind} ({reason}): {verb} it again") from error
+        advice = "give the path of one" if isinstance(error, ForeignFileError) else f"{verb} it again"
+        raise ValueError(f"{path} is damaged or no {kind} ({reason}): {advice}") from error
     if not isinstance(content, dict) or content.get("format") != form:
-        got = f"{content.get('format')!a:.80}" if isinstance(content, dict) else type(content).__name__
-        raise ValueError(f"{path} is no {kind} of format {form}, but {got}: {verb} it again")
+        found = content.get("format") if isinstance(content, dict) else None
+        got = f"{found!a:.80}" if isinstance(content, dict) else type(content).__name__
+        earlier = isinstance(found, str) and found.rpartition("-")[0] == form.rpartition("-")[0]
+        advice = f"{verb} it again" if earlier else "give the path of one"
+        raise ValueError(f"{path} is no {kind} of format {form}, but {got}: {advice}")
     spoilt = _not_finite(content)
     if spoilt is not None:
         raise ValueError(f"{path}: {spoilt} is not finite: {verb} it again")
@@ -216,7 +228,7 @@ class FittedNetwork(Generic[Network]):
 
 
 def _digest_line(body: bytes | memoryview) -> bytes:
-    return b"sha256 " + hashlib.sha256(body).hexdigest().encode() + b"\n"
+    return _MARK + hashlib.sha256(body).hexdigest().encode() + b"\n"
 
 
 def _not_finite(content: Any) -> str | None:

@@ -34,6 +34,11 @@ from guide3d.learning.bounded_content import load_content, tensors
 FORMAT = "guide3d-network-1"
 LARGEST_BYTES = 4 << 30
 _PARTS = ("network", "preprocessing", "metadata", "weights")
+_MARK = b"sha256 "
+
+
+class ForeignFileError(ValueError):
+    """A file does not begin as a model file does, so it was hardly ever one."""
 
 
 def write_content(path: Path | str, content: Any) -> None:
@@ -54,6 +59,8 @@ def read_content(path: Path | str) -> Any:
     """
     with open_regular(Path(path), LARGEST_BYTES) as file:
         data = file.read()
+    if not data.startswith(_MARK):
+        raise ForeignFileError("it does not begin as one")
     body = memoryview(data)[len(_digest_line(b"")) :]
     if data[: len(data) - len(body)] != _digest_line(body):
         raise ValueError("its digest does not match")
@@ -105,9 +112,11 @@ def read_model(path: Path | str, kind: str) -> dict[str, Any]:
         raise ValueError(f"{path} cannot be read ({error.strerror}): look at the disk, or train it again") from error
     except Exception as error:
         reason = str(error) if isinstance(error, ValueError) else type(error).__name__
-        raise ValueError(f"{path} is damaged or no network ({reason}): train it again") from error
+        advice = "give the path of one" if isinstance(error, ForeignFileError) else "train it again"
+        raise ValueError(f"{path} is damaged or no network ({reason}): {advice}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise ValueError(f"{path} is no network of format {FORMAT}: train it again")
+        got = f"{content.get('format')!a:.80}" if isinstance(content, dict) else type(content).__name__
+        raise ValueError(f"{path} is no network of format {FORMAT}, but {got}: give the path of one")
     if content.get("kind") != kind:
         file_kind = f"{content.get('kind')!a:.80}"
         raise ValueError(f"{path} is a network of kind {file_kind}, expected {kind}: give the other file")
@@ -131,7 +140,7 @@ def another_architecture(path: Path | str, error: Exception) -> ValueError:
 
 
 def _digest_line(body: bytes | memoryview) -> bytes:
-    return b"sha256 " + hashlib.sha256(body).hexdigest().encode() + b"\n"
+    return _MARK + hashlib.sha256(body).hexdigest().encode() + b"\n"
 
 
 def _not_finite(weights: dict[str, Any]) -> str | None:

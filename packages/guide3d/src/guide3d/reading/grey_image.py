@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from os import PathLike
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -84,6 +85,11 @@ def grey_levels(image: ArrayLike, smallest_px: int = SMALLEST_PX) -> tuple[NDArr
     Raises:
         ValueError: no image, a coloured or a tiny one, or one without any contrast.
     """
+    if isinstance(image, str | PathLike):
+        raise ValueError(
+            f"expected an image's grey values, got the path {str(image)!a:.200}: "
+            "read the file first, by guide3d.image_file.read_grey_levels(path)"
+        )
     values = np.asarray(image)
     messages: list[str] = []
     if values.dtype.kind == "f" and values.size and not max(-float(values.min()), float(values.max())) <= _LARGEST:
