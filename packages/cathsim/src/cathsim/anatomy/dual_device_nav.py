@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from cathsim.anatomy.centreline import resampled, smoothed
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
 from cathsim.anatomy.entry import Entry, locate_entries
-from cathsim.anatomy.mesh.naming import propose_targets
+from cathsim.anatomy.mesh.completion import propose_targets
 from cathsim.anatomy.mesh.parts.vessel_parts import read_parts
 from cathsim.anatomy.mesh.report import MeshRefusedError, Request, content_digest
 from cathsim.anatomy.mesh.surface_import import SurfaceFacts, closed_lumen

@@ -211,7 +211,7 @@ def build_phantom(name: str, parameters: Recipe, *, resolution: float = 1e-3) ->
 
 def _targets(tree: VesselTree, parameters: Recipe) -> dict[str, Target]:
     if isinstance(parameters, RandomTree):
-        from cathsim.anatomy.mesh.naming import propose_targets
+        from cathsim.anatomy.mesh.completion import propose_targets
 
         return propose_targets(tree)[0]
     return locate_targets(tree, target_share(tree) if isinstance(parameters, ScanArch) else 1.0)

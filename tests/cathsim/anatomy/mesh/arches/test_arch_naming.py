@@ -15,7 +15,8 @@ from cathsim.anatomy.generator.variety_arch import ARCH_TYPES, VarietyArch, buil
 from cathsim.anatomy.library import NAMED
 from cathsim.anatomy.mesh.arches.arch_naming import labelled_names, labelled_sides, name_vessels
 from cathsim.anatomy.mesh.branches import RoughVessel, turned
-from cathsim.anatomy.mesh.naming import ordered_names, pose_doubts, propose_targets, renamed, world_rotation
+from cathsim.anatomy.mesh.completion import final_names, propose_targets
+from cathsim.anatomy.mesh.naming import pose_doubts, world_rotation
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 TURN = Rotation.from_euler("xyz", [2.1, 0.4, -1.3]).as_matrix()
@@ -280,15 +281,16 @@ def test_names_follow_the_arch_and_the_users():
     names, notes = name_vessels(aorta)
     assert [names[id(child)] for child in aorta.children] == ["lsa", "lcca", "bca"]
     assert notes == ()
-    assert ordered_names(aorta, names, ["a", "b", "c"]) == {"bca": "a", "lcca": "b", "lsa": "c"}
-    swapped = renamed(names, {"lcca": "lsa", "lsa": "lcca"})
+    listed = final_names(aorta, names, ["a", "b", "c"])
+    assert [listed[id(child)] for child in aorta.children] == ["c", "b", "a"]
+    swapped = final_names(aorta, names, {"lcca": "lsa", "lsa": "lcca"})
     assert [swapped[id(child)] for child in aorta.children] == ["lcca", "lsa", "bca"]
     with pytest.raises(MeshRefusedError, match="names refer to rca, which was not found"):
-        renamed(names, {"rca": "bca"})
+        final_names(aorta, names, {"rca": "bca"})
     with pytest.raises(MeshRefusedError, match="names must differ"):
-        renamed(names, {"lcca": "lsa"})
+        final_names(aorta, names, {"lcca": "lsa"})
     with pytest.raises(MeshRefusedError, match="2 names were given for the 3 branches of the aorta"):
-        ordered_names(aorta, names, ["a", "b"])
+        final_names(aorta, names, ["a", "b"])
 
 
 def test_targets_move_into_short_branches(tee: VesselTree):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,8 @@ from cathsim.anatomy.vessel_tree import Branch, VesselTree
 _LEAN = 0.9  # how far below its ostium a branch starts on a slope, in aortic radii
 
 Array = NDArray[np.float64]
+Ways = Sequence[tuple[float, Array]]  # arc lengths (m) and unit vectors (3,)
+Radii = Sequence[tuple[float, float]]  # arc lengths and radii, m
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -73,19 +76,86 @@ def grow_supra_aortic(
     parameters: ArchParameters, aorta: Aorta, origins: dict[str, int], rng: np.random.Generator
 ) -> list[Branch]:
     """Grows bca, rsa, rcca, lcca and lsa, each along key directions to the left (x), back (y) and up (z)."""
+    p, up_to = parameters, parameters.trunk_length
+    trunk_end, carotid = 0.78 * p.bca_diameter / 2, 0.40 * p.lcca_diameter  # radii at the trunk's fork, and of carotids
+    leave, steeper = _leaning(p.bca_takeoff, [-0.95, 0.30]), _leaning(0.55 * p.bca_takeoff, [-0.9, 0.45])
     origin = _origin_on_aorta(aorta, origins["bca"])
-    bca = _trunk(parameters, origin, rng)
-    rsa = _right_subclavian(parameters, bca, rng)
-    rcca = _right_carotid(parameters, bca, rng)
-    if parameters.bovine:
+    ways, radii = [(0.012, leave), (up_to, steeper)], [(0.018, trunk_end), (0.2, trunk_end)]
+    bca = _from_wall("bca", origin, p.bca_diameter, ways, radii, 0.5 * p.branch_tortuosity, rng, open_end=False)
+
+    ways = [(0.012, _unit(-0.75, 0.25, 0.60)), (0.028, _unit(-0.92, 0.10, 0.38)), (0.040, _unit(-0.95, -0.20, -0.15))]
+    arm = 0.36 * p.lsa_diameter
+    rsa = _from_fork("rsa", bca, ways, [(0.0, 0.92 * trunk_end), (0.012, arm), (0.05, 0.95 * arm)], 0.0, rng)
+
+    length = max(0.046, p.carotid_length - 0.9 * up_to)
+    ways = [(0.014, _unit(0.06, 0.12, 1.0)), (0.6 * length, _unit(0.05, 0.16, 1.0)), (length, _unit(-0.10, 0.10, 1.0))]
+    radii = [(0.0, 0.85 * trunk_end), (0.014, carotid), (length, 0.95 * carotid)]
+    rcca = _from_fork("rcca", bca, ways, radii, p.branch_tortuosity, rng)
+
+    if p.bovine:
         # A common origin: the left carotid leaves the trunk just above the aorta.
         arc = float(bca.arc[np.searchsorted(bca.arc, origin.depth + 0.008)])
-        origin = _Origin(bca.point_at(arc), _unit(0.72, 0.25, 0.65), parameters.bca_diameter / 2, arc)
+        origin = _Origin(bca.point_at(arc), _unit(0.72, 0.25, 0.65), p.bca_diameter / 2, arc)
     else:
         origin = _origin_on_aorta(aorta, origins["lcca"])
-    lcca = _left_carotid(parameters, origin, rng)
-    lsa = _left_subclavian(parameters, _origin_on_aorta(aorta, origins["lsa"]), rng)
+    length = p.carotid_length
+    ways = [(0.010, _leaning(p.lcca_takeoff, [0.9, 0.1])), (0.5 * length, _unit(0.04, 0.16, 1.0))]
+    ways, radii = [*ways, (length, _unit(0.06, 0.05, 1.0))], [(0.014, carotid), (length, 0.95 * carotid)]
+    parent = "bca" if p.bovine else "aorta"
+    lcca = _from_wall("lcca", origin, p.lcca_diameter, ways, radii, p.branch_tortuosity, rng, parent=parent)
+
+    length, arm = p.subclavian_length, 0.37 * p.lsa_diameter
+    ways = [(0.010, _leaning(p.lsa_takeoff, [0.75, 0.55])), (0.40 * length, _unit(0.30, 0.12, 0.94))]
+    ways += [(0.75 * length, _unit(0.80, -0.10, 0.55)), (length, _unit(0.95, -0.30, -0.10))]
+    origin, radii = _origin_on_aorta(aorta, origins["lsa"]), [(0.018, arm), (length, 0.92 * arm)]
+    lsa = _from_wall("lsa", origin, p.lsa_diameter, ways, radii, 0.7 * p.branch_tortuosity, rng)
     return [bca, rsa, rcca, lcca, lsa]
+
+
+def _from_wall(
+    name: str,
+    origin: _Origin,
+    diameter: float,
+    ways: Ways,
+    radii: Radii,
+    winding: float,
+    rng: np.random.Generator,
+    *,
+    parent: str = "aorta",
+    open_end: bool = True,
+) -> Branch:
+    """A branch that is as wide as its ostium up to that; ways and radii are those at arc lengths (m) beyond it."""
+    depth, wide = origin.depth, diameter / 2
+    keys = [(0.0, origin.outward), (0.5 * depth, origin.outward), *((depth + arc, way) for arc, way in ways)]
+    profile = [(0.0, wide), (depth, wide), *((depth + arc, radius) for arc, radius in radii)]
+    return grow_branch(
+        name,
+        origin.start,
+        keys,
+        profile,
+        keys[-1][0],
+        rng=rng,
+        parent=parent,
+        parent_arc=origin.arc,
+        winding_amplitude=winding,
+        open_end=open_end,
+    )
+
+
+def _from_fork(name: str, trunk: Branch, ways: Ways, radii: Radii, winding: float, rng: np.random.Generator) -> Branch:
+    """A branch that goes on from the end of a trunk."""
+    keys = [(0.0, trunk.tangents[-1]), *ways]
+    return grow_branch(
+        name,
+        trunk.points[-1],
+        keys,
+        radii,
+        keys[-1][0],
+        rng=rng,
+        parent=trunk.name,
+        parent_arc=trunk.length,
+        winding_amplitude=winding,
+    )
 
 
 def _origin_on_aorta(aorta: Aorta, ostium: int) -> _Origin:
@@ -98,126 +168,6 @@ def _origin_on_aorta(aorta: Aorta, ostium: int) -> _Origin:
     way = aorta.outer_wall[ostium] - aorta.points[index]
     depth = float(np.linalg.norm(way))
     return _Origin(aorta.points[index], way / depth, depth, aorta.arc_of(index))
-
-
-def _trunk(parameters: ArchParameters, origin: _Origin, rng: np.random.Generator) -> Branch:
-    depth, outward = origin.depth, origin.outward
-    length = depth + parameters.trunk_length
-    leave = _leaning(parameters.bca_takeoff, [-0.95, 0.30])
-    steeper = _leaning(0.55 * parameters.bca_takeoff, [-0.9, 0.45])
-    wide, narrow = parameters.bca_diameter / 2, _trunk_end(parameters)
-    return grow_branch(
-        "bca",
-        origin.start,
-        [(0.0, outward), (0.5 * depth, outward), (depth + 0.012, leave), (length, steeper)],
-        [(0.0, wide), (depth, wide), (depth + 0.018, narrow), (0.2, narrow)],
-        length,
-        parent="aorta",
-        parent_arc=origin.arc,
-        winding_amplitude=0.5 * parameters.branch_tortuosity,
-        rng=rng,
-        open_end=False,
-    )
-
-
-def _right_subclavian(parameters: ArchParameters, bca: Branch, rng: np.random.Generator) -> Branch:
-    radius = 0.36 * parameters.lsa_diameter
-    return grow_branch(
-        "rsa",
-        bca.points[-1],
-        [
-            (0.0, bca.tangents[-1]),
-            (0.012, _unit(-0.75, 0.25, 0.60)),
-            (0.028, _unit(-0.92, 0.10, 0.38)),
-            (0.040, _unit(-0.95, -0.20, -0.15)),
-        ],
-        [(0.0, 0.92 * _trunk_end(parameters)), (0.012, radius), (0.05, 0.95 * radius)],
-        0.040,
-        parent="bca",
-        parent_arc=bca.length,
-        winding_amplitude=0.0,
-        rng=rng,
-    )
-
-
-def _right_carotid(parameters: ArchParameters, bca: Branch, rng: np.random.Generator) -> Branch:
-    radius = _carotid(parameters)
-    length = max(0.046, parameters.carotid_length - 0.9 * parameters.trunk_length)
-    return grow_branch(
-        "rcca",
-        bca.points[-1],
-        [
-            (0.0, bca.tangents[-1]),
-            (0.014, _unit(0.06, 0.12, 1.0)),
-            (0.6 * length, _unit(0.05, 0.16, 1.0)),
-            (length, _unit(-0.10, 0.10, 1.0)),
-        ],
-        [(0.0, 0.85 * _trunk_end(parameters)), (0.014, radius), (length, 0.95 * radius)],
-        length,
-        parent="bca",
-        parent_arc=bca.length,
-        winding_amplitude=parameters.branch_tortuosity,
-        rng=rng,
-    )
-
-
-def _left_carotid(parameters: ArchParameters, origin: _Origin, rng: np.random.Generator) -> Branch:
-    depth, outward = origin.depth, origin.outward
-    length = depth + parameters.carotid_length
-    leave = _leaning(parameters.lcca_takeoff, [0.9, 0.1])
-    wide, radius = parameters.lcca_diameter / 2, _carotid(parameters)
-    return grow_branch(
-        "lcca",
-        origin.start,
-        [
-            (0.0, outward),
-            (0.5 * depth, outward),
-            (depth + 0.010, leave),
-            (depth + 0.5 * parameters.carotid_length, _unit(0.04, 0.16, 1.0)),
-            (length, _unit(0.06, 0.05, 1.0)),
-        ],
-        [(0.0, wide), (depth, wide), (depth + 0.014, radius), (length, 0.95 * radius)],
-        length,
-        parent="bca" if parameters.bovine else "aorta",
-        parent_arc=origin.arc,
-        winding_amplitude=parameters.branch_tortuosity,
-        rng=rng,
-    )
-
-
-def _left_subclavian(parameters: ArchParameters, origin: _Origin, rng: np.random.Generator) -> Branch:
-    depth, outward = origin.depth, origin.outward
-    length = depth + parameters.subclavian_length
-    leave = _leaning(parameters.lsa_takeoff, [0.75, 0.55])
-    wide, narrow = parameters.lsa_diameter / 2, 0.37 * parameters.lsa_diameter
-    return grow_branch(
-        "lsa",
-        origin.start,
-        [
-            (0.0, outward),
-            (0.5 * depth, outward),
-            (depth + 0.010, leave),
-            (depth + 0.40 * parameters.subclavian_length, _unit(0.30, 0.12, 0.94)),
-            (depth + 0.75 * parameters.subclavian_length, _unit(0.80, -0.10, 0.55)),
-            (length, _unit(0.95, -0.30, -0.10)),
-        ],
-        [(0.0, wide), (depth, wide), (depth + 0.018, narrow), (length, 0.92 * narrow)],
-        length,
-        parent="aorta",
-        parent_arc=origin.arc,
-        winding_amplitude=0.7 * parameters.branch_tortuosity,
-        rng=rng,
-    )
-
-
-def _trunk_end(parameters: ArchParameters) -> float:
-    """m: the radius of the brachiocephalic trunk where it forks."""
-    return 0.78 * parameters.bca_diameter / 2
-
-
-def _carotid(parameters: ArchParameters) -> float:
-    """m: the radius of both carotids behind their ostia."""
-    return 0.40 * parameters.lcca_diameter
 
 
 def _leaning(angle: float, horizontal: list[float]) -> Array:

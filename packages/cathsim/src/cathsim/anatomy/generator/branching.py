@@ -41,10 +41,10 @@ def grow_branch(
     radii: Sequence[tuple[float, float]],
     length: float,
     *,
-    parent: str,
-    parent_arc: float,
-    winding_amplitude: float,
     rng: np.random.Generator,
+    parent: str = "",
+    parent_arc: float = 0.0,
+    winding_amplitude: float = 0.0,
     open_end: bool = True,
 ) -> Branch:
     """Grows a branch whose direction passes smoothly through key directions.
@@ -54,7 +54,7 @@ def grow_branch(
         directions: (arc m, unit vector (3,)) keys, arcs increasing from 0.
         radii: (arc m, radius m) keys, arcs increasing from 0.
         length: m of centreline from the start.
-        parent_arc: m along the parent at which it starts.
+        parent, parent_arc: name of the vessel that it leaves, and m along that at which it starts.
         winding_amplitude: m of the windings, which fade out towards both ends.
         open_end: whether it ends in a flat opening.
 

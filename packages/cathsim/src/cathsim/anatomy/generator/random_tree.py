@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.generator.branching import STEP, grow_branch
-from cathsim.anatomy.generator.scan_arch import separation
+from cathsim.anatomy.generator.scan_arch import drawn_tree
 from cathsim.anatomy.generator.variety_arch import VarietyArch, build_variety_arch
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
 from cathsim.validation import Seed, settings
@@ -48,18 +48,15 @@ def build_random_tree(recipe: RandomTree) -> VesselTree:
         the other side, and of both sides `internal_carotid_`, `external_carotid_` and `vertebral_`.
     """
     rng = np.random.default_rng([recipe.seed, _STREAM])
-    for _ in range(_ATTEMPTS):
+
+    def draw() -> VesselTree:
         kind = str(rng.choice(list(ARCHES), p=list(ARCHES.values())))
         arch = build_variety_arch(VarietyArch(kind, int(rng.integers(2**31))))
-        try:
-            tree = _with_neck(_with_iliacs(arch, rng), rng)
-            if separation(tree) < LEAST_WALL:
-                continue
-        except ValueError:  # a branch does not leave its parent
-            continue
-        wide = (replace(branch, radius=np.maximum(branch.radius, NARROWEST)) for branch in tree)
-        return VesselTree(tuple(wide)).centred()
-    raise RuntimeError(f"no tree in {_ATTEMPTS} draws; the ranges do not fit together")
+        return _with_neck(_with_iliacs(arch, rng), rng)
+
+    tree = drawn_tree(draw, LEAST_WALL, _ATTEMPTS)
+    wide = (replace(branch, radius=np.maximum(branch.radius, NARROWEST)) for branch in tree)
+    return VesselTree(tuple(wide)).centred()
 
 
 def _grown(
@@ -82,8 +79,6 @@ def _with_iliacs(arch: VesselTree, rng: np.random.Generator) -> VesselTree:
         upper.points[0],
         [(0, down), (40, np.array([rng.normal(0, 0.1), 0.15, -1])), (length, np.array([0, -0.1, -1]))],
         [(0, first), (0.5 * length, 0.5 * (first + end)), (length, end)],
-        parent="",
-        parent_arc=0.0,
         winding_amplitude=rng.uniform(1e-3, 5e-3),
         rng=rng,
     )
@@ -155,9 +150,6 @@ def _led_on(carotid: Branch, radius_mm: float, rng: np.random.Generator) -> Bran
         carotid.points[-1],
         [(0, carotid.tangents[-1]), (further, np.array([np.sign(carotid.points[-1, 0]) * 0.1, 0.1, 1]))],
         [(0, end), (12, radius_mm), (further, 1.1 * radius_mm)],
-        parent="",
-        parent_arc=0.0,
-        winding_amplitude=0.0,
         rng=rng,
     )
     whole = _joined(carotid, on)
@@ -205,7 +197,7 @@ def _internal(side: str, common: Branch, smaller: float, rng: np.random.Generato
         (73, np.array([0.3 * out, 0.2, 1])),
     ]
     radii = [(0, 0.95 * radius), (31, 0.9 * radius), (75, 0.75 * radius)]
-    on = _grown("on", in_neck.points[-1], siphon, radii, parent="", parent_arc=0.0, winding_amplitude=0.0, rng=rng)
+    on = _grown("on", in_neck.points[-1], siphon, radii, rng=rng)
     return _joined(in_neck, on)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -87,20 +88,36 @@ def sample_parameters(rng: np.random.Generator, *, wide: bool = False) -> ArchPa
     """
     from cathsim.anatomy.generator.aortic_arch import build_arch
 
-    for _ in range(_RANDOM_ATTEMPTS):
+    parameters = ArchParameters()
+
+    def draw() -> VesselTree:
+        nonlocal parameters
         parameters = draw_parameters(rng)
         if wide:
             drawn: dict[str, Any] = {name: float(rng.uniform(low, high)) for name, (low, high) in WIDE.items()}
             if rng.random() < BOVINE_SHARE:
                 drawn |= {"bovine": True, "bca_diameter": float(rng.uniform(0.0145, 0.0185))}
             parameters = replace(parameters, **drawn)
+        return build_arch(parameters)
+
+    drawn_tree(draw, MINIMUM_SEPARATION, _RANDOM_ATTEMPTS)
+    return parameters
+
+
+def drawn_tree(draw: Callable[[], VesselTree], least_wall: float, attempts: int) -> VesselTree:
+    """The first drawn tree that is sound: `draw` raises no ValueError, and no vessel runs into another.
+
+    Args:
+        least_wall: m, between lumens of vessels that do not meet.
+    """
+    for _ in range(attempts):
         try:
-            tree = build_arch(parameters)
-        except ValueError:
+            tree = draw()
+            if separation(tree) >= least_wall:
+                return tree
+        except ValueError:  # it cannot be built, or a branch does not leave its parent
             continue
-        if separation(tree) >= MINIMUM_SEPARATION:
-            return parameters
-    raise RuntimeError(f"no valid arch in {_RANDOM_ATTEMPTS} draws; the ranges of draw_parameters do not fit together.")
+    raise RuntimeError(f"no valid tree in {attempts} draws; the ranges do not fit together.")
 
 
 def separation(tree: VesselTree) -> float:
@@ -143,15 +160,11 @@ def build_scan_arch(arch: ScanArch) -> VesselTree:
     from cathsim.anatomy.generator.aortic_arch import build_arch
 
     rng = np.random.default_rng([arch.seed, 19, *([SHAPES.index(arch.shape)] if arch.shape != COMMON else [])])
-    for _ in range(_ATTEMPTS):
-        try:
-            tree = _seen(build_arch(_drawn_measures(rng, arch.shape)), rng, arch.shape)
-            wall = separation(tree)
-        except ValueError:  # no such arch can be built, or the cut took a branch's origin
-            continue
-        if wall >= LEAST_WALL:
-            return tree.centred()
-    raise RuntimeError(f"no valid arch in {_ATTEMPTS} draws; the ranges do not fit together.")
+
+    def draw() -> VesselTree:  # a cut may take a branch's origin
+        return _seen(build_arch(_drawn_measures(rng, arch.shape)), rng, arch.shape)
+
+    return drawn_tree(draw, LEAST_WALL, _ATTEMPTS).centred()
 
 
 def drawn_relief(arch: ScanArch) -> tuple[WallRelief, np.random.Generator]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length
 from cathsim.anatomy.generator.branching import STEP
-from cathsim.anatomy.generator.scan_arch import separation
+from cathsim.anatomy.generator.scan_arch import drawn_tree
 from cathsim.anatomy.vessel_tree import Branch, VesselTree
 from cathsim.validation import Seed, settings
 
@@ -287,18 +287,18 @@ def build_variety_arch(arch: VarietyArch) -> VesselTree:
         them bca, carotid_trunk (of both carotids) and subclavian_trunk (of both subclavians).
     """
     rng = np.random.default_rng([arch.seed, ARCH_TYPES.index(arch.arch_type)])
-    for _ in range(_ATTEMPTS):
-        tree = _draw(arch, rng)
-        if tree is not None and separation(tree) >= LEAST_WALL:
-            return tree.centred()
-    raise RuntimeError(f"no arch of type {arch.arch_type} in {_ATTEMPTS} draws; its waypoints do not fit together")
+    return drawn_tree(lambda: _draw(arch, rng), LEAST_WALL, _ATTEMPTS).centred()
 
 
-def _draw(arch: VarietyArch, rng: np.random.Generator) -> VesselTree | None:
-    """One draw; None where the aorta bends too tightly or a vessel does not leave its parent."""
+def _draw(arch: VarietyArch, rng: np.random.Generator) -> VesselTree:
+    """One draw.
+
+    Raises:
+        ValueError: the aorta bends too tightly, or a vessel does not leave its parent.
+    """
     aorta = Branch("aorta", *path_curve(draw_path("aorta", np.zeros(3), rng, calibre=arch.calibre)))
     if _tightest(aorta) > TIGHTEST:
-        return None
+        raise ValueError("the aorta bends too tightly for its radius")
     branches, knots = {"aorta": aorta}, dict[str, Knot]()
     variants = BRANCHING[arch.arch_type]
     from_root = 0.0
@@ -312,11 +312,8 @@ def _draw(arch: VarietyArch, rng: np.random.Generator) -> VesselTree | None:
             place = parent.length * min(abs(place), 1.0)
         branches[origin.vessel], knots[origin.vessel] = _grow(origin, parent, place, knots, rng, arch.calibre)
     tree = VesselTree(tuple(branches.values()))
-    try:
-        for name in tree.names:
-            tree.ostium(name)
-    except ValueError:
-        return None
+    for name in tree.names:
+        tree.ostium_arc(name)
     return tree
 
 

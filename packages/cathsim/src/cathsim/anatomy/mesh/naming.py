@@ -1,4 +1,4 @@
-"""Anatomy of a bare vessel tree: ends of the aorta, directions, names of the branches, targets and entries.
+"""Anatomy of a bare vessel tree: ends of the aorta, its arch, and the patient's axes.
 
 The aorta is the widest tube. Its branches to head and arms are known by their order along the arch, the two that a
 trunk forks into by which of them runs up.
@@ -7,22 +7,15 @@ trunk forks into by which of them runs up.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length, resampled
-from cathsim.anatomy.entry import ENTRY_DEPTH, Entry
-from cathsim.anatomy.extension import DEPTH, LEAST_DEPTH
 from cathsim.anatomy.mesh.branches import RoughVessel, leaving
-from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.phantom import END_CLEARANCE, TARGET_DISTANCE, Target
-from cathsim.anatomy.vessel_tree import VesselTree
 
 ARCH_YAW = 0.75  # rad between the arch's plane and the coronal plane
 SNAP_UP, SNAP_LEFT = math.radians(20), math.radians(30)  # nearer to a file's axis than this the axis is meant
-ENTRY_CHORD = 0.010  # m of centreline that give an entry its direction: a cut end is often flared or aslant
 _SPREAD_WEIGHT = 1.5  # of the ends' spread to one side, against the direction from limb to limb
 _BELOW_ARCH = 30e-3  # m, and 2.5 radii: how far below the arch's top a last branch to head and arms may leave the aorta
 _SIDES_APART = 10e-3  # m between the ends of both sides from which on labels show where left is
@@ -157,79 +150,6 @@ def arch_branches(aorta: RoughVessel, up: Array | None = None) -> list[RoughVess
         branches += [child for child in low if child.radius > _MAIN * widest]
         branches.sort(key=lambda child: child.start)
     return branches or [child for child in aorta.children if (child.tip - child.points[0]) @ up > 0]
-
-
-def renamed(names: dict[int, str], own: Mapping[str, str] | None) -> dict[int, str]:
-    """Automatic names replaced by the user's (automatic name to own name, or None).
-
-    Raises:
-        MeshRefusedError: for a vessel that there is not, or a name used twice.
-    """
-    if not own:
-        return names
-    unknown = sorted(set(own) - set(names.values()))
-    if unknown:
-        raise MeshRefusedError(
-            f"names refer to {', '.join(unknown)}, which was not found; found are {', '.join(names.values())}."
-        )
-    if own.get("aorta", "aorta") != "aorta":
-        raise MeshRefusedError("the main vessel keeps its name aorta; give names to its branches only.")
-    result = {vessel: own.get(name, name) for vessel, name in names.items()}
-    if len(set(result.values())) < len(result):
-        raise MeshRefusedError(f"names must differ, got {', '.join(result.values())}; give each branch its own.")
-    return result
-
-
-def ordered_names(aorta: RoughVessel, names: Mapping[int, str], own: list[str]) -> dict[str, str]:
-    """The mapping from automatic names that a list of own names stands for, the aorta's branches from the heart on.
-
-    Raises:
-        MeshRefusedError: there are not as many branches.
-    """
-    automatic = [names[id(child)] for child in sorted(aorta.children, key=lambda child: -child.start)]
-    if len(own) != len(automatic):
-        raise MeshRefusedError(
-            f"{len(own)} names were given for the {len(automatic)} branches of the aorta ({', '.join(automatic)}); "
-            "give as many, or a mapping."
-        )
-    return dict(zip(automatic, own, strict=True))
-
-
-def propose_targets(tree: VesselTree) -> tuple[dict[str, Target], tuple[str, ...]]:
-    """Targets by name, one in every branch, and notes on those that were moved or left out."""
-    targets, notes = {}, []
-    for branch in tree.branches[1:]:
-        usual_depth = TARGET_DISTANCE.get(branch.name, DEPTH)
-        try:
-            ostium = tree.ostium_arc(branch.name)
-        except ValueError:  # it never leaves its parent's lumen
-            continue
-        clearance = END_CLEARANCE if branch.open_end else 0.0
-        distance = min(usual_depth, branch.length - clearance - ostium)
-        if distance < LEAST_DEPTH:
-            notes.append(f"no target in {branch.name}: it is only {1e3 * (branch.length - ostium):.0f} mm long")
-            continue
-        if distance < min(usual_depth, DEPTH) - 5e-4:
-            notes.append(
-                f"target {branch.name} lies {1e3 * distance:.0f} mm up its branch instead of {1e3 * usual_depth:.0f}: "
-                "the branch is short"
-            )
-        targets[branch.name] = Target(branch.name, branch.name, branch.point_at(ostium + distance), ostium + distance)
-    return targets, tuple(notes)
-
-
-def propose_entries(tree: VesselTree) -> dict[str, Entry]:
-    """Entries "descending" and "ascending" at the two ends of the aorta."""
-    aorta = tree.root
-    entries = {}
-    for name, near, far in (
-        ("descending", ENTRY_DEPTH, ENTRY_DEPTH + ENTRY_CHORD),
-        ("ascending", aorta.length - ENTRY_DEPTH, aorta.length - ENTRY_DEPTH - ENTRY_CHORD),
-    ):
-        position = aorta.point_at(near)
-        way = aorta.point_at(far) - position
-        entries[name] = Entry(name, position, way / np.linalg.norm(way))
-    return entries
 
 
 def _snap(direction: Array, angle: float, avoid: Array | None = None) -> tuple[Array, bool]:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from cathsim.guarded_reading import open_regular
 from cathsim.viewing.figure import new_figure, plain_text
@@ -93,8 +93,8 @@ class ImportReport:
     )
     borders: int  # openings of the surface that were closed to find the lumen
     # rows are the patient's left, posterior and superior axis in the file's frame
-    rotation: tuple[tuple[float, float, float], ...]
-    offset: tuple[float, float, float]  # m; a point p of the file lies at scale * rotation @ p + offset in the world
+    rotation: ArrayLike
+    offset: ArrayLike  # (3,) m; a point p of the file lies at scale * rotation @ p + offset in the world
     scale: float  # m per unit of the file
     axes_kept: bool  # whether the rotation only exchanges axes and their signs
     automatic_names: dict[str, str]  # name of each branch to the name that was found for it
@@ -102,6 +102,12 @@ class ImportReport:
     notes: tuple[str, ...]  # what was left out, assumed or changed
     # ml of every vessel of a label volume: of its voxels, and of its part of the lumen
     volumes_ml: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        rotation, offset = np.asarray(self.rotation, float).tolist(), np.asarray(self.offset, float).tolist()
+        plain: dict[str, Any] = {"rotation": tuple(map(tuple, rotation)), "offset": tuple(offset)}
+        plain |= {"notes": tuple(self.notes), "volumes_ml": {name: (a, b) for name, (a, b) in self.volumes_ml.items()}}
+        self.__dict__.update(plain)
 
     @property
     def from_labels(self) -> bool:
@@ -115,11 +121,7 @@ class ImportReport:
     @classmethod
     def from_json(cls, value: dict[str, Any]) -> ImportReport:
         """From what `to_json` gave, through JSON."""
-        rotation = tuple((float(a), float(b), float(c)) for a, b, c in value["rotation"])
-        x, y, z = value["offset"]
-        volumes = {name: (float(a), float(b)) for name, (a, b) in value.get("volumes_ml", {}).items()}
-        content = {"rotation": rotation, "offset": (x, y, z), "notes": tuple(value["notes"]), "volumes_ml": volumes}
-        return cls(**{**value, **content})
+        return cls(**value)
 
 
 class MeshRefusedError(ValueError):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -11,21 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.anatomy.extension import extend_short_branches
 from cathsim.anatomy.mesh.arches.arch_naming import LabelOf, labelled_names, labelled_sides, name_vessels
 from cathsim.anatomy.mesh.branches import RoughVessel, turned
 from cathsim.anatomy.mesh.cavity import Cavity, find_cavity
+from cathsim.anatomy.mesh.completion import final_names, imported_phantom
 from cathsim.anatomy.mesh.distance import distance_grid, lumen_samples, trim_cavity, voxels_away
 from cathsim.anatomy.mesh.lattice import Budget, lattice_spacing
 from cathsim.anatomy.mesh.lumen_vessels import count_rings, find_ends, find_vessels
-from cathsim.anatomy.mesh.naming import (
-    ordered_names,
-    pose_doubts,
-    propose_entries,
-    propose_targets,
-    renamed,
-    world_rotation,
-)
+from cathsim.anatomy.mesh.naming import pose_doubts, world_rotation
 from cathsim.anatomy.mesh.openings import close_openings
 from cathsim.anatomy.mesh.reading import Size, Triangles, clean_triangles, measure_size
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError, Names, draw_refusal
@@ -196,15 +189,6 @@ class SurfaceImport:
         tree, grid, left_out = self._measured(aorta, final, grid_of, pose)
         if self.frame is not None:
             self.notes += pose_doubts(tree.root.points)
-        extended: tuple[str, ...] = ()
-        if self.extend:
-            tree, grid, extended = extend_short_branches(tree, grid)
-        targets, shortened = propose_targets(tree)
-        if not targets:
-            advice = "" if self.extend else "; import it with extend=True"
-            raise MeshRefusedError(f"no branch of this vessel is wide and long enough for a wire and a target{advice}.")
-        entries = propose_entries(tree)
-        phantom = Phantom(self.name, self.digest, None, tree, grid, targets, entries)
         report = ImportReport(
             file=self.facts.file,
             unit=self.facts.unit,
@@ -212,15 +196,15 @@ class SurfaceImport:
             faces=self.facts.faces,
             kind=cavity.kind,
             borders=len(openings),
-            rotation=tuple(tuple(float(x) for x in row) for row in pose.rotation),  # type: ignore[misc]
-            offset=tuple(float(x) for x in pose.offset),  # type: ignore[arg-type]
+            rotation=pose.rotation,
+            offset=pose.offset,
             scale=self.facts.scale,
             axes_kept=pose.axes_kept,
-            automatic_names={automatic[key]: name for key, name in final.items() if name in tree},
-            way_length={name: round(phantom.way_length(name), 4) for name in phantom.targets},
-            notes=(*self.notes, *named, *left_out, *extended, *shortened),
+            automatic_names={automatic[key]: name for key, name in final.items()},
+            way_length={},
+            notes=(*self.notes, *named, *left_out),
         )
-        return replace(phantom, imported=report)
+        return imported_phantom(tree, grid, report, name=self.name, digest=self.digest, extend=self.extend)
 
     def _closed(self, mesh: Triangles) -> tuple[Triangles, Array]:
         """The surface without what is no triangle and with its openings closed, and where these are."""
@@ -272,10 +256,7 @@ class SurfaceImport:
         else:
             label_of = self.label_of
             automatic, notes = labelled_names(aorta, lambda points: label_of(pose.in_surface(points)))
-        own = self.names if self.names is None or isinstance(self.names, Mapping) else None
-        if self.names is not None and own is None:
-            own = ordered_names(aorta, automatic, list(self.names))
-        return automatic, renamed(automatic, own), notes
+        return automatic, final_names(aorta, automatic, self.names), notes
 
     def _measured(
         self, aorta: RoughVessel, names: dict[int, str], grid_of: Callable[..., SignedDistanceGrid], pose: _Pose

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.extension import extend_short_branches
-from cathsim.anatomy.mesh.naming import ordered_names, pose_doubts, propose_entries, propose_targets, renamed
+from cathsim.anatomy.mesh.completion import final_names, imported_phantom
+from cathsim.anatomy.mesh.naming import pose_doubts
 from cathsim.anatomy.mesh.reading import Triangles
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError, Names, Request, content_digest
 from cathsim.anatomy.mesh.surface_import import LEAST_WIDTH, SurfaceFacts, phantom_of_surface
@@ -74,10 +74,7 @@ def build_volume_phantom(request: Request, digest: str) -> Phantom:
         return _of_one_piece(volume, name, digest, names, resolution, request.extend)
     lumen = LabelledLumen(volume, resolution)
     grid, aorta, automatic_names, volumes = lumen.build()
-    own = names if names is None or isinstance(names, Mapping) else None
-    if names is not None and own is None:
-        own = ordered_names(aorta, automatic_names, list(names))
-    final = renamed(automatic_names, own)
+    final = final_names(aorta, automatic_names, names)
     least = max(LEAST_WIDTH, 1.25 * resolution)
     tree, left_out = grow_tree(aorta, final, grid, least)
     narrowest = float(tree.root.radius.min())
@@ -86,17 +83,6 @@ def build_volume_phantom(request: Request, digest: str) -> Phantom:
             f"the aorta of {volume.file} narrows to {narrowest * 1e3:.2f} mm of radius, too narrow for a wire "
             f"({least * 1e3:.2f} mm at this resolution); check the labels and the size of the voxels."
         )
-    extended: tuple[str, ...] = ()
-    if request.extend:
-        tree, grid, extended = extend_short_branches(tree, grid)
-    targets, shortened = propose_targets(tree)
-    if not targets:
-        raise MeshRefusedError(
-            f"{volume.file} has no branch of the aorta that is wide and long enough for a wire and a target; export "
-            "the branches of the arch, too."
-        )
-    phantom = Phantom(name, digest, None, tree, grid, targets, propose_entries(tree))
-    frame = volume.frame
     report = ImportReport(
         file=volume.file,
         unit=volume.unit,
@@ -104,24 +90,17 @@ def build_volume_phantom(request: Request, digest: str) -> Phantom:
         faces=0,
         kind=f"labels ({volume.scheme})",
         borders=0,
-        rotation=tuple(tuple(float(x) for x in row) for row in frame),  # type: ignore[misc]
-        offset=tuple(float(x) for x in lumen.world_offset),  # type: ignore[arg-type]
+        rotation=volume.frame,
+        offset=lumen.world_offset,
         scale=volume.metres,
         axes_kept=True,
-        automatic_names={automatic_names[key]: name for key, name in final.items() if name in tree},
-        way_length={name: round(phantom.way_length(name), 4) for name in phantom.targets},
-        notes=(
-            *volume.notes,
-            *pose_doubts(tree.root.points),
-            *lumen.notes,
-            *left_out,
-            *extended,
-            *shortened,
-            *_volume_notes(volumes),
-        ),
+        automatic_names={automatic_names[key]: name for key, name in final.items()},
+        way_length={},
+        notes=(*volume.notes, *pose_doubts(tree.root.points), *lumen.notes, *left_out),
         volumes_ml={name: (round(1e6 * a, 3), round(1e6 * b, 3)) for name, (a, b) in volumes.items()},
     )
-    return replace(phantom, imported=report)
+    last = _volume_notes(volumes)
+    return imported_phantom(tree, grid, report, name=name, digest=digest, extend=request.extend, last_notes=last)
 
 
 def _volume_notes(volumes: Mapping[str, tuple[float, float]]) -> list[str]:

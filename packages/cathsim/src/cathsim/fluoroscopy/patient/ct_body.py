@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import logging
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError
 from cathsim.anatomy.volume.files.reading import in_child, open_volume
-from cathsim.anatomy.volume.files.source import Slab, VolumeSource
+from cathsim.anatomy.volume.files.source import VolumeSource
 from cathsim.fluoroscopy.materials import ATTENUATION
 from cathsim.fluoroscopy.patient.identity import check_patient
 from cathsim.fluoroscopy.scene import SCENES, THORAX, Ellipsoid, MeasuredBody, XRayScene, scene
@@ -235,12 +234,12 @@ def _read(path: Path, transform: str | None) -> tuple[VolumeSource, NDArray[np.i
             f"{source.path.name} is no CT in Hounsfield units: its values lie between {low:g} and {high:g}, expected "
             "air near -1000 and bone above 100."
         )
-    return replace(source, slabs=_read_already), values
+    return replace(source, values=_read_already), values
 
 
-def _read_already() -> Iterator[Slab]:
+def _read_already() -> NDArray:
     """Stands for values that a process of its own has read."""
-    return iter(())
+    return np.empty(0)
 
 
 def _placements(source: VolumeSource, report: ImportReport) -> list[Array]:

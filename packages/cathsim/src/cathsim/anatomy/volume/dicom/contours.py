@@ -61,7 +61,7 @@ def open_contours(path: Path) -> VolumeSource:
         raise MeshRefusedError(
             f"{path.name} has no contour within the slices of its series; give the series it belongs to."
         )
-    return VolumeSource(path, shape, affine, "LPS", "mm", 2, layers.slabs, len(layers.volumes), placed, notes)
+    return VolumeSource(path, shape, affine, "LPS", "mm", 2, layers.values, len(layers.volumes), placed, notes)
 
 
 def series_beside(path: Path, header: Any) -> list[tuple[Path, Any]]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.volume.files.stream import BROKEN, in_words
+from cathsim.anatomy.volume.files.values import BROKEN, in_words
 from cathsim.guarded_reading import UnreadableFileError, check_regular, open_regular
 
 CONVERTERS = "convert it to .nii.gz, as dcm2niix and 3D Slicer do"

@@ -10,7 +10,7 @@ from cathsim.anatomy.volume.dicom.files import dicom_files, is_dicom_file, kind_
 from cathsim.anatomy.volume.dicom.segmentation import open_segmentation
 from cathsim.anatomy.volume.dicom.slices import open_series
 from cathsim.anatomy.volume.files.source import VolumeSource
-from cathsim.anatomy.volume.files.stream import BROKEN, in_words
+from cathsim.anatomy.volume.files.values import BROKEN, in_words
 from cathsim.guarded_reading import UnreadableFileError
 
 _LABELS = {"SEG": open_segmentation, "RTSTRUCT": open_contours}

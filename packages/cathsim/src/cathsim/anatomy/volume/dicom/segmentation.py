@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import name_of_segment
 from cathsim.anatomy.volume.dicom.files import CONVERTERS, Array, attribute, axes_of, numbers, read_dicom
-from cathsim.anatomy.volume.files.source import LARGEST, Slab, VolumeSource
-from cathsim.anatomy.volume.files.stream import BROKEN, in_words
+from cathsim.anatomy.volume.files.source import LARGEST, VolumeSource
+from cathsim.anatomy.volume.files.values import BROKEN, in_words
 
 _OFF_GRID = 0.1  # of the distance between slices by which a frame may lie beside its place
 _FEW_GAPS, _UNEVEN = 3, 0.1  # gaps between slices, and their share, from which on the slices are uneven
 _MOST_SLICES = 10_000
-_MOST_BYTES = 3_000_000_000  # of all layers
 
 
 def open_segmentation(path: Path) -> VolumeSource:
@@ -81,9 +80,7 @@ def open_segmentation(path: Path) -> VolumeSource:
         names[layers.add(number, masks), number] = segments.get(number, "")
         if gaps := max(masks) - min(masks) + 1 - len(masks):
             notes += (f"{segments.get(number) or number} has no frame in {gaps} slices between others",)
-    return VolumeSource(
-        path, layers.shape, affine, "LPS", "mm", 2, layers.slabs, len(layers.volumes), names, notes
-    )  # fmt: skip
+    return VolumeSource(path, layers.shape, affine, "LPS", "mm", 2, layers.values, len(layers.volumes), names, notes)
 
 
 def _lattice(path: Path, axes: Array, places: Array, header_step: float) -> tuple[Array, NDArray[np.int64]]:
@@ -174,7 +171,7 @@ class Layers:
         ]
         layer = free[0] if free else len(self.volumes)
         if not free:
-            if (layer + 1) * 2 * float(np.prod(self.shape)) > _MOST_BYTES:
+            if (layer + 1) * 2 * float(np.prod(self.shape)) > LARGEST:
                 raise MeshRefusedError(
                     f"{self.file} has segments that overlap over too many voxels; export the vessels alone."
                 )
@@ -183,7 +180,6 @@ class Layers:
             self.volumes[layer][:, :, at][mask] = number
         return layer
 
-    def slabs(self) -> Iterator[Slab]:
-        """Slice by slice, (layers, nx, ny, 1)."""
-        for at in range(self.shape[2]):
-            yield at, np.stack([volume[:, :, at : at + 1] for volume in self.volumes])
+    def values(self) -> NDArray[np.uint16]:
+        """All layers, (layers, nx, ny, nz)."""
+        return np.stack(self.volumes)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.volume.dicom.files import CONVERTERS, Array, axes_of, dicom_files, kind_of, numbers, read_dicom
-from cathsim.anatomy.volume.files.source import Slab, VolumeSource
-from cathsim.anatomy.volume.files.stream import BROKEN, in_words
+from cathsim.anatomy.volume.files.source import VolumeSource
+from cathsim.anatomy.volume.files.values import BROKEN, in_words
 
 _LEAST_SLICES = 4
 _UNEVEN = 0.1  # of the distance between slices by which it may vary
@@ -90,7 +90,8 @@ def open_series(folder: Path, found: list[tuple[Path, Any]] | None = None) -> Vo
     affine = _affine(folder, axes, np.array(places)[order])
     rows, columns = int(first.Rows), int(first.Columns)
 
-    def slabs() -> Iterator[Slab]:
+    def values() -> NDArray:
+        volume = np.empty((1, columns, rows, len(files)), np.float32, order="F")
         for at, (path, _) in enumerate(files):
             header = read_dicom(path, pixels=True)
             try:
@@ -103,9 +104,10 @@ def open_series(folder: Path, found: list[tuple[Path, Any]] | None = None) -> Vo
                     f"{CONVERTERS.replace('it', 'the series', 1)}."
                 ) from None
             slope, intercept = float(header.get("RescaleSlope", 1)), float(header.get("RescaleIntercept", 0))
-            yield at, (stored.T * np.float32(slope) + np.float32(intercept))[None, :, :, None]
+            volume[0, :, :, at] = stored.T * np.float32(slope) + np.float32(intercept)
+        return volume
 
-    return VolumeSource(folder, (columns, rows, len(files)), affine, "LPS", "mm", 4, slabs)
+    return VolumeSource(folder, (columns, rows, len(files)), affine, "LPS", "mm", 4, values)
 
 
 def _affine(folder: Path, axes: Array, places: Array) -> Array:

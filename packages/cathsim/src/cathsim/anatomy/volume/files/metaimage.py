@@ -6,20 +6,20 @@ Source: ITK's definition of the format; its world is left, posterior, superior, 
 from __future__ import annotations
 
 import math
-import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.volume.files.detached import HEADER_BYTES, header_fields, named_files
-from cathsim.anatomy.volume.files.source import LARGEST, NO_VOXEL_SIZE, Slab, VolumeSource, require_one_volume
-from cathsim.anatomy.volume.files.stream import SLAB_BYTES
-from cathsim.guarded_reading import UnreadableFileError, check_regular, open_regular, referenced_file
+from cathsim.anatomy.volume.files.detached import header_fields, named_files
+from cathsim.anatomy.volume.files.source import LARGEST, NO_VOXEL_SIZE, VolumeSource, require_one_volume
+from cathsim.anatomy.volume.files.values import read_values
+from cathsim.guarded_reading import UnreadableFileError, referenced_file
 
 SUFFIXES = (".mha", ".mhd")
 _MOST_AXES = 10
+_FLAGS = {"compresseddata": ("true", "1", "t"), "binarydata": ("false", "0", "f")}
 _AXES = ("transformmatrix", "rotation", "orientation")  # keys of the header, one of which says how the voxels lie
 
 
@@ -39,13 +39,14 @@ def open_metaimage(path: Path) -> VolumeSource:
     reader.SetFileName(str(path))
     try:
         reader.ReadImageInformation()
-        itemsize = SimpleITK.GetArrayViewFromImage(SimpleITK.Image([1, 1, 1], reader.GetPixelID())).itemsize
+        kind = SimpleITK.GetArrayViewFromImage(SimpleITK.Image([1, 1, 1], reader.GetPixelID())).dtype
     except RuntimeError:
         raise MeshRefusedError(f"{path.name} is damaged: its header cannot be read; export it again.") from None
     axes = reader.GetDimension()
     sizes = require_one_volume(path, reader.GetSize(), reader.GetNumberOfComponents())
-    if len(data) == 1:
-        _check_values(path, fields, *data[0], math.prod(sizes) * itemsize)
+    packed, text = (fields.get(key, "").lower() in words for key, words in _FLAGS.items())
+    if len(data) == 1 and (packed or (not text and fields.get("headersize", "0") == "0")):  # ITK compares no checksum
+        read_values(path, kind, sizes, "zlib" if packed else "", data=data[0][0], start=data[0][1])
     affine = np.eye(4)
     affine[:3, :3] = np.reshape(reader.GetDirection(), (axes, axes))[:3, :3] * reader.GetSpacing()[:3]
     affine[:3, 3] = reader.GetOrigin()[:3]
@@ -53,20 +54,16 @@ def open_metaimage(path: Path) -> VolumeSource:
     if not fields.keys() & set(_AXES):
         notes += ("the file says nothing of the patient's axes: its voxels' order is taken for left, back, up",)
 
-    def slabs() -> Iterator[Slab]:
+    def values() -> NDArray:
         try:
-            image = reader.Execute()  # whole: ITK would unpack a packed file again for each slab
+            image = reader.Execute()
         except (RuntimeError, MemoryError):
             raise MeshRefusedError(
                 f"{path.name} is damaged, or its data are not beside it; copy or export it again."
             ) from None
-        values = SimpleITK.GetArrayViewFromImage(image).reshape(sizes[::-1]).transpose(2, 1, 0)
-        step = max(1, int(SLAB_BYTES // (sizes[0] * sizes[1] * itemsize)))
-        for first in range(0, sizes[2], step):
-            # copied: what SimpleITK shows is gone with its image
-            yield first, values[None, :, :, first : first + step].copy(order="F")
+        return SimpleITK.GetArrayFromImage(image).reshape(sizes[::-1]).transpose(2, 1, 0)[None]
 
-    return VolumeSource(path, sizes, affine, "LPS", "mm", itemsize, slabs, notes=notes)
+    return VolumeSource(path, sizes, affine, "LPS", "mm", kind.itemsize, values, notes=notes)
 
 
 def _checked_header(path: Path) -> tuple[dict[str, str], list[tuple[Path, int]]]:
@@ -111,45 +108,3 @@ def _beside(path: Path, name: str) -> Path:
         raise MeshRefusedError(
             f"{path.name} is damaged, or its data are not beside it ({short_name}); copy or export it again."
         ) from None
-
-
-def _check_values(path: Path, fields: dict[str, str], data: Path, start: int, size: int) -> None:
-    """Refuses values that are cut off, followed by others, or damaged by what their checksum says.
-
-    Args:
-        start: first byte of them in `data`.
-        size: bytes of them that the header promises.
-    """
-    fault = ""
-    if fields.get("compresseddata", "").lower() in ("true", "1", "t"):
-        fault = _fault_of_packed(data, start, size)
-    elif fields.get("binarydata", "true").lower() in ("true", "1", "t") and fields.get("headersize", "0") == "0":
-        held = check_regular(data) - start
-        fault = "" if held == size else f"it holds {held} bytes of values, its header says {size}"
-    if fault:
-        raise MeshRefusedError(
-            f"{path.name} is damaged, or its data are not beside it ({fault}); copy or export it again."
-        )
-
-
-def _fault_of_packed(data: Path, start: int, size: int) -> str:
-    """Why what zlib has packed cannot be the values: ITK does not come to the checksum at its end."""
-    unpacker = zlib.decompressobj(zlib.MAX_WBITS | 32)  # zlib or gzip
-    unpacked_size = 0
-    with open_regular(data) as file:
-        file.seek(start)
-        try:
-            while not unpacker.eof and (block := file.read(HEADER_BYTES)):
-                while block and not unpacker.eof:
-                    unpacked_size += len(unpacker.decompress(block, SLAB_BYTES))
-                    block = unpacker.unconsumed_tail
-                if unpacked_size > size:
-                    return f"it holds more values than the {size} bytes that its header says"
-        except zlib.error as error:
-            return str(error)
-        behind = unpacker.unused_data + file.read(HEADER_BYTES)
-    if not unpacker.eof:
-        return "it ends before its last value"
-    if unpacked_size != size:
-        return f"it holds {unpacked_size} bytes of values, its header says {size}"
-    return "something follows its values" if any(behind) else ""

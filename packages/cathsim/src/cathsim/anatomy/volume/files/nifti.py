@@ -1,9 +1,8 @@
-"""Label volumes and CTs in NIfTI files, read slab by slab."""
+"""Label volumes and CTs in NIfTI files."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
-from cathsim.anatomy.volume.files.source import Slab, VolumeSource, disagreement, require_one_volume
-from cathsim.anatomy.volume.files.stream import BROKEN, SLAB_BYTES, ValueStream, in_words
+from cathsim.anatomy.volume.files.source import VolumeSource, disagreement, require_one_volume
+from cathsim.anatomy.volume.files.values import BROKEN, in_words, read_values
 
 SUFFIXES = (".nii", ".nii.gz")
 TRANSFORMS = ("sform", "qform")
@@ -69,24 +68,13 @@ def open_nifti(path: Path, transform: str | None = None) -> VolumeSource:
             f"{path.name} holds values of the kind {kind}, expected numbers; export one number a voxel."
         )
 
-    def slabs() -> Iterator[Slab]:
-        slope, inter = float(proxy.slope), float(proxy.inter)
-        step = max(1, int(SLAB_BYTES // (three[0] * three[1] * kind.itemsize)))
-        try:
-            stream = ValueStream(path, packing="gzip" if path.name.lower().endswith(".gz") else "")
-            stream.skip(int(proxy.offset))
-            for first in range(0, three[2], step):
-                count = min(step, three[2] - first)
-                content = stream.read(count * three[0] * three[1] * kind.itemsize)
-                values = np.frombuffer(content, dtype=kind).reshape((three[0], three[1], count), order="F")
-                yield first, (values if slope == 1.0 and inter == 0.0 else values * slope + inter)[None]
-            stream.finish()
-        except BROKEN as error:
-            if isinstance(error, MeshRefusedError):
-                raise
-            raise MeshRefusedError(f"{path.name} is damaged: {in_words(error)}; copy or export it again.") from None
+    packing = "gzip" if path.name.lower().endswith(".gz") else ""
 
-    return VolumeSource(path, three, affine, "RAS", unit, kind.itemsize, slabs, names=names, notes=notes)
+    def values() -> NDArray:
+        return read_values(path, kind, three, packing, skip=int(proxy.offset))[None]
+
+    scale = (float(proxy.slope), float(proxy.inter))
+    return VolumeSource(path, three, affine, "RAS", unit, kind.itemsize, values, names=names, notes=notes, scale=scale)
 
 
 def _affine(

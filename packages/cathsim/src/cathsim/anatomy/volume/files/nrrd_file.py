@@ -1,4 +1,4 @@
-"""Label volumes and CTs in NRRD files, segmentations of 3D Slicer among them, read slab by slab.
+"""Label volumes and CTs in NRRD files, segmentations of 3D Slicer among them.
 
 Source: Teem's definition of the NRRD format (space, space directions, space origin); 3D Slicer's .seg.nrrd, whose
 fields SegmentN_Name, SegmentN_LabelValue and SegmentN_Layer name the labels, or the codes in SegmentN_Tags.
@@ -6,9 +6,7 @@ fields SegmentN_Name, SegmentN_LabelValue and SegmentN_Layer name the labels, or
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +16,8 @@ from numpy.typing import NDArray
 from cathsim.anatomy.mesh.report import MeshRefusedError
 from cathsim.anatomy.vessel_names import name_of_segment
 from cathsim.anatomy.volume.files.detached import named_files
-from cathsim.anatomy.volume.files.source import NO_VOXEL_SIZE, SIDES, UNIT_METRES, Slab, VolumeSource
-from cathsim.anatomy.volume.files.stream import BROKEN, SLAB_BYTES, ValueStream, in_words
+from cathsim.anatomy.volume.files.source import NO_VOXEL_SIZE, SIDES, UNIT_METRES, VolumeSource
+from cathsim.anatomy.volume.files.values import BROKEN, in_words, read_values
 from cathsim.guarded_reading import UnreadableFileError, referenced_file
 
 SUFFIXES = (".nrrd", ".nhdr")
@@ -78,32 +76,14 @@ def open_nrrd(path: Path) -> VolumeSource:
     across = [n for axis, n in enumerate(sizes) if axis != layer_axis]
     shape = (across[0], across[1], across[2])
 
-    def slabs() -> Iterator[Slab]:
-        try:
-            stream = ValueStream(data, start if data == path else 0)
-            stream.skip_lines(lines)
-            total = math.prod(sizes) * kind.itemsize
-            if packing == "text":
-                every = np.array(stream.rest().split(), dtype=kind)
-                if len(every) != math.prod(sizes):
-                    raise ValueError(f"it holds {len(every)} values, its header says {math.prod(sizes)}")
-                stream = ValueStream.of(every.tobytes())
-            else:
-                stream.unpack(packing)
-                stream.skip(stream.size_left() - total if skipped < 0 and not packing else skipped)
-            across = math.prod(sizes[:-1])
-            step = max(1, int(SLAB_BYTES // (across * kind.itemsize)))
-            for first in range(0, sizes[-1], step):
-                count = min(step, sizes[-1] - first)
-                values = np.frombuffer(stream.read(count * across * kind.itemsize), dtype=kind)
-                values = values.reshape((*sizes[:-1], count), order="F")
-                yield first, values[None] if layer_axis is None else np.moveaxis(values, layer_axis, 0)
-            stream.finish()
-        except BROKEN as error:
-            raise MeshRefusedError(f"{path.name} is damaged: {in_words(error)}; export it again.") from None
+    begins = start if data == path else 0
+
+    def values() -> NDArray:
+        held = read_values(path, kind, sizes, packing, data=data, start=begins, lines=lines, skip=skipped)
+        return held[None] if layer_axis is None else np.moveaxis(held, layer_axis, 0)
 
     names = _segments(header, layered=layer_axis is not None)
-    return VolumeSource(path, shape, affine, world, unit, kind.itemsize, slabs, layers, names, notes)
+    return VolumeSource(path, shape, affine, world, unit, kind.itemsize, values, layers, names, notes)
 
 
 def _kind(header: dict[str, Any]) -> np.dtype[Any]:

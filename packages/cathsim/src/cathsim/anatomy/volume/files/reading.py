@@ -7,7 +7,7 @@ import importlib
 import os
 import re
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -39,6 +39,7 @@ _LEAST_ALIKE = 0.25
 _ENOUGH_PAIRS = 10_000
 
 Array = NDArray[np.float64]
+Name = TypeVar("Name", bound=Hashable)
 Result = TypeVar("Result")
 
 
@@ -164,14 +165,11 @@ def _read_labels(path: Path, labels: Labels, transform: str | None) -> LabelVolu
 
 def _misfit(source: VolumeSource, present: dict[Key, int], scheme: str, vessels: dict[Key, str]) -> str:
     """Why a file's labels cannot be a scheme's vessels; empty if they can."""
-    keys = list(vessels)
-    names = [str(key) for key in keys]
-    pieces = _collect(source, LabelChoice(dict(zip(keys, names, strict=True)), scheme), names, np.zeros(3, np.int64))
     turn = source.metres * source.frame @ source.affine[:3, :3]
     places: dict[Key, Array] = {}
-    for voxels, number, _ in pieces:
+    for key, voxels in _collect(source, {key: key for key in vessels}).items():
         cells = np.unique(np.floor(voxels @ turn.T / CELL).astype(np.int32), axis=0)
-        places[keys[number - 1]] = CELL * (cells.astype(np.float64) + 0.5)
+        places[key] = CELL * (cells.astype(np.float64) + 0.5)
     return misfit(scheme, vessels, places, present)
 
 
@@ -268,7 +266,7 @@ def _box(parts: list[tuple[VolumeSource, LabelChoice]], file: str, present: dict
     """The part of the lattice that holds vessels, from one file or several of one lattice."""
     first = parts[0][0]
     names: list[str] = []
-    vessel_voxels: list[tuple[NDArray[np.int32], int, int]] = []  # voxels, vessel's number, voxels of its label
+    vessel_voxels: list[tuple[NDArray[np.int64], int]] = []  # voxels, and the vessel's number
     voxel = float(np.prod(first.spacing))
     for source, choice in parts:
         shift = _shift(source, first)
@@ -287,9 +285,10 @@ def _box(parts: list[tuple[VolumeSource, LabelChoice]], file: str, present: dict
         for name in choice.vessels.values():
             if name not in names:
                 names.append(name)
-        vessel_voxels += _collect(source, choice, names, shift)
-    low = np.min([voxels.min(axis=0) for voxels, _, _ in vessel_voxels], axis=0)
-    high = np.max([voxels.max(axis=0) for voxels, _, _ in vessel_voxels], axis=0) + 1
+        collected = _collect(source, choice.vessels)
+        vessel_voxels += [(voxels + shift, names.index(name) + 1) for name, voxels in collected.items()]
+    low = np.min([voxels.min(axis=0) for voxels, _ in vessel_voxels], axis=0)
+    high = np.max([voxels.max(axis=0) for voxels, _ in vessel_voxels], axis=0) + 1
     if np.prod((high - low).astype(float)) > _MOST_VOXELS:
         raise MeshRefusedError(
             f"the vessels of {file} spread over {np.prod((high - low).astype(float)):.2g} voxels; cut the volume to "
@@ -297,7 +296,7 @@ def _box(parts: list[tuple[VolumeSource, LabelChoice]], file: str, present: dict
         )
     box = np.zeros(tuple(high - low), dtype=np.uint8)
     # where labels overlap the smaller vessel counts: an aorta's label may run on beneath its branches'
-    for voxels, number, _ in sorted(vessel_voxels, key=lambda item: -item[2]):
+    for voxels, number in sorted(vessel_voxels, key=lambda item: -len(item[0])):
         i, j, k = (voxels - low).T
         box[i, j, k] = number
     affine = first.affine.copy()
@@ -312,26 +311,15 @@ def _box(parts: list[tuple[VolumeSource, LabelChoice]], file: str, present: dict
     )  # fmt: skip
 
 
-def _collect(
-    source: VolumeSource, choice: LabelChoice, names: list[str], shift: NDArray[np.int64]
-) -> list[tuple[NDArray[np.int32], int, int]]:
-    """Voxels of every vessel in a file."""
-    pieces: dict[int, list[NDArray[np.int32]]] = {}
+def _collect(source: VolumeSource, vessels: Mapping[Key, Name]) -> dict[Name, NDArray[np.int32]]:
+    """Voxels (n, 3) of every vessel in a file, by its name; a vessel may have several labels."""
+    pieces: dict[Name, list[NDArray[np.int32]]] = {}
     for start, slab in source.slabs():
-        for layer, values in enumerate(slab):
-            numbering = {value: names.index(name) + 1 for (at, value), name in choice.vessels.items() if at == layer}
-            if not numbering:
-                continue
-            table = np.zeros(_MOST_LABEL + 1, dtype=np.uint8)
-            table[list(numbering)] = list(numbering.values())
-            numbers = table[values.astype(np.uint16)]
-            taken = np.argwhere(numbers)
-            which = numbers[tuple(taken.T)]
-            places = (taken + np.array([0, 0, start]) + shift).astype(np.int32)
-            for number in np.unique(which):
-                pieces.setdefault(int(number), []).append(places[which == number])
-    vessel_voxels = [(np.concatenate(parts), number) for number, parts in pieces.items()]
-    return [(voxels, number, len(voxels)) for voxels, number in vessel_voxels]
+        for (layer, value), name in vessels.items():
+            voxels = np.argwhere(slab[layer] == value)
+            if len(voxels):
+                pieces.setdefault(name, []).append((voxels + np.array([0, 0, start])).astype(np.int32))
+    return {name: np.concatenate(parts) for name, parts in pieces.items()}
 
 
 def _shift(source: VolumeSource, first: VolumeSource) -> NDArray[np.int64]:

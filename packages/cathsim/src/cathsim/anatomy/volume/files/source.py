@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from cathsim.anatomy.mesh.report import MeshRefusedError
 
-LARGEST = 4_000_000_000  # bytes of a volume that is read at all
+LARGEST = 2_000_000_000  # bytes of a volume that is read at all
+_SLAB_BYTES = 1 << 23
 UNIT_METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "micron": 1e-6, "um": 1e-6, "inch": 0.0254}
 _THINNEST, _THICKEST = 2e-5, 2e-2  # m, sides of a voxel
 _LEAST_SIDES = 4  # voxels along every axis
@@ -37,11 +38,12 @@ class VolumeSource:
     world: str  # axes of the file's world: "RAS" (NIfTI), "LPS" (DICOM), or other letters of SIDES
     unit: str  # of the file's world
     itemsize: int  # bytes of a value
-    slabs: Callable[[], Iterator[Slab]]  # reads the values, from the first slice on
+    values: Callable[[], NDArray]  # reads the values (layers, nx, ny, nz) as they are stored
     layers: int = 1  # volumes in the file, whose labels may overlap
     # names of labels by layer and value, as the file gives them
     names: dict[tuple[int, int], str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    scale: tuple[float, float] = (1.0, 0.0)  # factor and summand of the stored values
 
     def __post_init__(self) -> None:
         check_geometry(self.path, self.shape, self.affine, UNIT_METRES[self.unit])
@@ -56,6 +58,14 @@ class VolumeSource:
                 f"{self.path.name} holds {size / 1e9:.1f} GB of values, at most {LARGEST / 1e9:g} GB are read; cut it "
                 "to the chest, or save it with fewer bytes a voxel."
             )
+
+    def slabs(self) -> Iterator[Slab]:
+        """Reads the values, some slices after the other from the first on, so that what is made of them stays small."""
+        values, (factor, summand) = self.values(), self.scale
+        step = max(1, int(_SLAB_BYTES // values[..., 0].nbytes))
+        for first in range(0, values.shape[-1], step):
+            slab = values[..., first : first + step]
+            yield first, slab if self.scale == (1.0, 0.0) else slab * factor + summand
 
     @property
     def metres(self) -> float:
