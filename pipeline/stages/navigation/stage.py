@@ -74,7 +74,7 @@ def run_navigation(settings: NavigationSettings, context: StageContext) -> Resul
         context.folder, jobs, workers=settings.workers, label="navigators", preload=preload, device=settings.device
     )
     notes = {"navigation": note((job.given for job in jobs if isinstance(job.given, NavigatorJob)), of_navigator)}
-    return Results(tables(settings, context, outcomes), figures(settings, context.path, outcomes), notes)
+    return Results(tables(settings, context, outcomes), figures(outcomes), notes)
 
 
 def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:

@@ -136,7 +136,6 @@ def training_figures(training: dict[str, Any], predictor: Any) -> dict[str, Any]
         "epochs": len(rows),
         "best_epoch": training["best_epoch"],
         "cpu_min": rows[-1]["cpu_s"] / 60,
-        "curve": [[row["epoch"], row["loss"], row["validation"]] for row in rows],
     }
 
 

@@ -36,7 +36,7 @@ def settings(**changed) -> ImitationSettings:
     return ImitationSettings(**values | rounds | {"task": TASK.task} | changed)
 
 
-def test_a_run_leaves_students_logs_tables_and_a_figure(enn: Path, caplog) -> None:
+def test_a_run_leaves_students_logs_and_tables(enn: Path, caplog) -> None:
     caplog.set_level("INFO")
     results = run_here(settings(), enn.parent, imitation)
     folder = enn.parent / "imitation"
@@ -51,7 +51,6 @@ def test_a_run_leaves_students_logs_tables_and_a_figure(enn: Path, caplog) -> No
     }  # fmt: skip
     assert results["bc_hyperparameters"]["epochs"]["value"] == 1
     assert results["dagger_rounds"]["type_1/bca/round 1"]["episodes"] == 3
-    assert (folder / "success.png").stat().st_size > 5000
     for row in rows:
         student = folder / "type_1/bca" / row / "seed0"
         assert {"policy.pt", "training.csv", "training.json"} <= {path.name for path in student.iterdir()}
@@ -128,7 +127,7 @@ def test_a_run_of_force_leaves_episodes_networks_tables_and_figures(run: Path, r
     for cells in results["force_share"].values():
         assert cells["share_pct"] == pytest.approx(100 * cells["mse_n2"] / cells["variance_n2"])
     assert results["force_distribution"]["test"]["n"] == 12
-    assert {p.name for p in (run / "force").glob("*.png")} == {"calibration.png", "shares.png"}
+    assert {p.name for p in (run / "force").glob("*.png")} == {"calibration.png"}
     assert (run / "force/V/12/predictor.pt").is_file()
     steps = sum(map(len, read_episodes(sorted((run / "force/type_1/bca/episodes").glob("*.mcap")))))
     assert steps >= 44

@@ -13,7 +13,7 @@ import pytest
 from guide3d import shipped as shelf
 from guide3d.learning.predictor import ShapePredictor
 from pipeline.jobs.worker import Report
-from pipeline.plots.networks import draw_attention, draw_comparison, draw_errors
+from pipeline.plots.networks import draw_attention, draw_comparison
 from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages import shape, splineformer
 from pipeline.stages.guide3d.folder import Source
@@ -187,7 +187,7 @@ def test_tables_and_figures(run: Path, results: dict) -> None:
         assert cells["tokens_max"] <= 23
         assert cells["latency_ms"] > 0
     files = [entry["file"] for entry in json.loads((run / "splineformer" / "figures.json").read_text())]
-    assert files == ["comparison.png", "errors.png", "attention.png", "training.png"]
+    assert files == ["comparison.png", "attention.png"]
 
 
 def test_finished_jobs_are_kept_and_a_missing_rival_is_told(
@@ -221,9 +221,8 @@ def test_wires_that_no_reader_finds_are_drawn(
     assert {read["read_pct"] for read in outcome["none"].values()} == {0.0}
     examples = tmp_path / EXAMPLES
     draw_comparison(examples, SETTINGS.rival, SETTINGS.variants, splineformer.LABELS, tmp_path / "comparison.png")
-    draw_errors(outcome, splineformer.LABELS, tmp_path / "errors.png")
     draw_attention(examples, SETTINGS.variants, splineformer.LABELS, tmp_path / "attention.png")
-    assert len(list(tmp_path.glob("*.png"))) == 3
+    assert len(list(tmp_path.glob("*.png"))) == 2
 
 
 @pytest.mark.parametrize(
