@@ -20,7 +20,7 @@ from pipeline.stages.guide3d.folder import Source
 from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.stages.networks import training as network_stage
 from pipeline.stages.networks.settings import SegmentationSettings, ShapeSettings, SplineformerSettings
-from pipeline.stages.networks.training import learn, shipped_rows, train_network, train_together
+from pipeline.stages.networks.training import learn, shipped_rows, train_network
 from pipeline.stages.splineformer import EXAMPLES, compare, learn_variant
 from pipeline.store.errors import ConfigurationError, StageError
 from splineformer.comparison.evaluation import ReadCurve, Reader
@@ -119,26 +119,6 @@ def test_settings_know_what_the_package_trains() -> None:
 
     assert set(SHAPE_ROWS) | set(SEGMENTATION_ROWS) == set(NETWORKS)
     assert NETWORK_SIZES == SIZES
-
-
-TALKER = """
-import sys
-from pathlib import Path
-sys.stderr.write("much to say\\n" * 30_000)
-Path(sys.argv[1]).write_text("finished")
-"""
-
-
-def test_an_error_stream_that_nobody_reads_stops_no_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "talker.py").write_text(TALKER)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    train_together("talker", [str(tmp_path / "written")], 1, lambda share, words="": None)
-    assert (tmp_path / "written").read_text() == "finished"
-
-
-def test_a_failure_is_told_in_a_sentence() -> None:
-    with pytest.raises(StageError, match=r"torchrun ended with code 1: .*no_such_training"):
-        train_together("no_such_training", [], 1, lambda share, words="": None)
 
 
 def test_a_shipped_network_is_taken_in_place_of_its_training(
