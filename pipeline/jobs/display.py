@@ -35,13 +35,10 @@ class JobState:
         self._first = fraction if self._first is None else self._first
         self.fraction, self.text = fraction, text
 
-    def finish(self, *, has_run: bool = True) -> None:
+    def finish(self) -> None:
         """It is done."""
         self.status, self.fraction = "done", 1.0
-        if has_run:
-            self._spent_s = time.monotonic() - self._started
-        else:
-            self.weight = 0.0
+        self._spent_s = time.monotonic() - self._started
 
     def total_s(self) -> float | None:
         """Seconds that all of it takes at the pace it has shown; None while that is unknown."""

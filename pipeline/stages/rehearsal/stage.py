@@ -34,9 +34,7 @@ from pipeline.stages.rehearsal.start import (
 from pipeline.stages.rehearsal.training import (
     DEMONSTRATIONS,
     EXPERT,
-    PARTS,
-    nothing_to_record,
-    record_demonstrations,
+    demonstrate,
     train,
 )
 from pipeline.store.errors import ConfigurationError
@@ -93,7 +91,7 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> Results
         f"{phantom.name}/{tested} {kind}": row(outcomes, tested, kind) for tested in played for kind in (SCAN, COPIES)
     }
     origin = "nothing" if start is None else "a policy"
-    demonstration_counts = count_demonstrations(outcomes)
+    demonstration_counts = {name: arrived for name, (_, arrived) in outcomes.get(DEMONSTRATIONS, {}).items()}
     if demonstration_counts and not any(demonstration_counts.values()):
         _LOGGER.warning(
             "%s brought these devices to %s in any copy of %s: nothing was shown to the training",
@@ -124,10 +122,14 @@ def plan(
     """The jobs: demonstrations by other policies, tests before, the training, tests after."""
     origin = Origin("rehearsal", AFTER, context.seed, context.budget)
     job = RehearsalJob(context.path, origin, settings, task, target, start, trial_statistics=trial_statistics)
-    jobs = _demonstrations(replace(job, demonstrators=tuple(demonstrators))) if settings.demonstrations else []
-    demonstration_keys = tuple(one.key for one in jobs)
+    jobs: list[Job] = []
+    if settings.demonstrations and (demonstrators or settings.expert != "never"):
+        weight = _SECONDS["demonstration"] * len(job.training_cases)
+        given = replace(job, demonstrators=tuple(demonstrators))
+        jobs.append(Job(DEMONSTRATIONS, demonstrate, given, weight=weight))
+    after = tuple(one.key for one in jobs)
     weight, memory = settings.decisions * _SECONDS["decision"], policy_gb(settings.task.image_size_px, 0)
-    jobs.append(Job(TRAINING, train, job, after=demonstration_keys, weight=weight, gpu_gb=memory))
+    jobs.append(Job(TRAINING, train, job, after=after, weight=weight, gpu_gb=memory))
     jobs += [] if start is None else _tests(job, BEFORE, start, ())
     trained = job.own_folder / POLICY
     tests = _tests(job, AFTER, trained, (TRAINING,))
@@ -142,36 +144,6 @@ def plan(
         tests.insert(1, filmed)
     jobs += tests
     return jobs
-
-
-def _demonstrations(job: RehearsalJob) -> list[Job]:
-    """The turns that there may be, each after the one before; those that nobody has are left out when it is known."""
-    jobs: list[Job] = []
-    for turn in range(job.rules.most_turns(len(job.demonstrators))):
-        before = tuple(one.key for one in jobs[-PARTS:])
-        weight = 0.0 if turn else _SECONDS["demonstration"] * len(job.training_cases) / PARTS
-        jobs += [
-            Job(
-                f"{DEMONSTRATIONS}/{turn}/{part}",
-                record_demonstrations,
-                replace(job, turn=turn, part=part),
-                after=before,
-                weight=weight,
-                known=nothing_to_record,
-            )
-            for part in range(PARTS)
-        ]
-    return jobs
-
-
-def count_demonstrations(outcomes: dict[str, Any]) -> dict[str, int]:
-    """How many episodes each demonstrator brought to the target, by the stem of its file."""
-    counts: dict[str, int] = {}
-    for key, outcome in outcomes.items():
-        if key.startswith(DEMONSTRATIONS):
-            for name, (_, arrived) in outcome.items():
-                counts[name] = counts.get(name, 0) + arrived
-    return counts
 
 
 def _tests(job: RehearsalJob, tested: str, policy: Path, after: tuple[str, ...]) -> list[Job]:

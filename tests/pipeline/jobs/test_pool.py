@@ -76,23 +76,6 @@ def test_a_job_waits_for_those_it_needs(folder: RunFolder, tmp_path: Path) -> No
         run_jobs(folder, jobs[::-1])
 
 
-def test_a_job_whose_result_is_known_does_not_run(folder: RunFolder) -> None:
-    def known(given: int) -> int | None:
-        asked.append(given)
-        return 100 if given == 2 else None
-
-    asked: list[int] = []
-    jobs = [
-        Job("first", square, 1),
-        Job("second", square, 2, after=("first",), known=known),
-        Job("third", square, 3, after=("second",), known=known),
-    ]
-    assert run_jobs(folder, jobs, workers=1) == {"first": 1, "second": 100, "third": 9}
-    assert asked == [2, 3]  # once each, when the jobs before were done
-    assert run_jobs(folder, jobs, workers=1) == {"first": 1, "second": 100, "third": 9}
-    assert asked == [2, 3]
-
-
 def test_a_failing_or_killed_job_stops_no_other_and_is_named(folder: RunFolder, tmp_path: Path, caplog) -> None:
     jobs = [
         Job("error", train, Toy(tmp_path / "error", fails="error")),
@@ -191,10 +174,9 @@ def test_estimate_of_the_end() -> None:
     assert display.line().startswith("toys 1/4, 2 running: a 50 % (half), b 50 % (half); ")
 
 
-def test_what_was_left_out_or_done_by_an_earlier_run_is_no_pace() -> None:
-    states = [JobState("a"), JobState("b", weight=0.0)]
+def test_what_was_done_by_an_earlier_run_is_no_pace() -> None:
+    states = [JobState("a"), JobState("b", done=True)]
     display = JobDisplay("toys", states, workers=1)
-    states[1].finish(has_run=False)
     assert display.remaining_s() is None
     assert display.line().startswith("toys 1/2; ")
     state = states[0]
