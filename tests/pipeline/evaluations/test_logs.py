@@ -325,7 +325,7 @@ def test_weights_of_the_force_are_rows_of_their_own(tmp_path: Path) -> None:
 def test_each_device_has_a_line_with_its_success_and_forces(tmp_path: Path) -> None:
     write_row(tmp_path, "enn", "I+V+M", successes=(True, False))
     for catheter, force in (("simmons2", -0.3), ("vertebral", 0.1)):
-        one = {"successes": (True,), "folder": f"enn@stage.catheter={catheter}", "catheter": catheter}
+        one = {"successes": (True,), "folder": f"enn@task.catheter={catheter}", "catheter": catheter}
         for seed in range(2):
             write_row(tmp_path, "enn", "I+V+M", seed=seed, feeder_forces=(0.2, force * (seed + 1)), **one)
     tables = tables_from_logs(tmp_path)

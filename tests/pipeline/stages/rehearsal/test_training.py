@@ -30,7 +30,7 @@ from pipeline.stages.rehearsal.training import (
 )
 from pipeline.store.atomic_files import write_arrays
 from pipeline.task import Task
-from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, job_of
+from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, TINY, job_of
 from tests.pipeline.stages.small_expert import context
 
 
@@ -274,7 +274,9 @@ def test_policies_whose_files_have_one_name_are_told_apart(tmp_path: Path) -> No
     for file in same:
         file.parent.mkdir()
         shutil.copy(GENERALIST.with_name("generalist_simmons2.pt"), file)
-    job = replace(job_of(tmp_path, copies=1, catheter="simmons2"), demonstrators=tuple(same))
+    job = replace(
+        job_of(tmp_path, copies=1, task=replace(TINY["task"], catheter="simmons2")), demonstrators=tuple(same)
+    )
     assert demonstrate(job, Report()) == {"policy": [2, 0], "policy2": [2, 0]}  # after twelve steps
     assert len(list((tmp_path / "demonstrations").iterdir())) == 4
 
