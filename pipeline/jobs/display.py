@@ -19,9 +19,9 @@ _LEAST_FRACTION = 0.02  # of a job before its pace says anything
 class JobState:
     """How far one job is; its status is "waiting", "running", "done" or "failed"."""
 
-    def __init__(self, key: str, weight: float = 1.0, *, done: bool = False) -> None:
-        """Its weight: how long it takes beside others (0: not known); done: by an earlier, interrupted run."""
-        self.key, self.weight, self.status = key, weight, "done" if done else "waiting"
+    def __init__(self, key: str, *, done: bool = False) -> None:
+        """Done: by an earlier, interrupted run."""
+        self.key, self.status = key, "done" if done else "waiting"
         self.fraction, self.text = float(done), ""
         self._first: float | None = None  # fraction that an earlier run had done already
         self._started = self._spent_s = 0.0
@@ -74,13 +74,13 @@ class JobDisplay:
         return sum(state.status in statuses for state in self.states.values())
 
     def remaining_s(self) -> float | None:
-        """Seconds until every job is done, by the pace of those that have shown one; None while none has."""
-        paced = [(total, s.weight) for s in self.states.values() if s.weight and (total := s.total_s()) is not None]
+        """Seconds until every job is done, by the mean of those that have shown a pace; None while none has."""
+        paced = [total for state in self.states.values() if (total := state.total_s()) is not None]
         if not paced:
             return None
-        per_weight = sum(total for total, _ in paced) / max(sum(weight for _, weight in paced), 1e-9)
+        mean = sum(paced) / len(paced)
         left = [
-            (1.0 - state.fraction) * (state.total_s() or per_weight * state.weight)
+            (1.0 - state.fraction) * (state.total_s() or mean)
             for state in self.states.values()
             if state.status in ("waiting", "running")
         ]

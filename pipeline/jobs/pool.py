@@ -119,7 +119,7 @@ def run_jobs(
         try:
             for job in todo:
                 engine.check(job)
-            states = [JobState(job.key, job.weight, done=job not in todo) for job in jobs]
+            states = [JobState(job.key, done=job not in todo) for job in jobs]
             with JobDisplay(label, states, workers=engine.capacity) as display:
                 failures = _Pool(folder, todo, display, engine).run()
         finally:

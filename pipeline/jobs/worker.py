@@ -211,7 +211,6 @@ class Job:
     run: Callable[[Any, Report], Any]
     given: Any = None  # to `run`; picklable
     after: tuple[str, ...] = ()  # keys of jobs that must be done before
-    weight: float = 1.0  # how long it takes beside the others, for the estimate of the end
     memory_gb: float = 0.0  # memory that it is expected to need; 0: too little to mind
     # GPU memory that it is expected to need, on each of its GPUs; 0: it has no network and needs none
     gpu_gb: float = 0.0

@@ -87,9 +87,6 @@ def follow(job: PathJob, report: Report) -> dict[str, Any]:
     return outcome
 
 
-SECONDS_AN_EPISODE = 0.3  # of the path follower's; only for the estimate of the end
-
-
 def run_baselines(settings: BaselinesSettings, context: StageContext) -> Results:
     followers = path_followers(settings, context) if settings.path_follower else []
     trainings = plan(settings, context)
@@ -157,7 +154,6 @@ def path_followers(settings: BaselinesSettings, context: StageContext) -> list[J
                         name,
                         follow,
                         PathJob(context.path / name, origin, task, logs, settings.evaluation_episodes),
-                        weight=settings.evaluation_episodes * SECONDS_AN_EPISODE,
                         gpu_gb=policy_gb(settings.task.image_size_px, 0),
                     )
                 )

@@ -35,7 +35,6 @@ GROUP = "Force prediction"
 # Episodes are drawn apart for the test, and their lengths vary: so much more is recorded than is learnt from.
 _MORE_STEPS = 1.1 * TEST_EVERY / (TEST_EVERY - 1)
 FRAMES = 3  # that a network sees at most
-_SECONDS_A_STEP, _SECONDS_A_SAMPLE, _SECONDS_A_SHAPE = 4e-3, 6e-3, 1.5e-2
 _SHARE = ("mse_n2", "variance_n2", "share_pct", "correlation", "cpu_s")  # columns of the detailed table
 # Forces from the logged shape, without a network: row, and whether curve and what is known of the case have errors.
 SHAPE_ROWS = {"shape": False, "shape_errors": True}
@@ -79,7 +78,7 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
         require_expert(settings.name, task, expert)
         key = f"{task.name}/episodes"
         recording = RecordingJob(context.path / key, disturbance, task, expert, steps + 1, context.seed)
-        recordings.append(Job(key, record_disturbed, recording, weight=steps * _SECONDS_A_STEP, gpu_gb=gpu_gb))
+        recordings.append(Job(key, record_disturbed, recording, gpu_gb=gpu_gb))
     logs, after = tuple(job.given.folder for job in recordings), tuple(job.key for job in recordings)
     preset = force_preset(settings.variant)
     preset = replace(preset, fit=replace(preset.fit, epochs=settings.epochs or preset.fit.epochs))
@@ -98,7 +97,7 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
             test_samples=settings.test_samples,
             seed=context.seed,
         )
-        fits.append(Job(key, learn_force, fit, after=after, weight=count * _SECONDS_A_SAMPLE, gpu_gb=gpu_gb))
+        fits.append(Job(key, learn_force, fit, after=after, gpu_gb=gpu_gb))
     shapes = []
     for row, disturbed in SHAPE_ROWS.items():
         shape = ShapeForceJob(
@@ -109,7 +108,7 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
             seed=context.seed,
             disturbed=disturbed,
         )
-        shapes.append(Job(row, forces_from_shape, shape, after=after, weight=settings.test_samples * _SECONDS_A_SHAPE))
+        shapes.append(Job(row, forces_from_shape, shape, after=after))
     return recordings, fits, shapes
 
 

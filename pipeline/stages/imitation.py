@@ -199,8 +199,7 @@ def plan(settings: ImitationSettings, context: StageContext) -> list[Job]:
                     evaluation_episodes=settings.evaluation_episodes,
                     drawn_episodes=settings.drawn_episodes,
                 )
-                weight = count + 3.0 * (disturbed + (rounds.rounds + rounds.episodes if rounds else 0))
-                jobs.append(Job(f"{task.name}/{row}", imitate, imitation_job, weight=weight, gpu_gb=gpu_gb))
+                jobs.append(Job(f"{task.name}/{row}", imitate, imitation_job, gpu_gb=gpu_gb))
     return jobs
 
 

@@ -38,10 +38,7 @@ def run_shape(settings: ShapeSettings, context: StageContext) -> Results:
 
 def plan(settings: ShapeSettings, context: StageContext) -> list[Job]:
     taken = shipped_rows(settings, context)
-    return [
-        training_job(row, learn, settings, context, 0.2 if row == "fgrn" else 1.0, taken.get(row))
-        for row in settings.rows
-    ]
+    return [training_job(row, learn, settings, context, taken.get(row)) for row in settings.rows]
 
 
 def tables(settings: ShapeSettings, outcomes: dict[str, Any]) -> dict[str, Any]:

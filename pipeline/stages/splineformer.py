@@ -167,8 +167,7 @@ def plan(settings: SplineformerSettings, context: StageContext) -> list[Job]:
     """A training a variant, then the comparison."""
     taken = shipped_rows(settings, context)
     jobs = [
-        training_job(variant, learn_variant, settings, context, 4.0, taken.get(variant))
-        for variant in settings.variants
+        training_job(variant, learn_variant, settings, context, taken.get(variant)) for variant in settings.variants
     ]
     comparison_job = ComparisonJob(
         folder=context.path / COMPARISON,

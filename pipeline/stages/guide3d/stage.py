@@ -34,7 +34,6 @@ PRELOAD = (
     "guide3d.reconstruction.reconstruction",
 )
 _PAIRS_A_JOB = 150
-_SECONDS_A_PAIR, _SECONDS_A_RECONSTRUCTION = 0.1, 0.05
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -88,7 +87,6 @@ def _generated(settings: Guide3dSettings, context: StageContext) -> Source:
             f"acquisitions/{number}",
             generate,
             GenerationJob(context.path, own, settings, centre, context.seed),
-            weight=_SECONDS_A_PAIR * sum(one.pairs for one in own),
         )
         for number, own in enumerate(_chunks(planned))
     ]
@@ -121,7 +119,6 @@ def _reconstructions(settings: Guide3dSettings, context: StageContext, source: S
             f"reconstructions/{number}",
             reconstruct_pairs,
             ReconstructionJob(context.path, source, number, tuple(part.tolist()), compared, settings, context.seed),
-            weight=_SECONDS_A_RECONSTRUCTION * len(part),
         )
         for number, part in enumerate(parts)
     ]

@@ -77,8 +77,7 @@ def evaluate(
     return outcome
 
 
-_SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the estimate of the end
-_SECONDS_A_DECISION = 1e-2
+_TRAINED = 0.8  # share of a job's progress at the end of its training
 
 
 @dataclass(frozen=True)
@@ -102,12 +101,6 @@ class PolicyTrainingJob:
         return f"{self.task.name}/{self.origin.row}/seed{self.origin.training_seed}"
 
     @property
-    def weight(self) -> float:
-        """Guess of its seconds, beside other jobs."""
-        steps = (self.tested + self.expert_episodes) * self.task.task.max_steps / 3
-        return self.settings.decisions * _SECONDS_A_DECISION + steps * _SECONDS_A_STEP
-
-    @property
     def tested(self) -> int:
         """Episodes of both modes."""
         return self.evaluation_episodes + self.drawn_episodes
@@ -126,7 +119,6 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
     }
     for leftover in job.folder.glob(".*.tmp"):  # of a killed training
         leftover.unlink()
-    trained = job.settings.decisions * _SECONDS_A_DECISION / max(job.weight, 1e-9)  # share of the job, by time
     # a policy may get stuck in accurate physics alone: those choose the best one
     validation = replace(job.task, accuracy=ACCURACY_OF_TESTS).factory(job.keys, job.settings.action_repeat)
     training = Training(
@@ -141,12 +133,12 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
         after_evaluation=training_films(job.folder, validation, job.origin.training_seed),
     )
     with stopping_the_stage(CheckpointError):
-        result = training.run(lambda progress: report(trained * progress.decisions / progress.total, words(progress)))
+        result = training.run(lambda progress: report(_TRAINED * progress.decisions / progress.total, words(progress)))
     outcome: dict[str, Any] = {"training_s": result.timings["wall_s"], "decisions": result.timings["decisions"]}
-    evaluated = trained + (1.0 - trained) * job.tested / (job.tested + job.expert_episodes)
+    evaluated = _TRAINED + (1.0 - _TRAINED) * job.tested / (job.tested + job.expert_episodes)
     environment = job.task.environment(result.policy.keys)
     policies = functools.partial(controllers, result.policy)
-    outcome |= evaluate(environment, policies, job, report.part(trained, evaluated))
+    outcome |= evaluate(environment, policies, job, report.part(_TRAINED, evaluated))
     if job.expert_episodes:
         run_trials(
             environment,
@@ -179,7 +171,6 @@ def _demonstrations(job: PolicyTrainingJob) -> list[Trajectory]:
 
 
 THESIS = "thesis"
-_SECONDS_AN_ENCODER_SAMPLE = 3e-3
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -267,7 +258,6 @@ def run_trainings(
                 train_and_evaluate,
                 training,
                 after=(_encoders_key(training),) if by_encoder else (),
-                weight=training.weight,
                 memory_gb=training_gb(training.task, training.keys, training.settings, encoded=by_encoder),
                 gpu_gb=training_gpu_gb(size_px, training.keys, 0 if by_encoder else training.settings.batch_size),
             )
@@ -326,7 +316,7 @@ def _encoders(
         ),
     )
     gpu_gb = max(training_gpu_gb(settings.task.image_size_px, keys) for keys in sets)
-    return Job(key, fit_encoders, job, weight=len(sets) * job.samples * _SECONDS_AN_ENCODER_SAMPLE, gpu_gb=gpu_gb)
+    return Job(key, fit_encoders, job, gpu_gb=gpu_gb)
 
 
 def demonstrations(task: LearningTask, context: StageContext) -> tuple[Path, ...]:

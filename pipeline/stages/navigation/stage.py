@@ -47,7 +47,6 @@ from pipeline.task import MOTION, TASK, require_feeder, require_known_task, requ
 UNSEEN, CLUTTERED = "unseen_arches", "unseen_arches_clutter"
 RIVAL_VARIANT = "desk"  # network of the rival that clones pixels, whatever the budget: the thesis prints none for it
 RIVAL_EPOCHS = 20  # passes, twice the variant's own: the rival is not the one with the shorter fit
-_SECONDS = {"frame": 0.06, "episode": 1.2, "advised": 2.4, "trial": 2.0}  # guesses, for the estimate of the end
 
 
 def check_navigation(settings: NavigationSettings) -> None:
@@ -91,30 +90,24 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
             read_episodes(logs, 1)  # an empty folder is refused before any work
             require_expert("navigation", learnt, expert)
             logs_job = LogsJob(context.path, settings, phantom, target, tuple(logs), expert / POLICY, context.seed)
-            weight = settings.episodes[-1] * _SECONDS["episode"]
             key = f"{LOGS}/{learnt.name}"
-            seen.append(Job(key, see_logs, logs_job, after=(PERCEPTION,), weight=weight, gpu_gb=reading_gb))
+            seen.append(Job(key, see_logs, logs_job, after=(PERCEPTION,), gpu_gb=reading_gb))
             courses.append(Course(expert / POLICY, ((settings.anatomy(phantom), NAMED),), (target,), settings.task))
             if settings.pixel_cloning:
                 rivals.append(_rival(settings, context, learnt, expert))
     files, after, tests = tuple(job.given.file for job in seen), tuple(job.key for job in seen), trial_sets(settings)
     navigators: list[Job] = []
 
-    def navigator(
-        row: str, after: tuple[str, ...], weight: float, tests: tuple[TrialSet, ...], epochs: int, **fields: Any
-    ) -> None:
+    def navigator(row: str, after: tuple[str, ...], tests: tuple[TrialSet, ...], epochs: int, **fields: Any) -> None:
         origin = Origin("navigation", row, context.seed, context.budget)
         job_fields: dict[str, Any] = {"hidden": settings.hidden, **fields}
         job = NavigatorJob(context.path, settings, origin, tests, epochs=epochs, **job_fields)
-        trials = sum(len(test.anatomies) * test.trials for test in tests) * len(settings.targets)
-        weight += trials * _SECONDS["trial"]
-        navigators.append(Job(row, navigate, job, after=after, weight=weight, gpu_gb=reading_gb))
+        navigators.append(Job(row, navigate, job, after=after, gpu_gb=reading_gb))
 
     if settings.arches:  # takes longest: goes first, beside the experts' episodes
         rounds, count = settings.arch_rounds, settings.arch_episodes
         navigator(
-            ARCHES, (PERCEPTION,), rounds * count * _SECONDS["advised"], (*tests, *cluttered(settings)),
-            settings.arch_epochs,
+            ARCHES, (PERCEPTION,), (*tests, *cluttered(settings)), settings.arch_epochs,
             courses=(_arches(settings, context),), rounds=rounds, round_episodes=count, hidden=settings.arch_hidden,
         )  # fmt: skip
     first = len(navigators)
@@ -122,12 +115,12 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
     named = tuple(test for test in tests if test.name != UNSEEN)
     for number, count in enumerate(settings.episodes):
         test_sets = learnt_in if number else named
-        navigator(row_of(settings, count), after, count, test_sets, settings.epochs, logs=files, episodes=count)
+        navigator(row_of(settings, count), after, test_sets, settings.epochs, logs=files, episodes=count)
     if settings.dagger_rounds:
         rounds, count = settings.dagger_rounds, settings.dagger_episodes
         navigator(
-            DAGGER, after, rounds * count * _SECONDS["advised"], tests, settings.dagger_epochs, logs=files,
-            episodes=settings.episodes[0], courses=tuple(courses), rounds=rounds, round_episodes=count,
+            DAGGER, after, tests, settings.dagger_epochs, logs=files, episodes=settings.episodes[0],
+            courses=tuple(courses), rounds=rounds, round_episodes=count,
         )  # fmt: skip
     jobs = [_perception(settings, context, reading_gb), *navigators[:first], *seen, *navigators[first:], *rivals]
     if settings.film:
@@ -136,7 +129,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
         film_rows = tuple(row for row in order if row in rows)
         origin = Origin("navigation", FILMS, context.seed, context.budget)
         filmed = FilmJob(context.path, settings, film_rows, (*tests, *cluttered(settings)), origin)
-        jobs.append(Job(FILMS, film_trials, filmed, after=tuple(rows), weight=10.0, gpu_gb=reading_gb))
+        jobs.append(Job(FILMS, film_trials, filmed, after=tuple(rows), gpu_gb=reading_gb))
     return jobs
 
 
@@ -150,9 +143,7 @@ def _perception(settings: NavigationSettings, context: StageContext, gpu_gb: flo
         context.seed,
         _teacher(settings, context) if settings.arches else None,
     )
-    frames = len(perception_job.anatomies) * settings.perception_frames
-    weight = frames * (1 + settings.perception_epochs) * _SECONDS["frame"]
-    return Job(PERCEPTION, fine_tune_perception, perception_job, weight=weight, gpu_gb=gpu_gb)
+    return Job(PERCEPTION, fine_tune_perception, perception_job, gpu_gb=gpu_gb)
 
 
 def _rival(settings: NavigationSettings, context: StageContext, task: LearningTask, expert: Path) -> Job:
@@ -170,7 +161,7 @@ def _rival(settings: NavigationSettings, context: StageContext, task: LearningTa
         drawn_episodes=0,
     )
     gpu_gb = policy_gb(settings.task.image_size_px, 1, LEARNT_BATCH)
-    return Job(f"{PIXELS}/{task.name}", imitate, imitation_job, weight=20.0, gpu_gb=gpu_gb)
+    return Job(f"{PIXELS}/{task.name}", imitate, imitation_job, gpu_gb=gpu_gb)
 
 
 def _arches(settings: NavigationSettings, context: StageContext) -> Course:

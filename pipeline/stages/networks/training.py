@@ -118,7 +118,6 @@ def training_job(
     learn: Callable[[TrainingJob, Any], Any],
     settings: TrainingSettings,
     context: StageContext,
-    weight: float = 1.0,
     shipped: str | None = None,
 ) -> Job:
     """The job that trains one network, named and with a folder after it."""
@@ -132,7 +131,7 @@ def training_job(
         shipped=shipped,
     )
     gpu_gb = network_gb(network, settings.size)
-    return Job(network, learn, learn_job, weight=weight, gpu_gb=gpu_gb)
+    return Job(network, learn, learn_job, gpu_gb=gpu_gb)
 
 
 def cost_cells(outcome: dict[str, Any]) -> dict[str, Any]:

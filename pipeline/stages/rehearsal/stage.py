@@ -45,7 +45,6 @@ BEFORE, AFTER = "before", "after"
 TRAINING, FILM = "training", "film"
 _LOGGER = logging.getLogger(__name__)
 _PARTS = 2  # of the tests in copies, beside each other
-_SECONDS = {"decision": 15e-3, "test": 1.0, "demonstration": 1.5, "film": 40.0}  # guesses
 
 
 def check_rehearsal(settings: RehearsalSettings) -> None:
@@ -124,24 +123,17 @@ def plan(
     job = RehearsalJob(context.path, origin, settings, task, target, start, trial_statistics=trial_statistics)
     jobs: list[Job] = []
     if settings.demonstrations and (demonstrators or settings.expert != "never"):
-        weight = _SECONDS["demonstration"] * len(job.training_cases)
         given = replace(job, demonstrators=tuple(demonstrators))
-        jobs.append(Job(DEMONSTRATIONS, demonstrate, given, weight=weight))
+        jobs.append(Job(DEMONSTRATIONS, demonstrate, given))
     after = tuple(one.key for one in jobs)
-    weight, memory = settings.decisions * _SECONDS["decision"], policy_gb(settings.task.image_size_px, 0)
-    jobs.append(Job(TRAINING, train, job, after=after, weight=weight, gpu_gb=memory))
+    memory = policy_gb(settings.task.image_size_px, 0)
+    jobs.append(Job(TRAINING, train, job, after=after, gpu_gb=memory))
     jobs += [] if start is None else _tests(job, BEFORE, start, ())
     trained = job.own_folder / POLICY
     tests = _tests(job, AFTER, trained, (TRAINING,))
     if settings.film:  # the longest of them: first of those that can start beside others
-        filmed = Job(
-            FILM,
-            film_scan,
-            replace(job, policy=trained, tested=AFTER),
-            after=(f"{AFTER}/{SCAN}",),
-            weight=_SECONDS["film"],
-        )
-        tests.insert(1, filmed)
+        filmed = replace(job, policy=trained, tested=AFTER)
+        tests.insert(1, Job(FILM, film_scan, filmed, after=(f"{AFTER}/{SCAN}",)))
     jobs += tests
     return jobs
 
@@ -152,13 +144,7 @@ def _tests(job: RehearsalJob, tested: str, policy: Path, after: tuple[str, ...])
         f"{tested}/{COPIES}{part}": tuple(copies[part::_PARTS]) for part in range(min(_PARTS, len(copies)))
     }
     return [
-        Job(
-            key,
-            play,
-            replace(job, policy=policy, tested=tested, copies=those),
-            after=after,
-            weight=_SECONDS["test"] * (len(those) if those != (0,) else job.settings.scan_episodes),
-        )
+        Job(key, play, replace(job, policy=policy, tested=tested, copies=those), after=after)
         for key, those in sets.items()
     ]
 

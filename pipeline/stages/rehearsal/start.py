@@ -35,7 +35,6 @@ DEVICES = "devices"  # first part of the jobs' names
 WIRE_ALONE = "wire alone"
 TRIALS = 8  # copies, in each of which a policy plays an episode; as many more where all that arrive press too hard
 PARTS = 2  # of the copies, beside each other
-_SECONDS = 5.0  # a guess: of a part of one policy's trials
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -103,7 +102,7 @@ def try_devices(job: RehearsalJob, report: Report) -> list[Trial]:
 
 
 def _part(name: str, job: RehearsalJob, part: int) -> Job:
-    return Job(f"{DEVICES}/{name}/{part}", try_devices, replace(job, part=part), weight=_SECONDS)
+    return Job(f"{DEVICES}/{name}/{part}", try_devices, replace(job, part=part))
 
 
 def _trials(

@@ -50,7 +50,6 @@ from pipeline.stages.unseen.task import (
 from pipeline.stages.unseen.trials import (
     MISREGISTERED,
     UNSEEN,
-    HeldOutSet,
     PolicyJob,
     cluttered,
     misregistered,
@@ -65,10 +64,6 @@ DEMONSTRATED = "lcca"  # the target that is hard to find without
 OF_THE_CURVE = 2  # evaluations of its trainings; policies of few anatomies fail, which takes longest
 _ARCHES_A_JOB = 16
 _PARTS = 2  # jobs that demonstrate beside each other
-# guesses
-_SECONDS = {"starts": 2.0, "decision": 10e-3, "demonstration": 10.0, "advised": 0.6, "test": 0.4,
-            "xray": 1.5}  # fmt: skip
-
 
 _SHIPPED = (
     f"Rows roadmap and xray are the policies {GENERALIST} and {NAVIGATOR} that come with enn: shipped, training not "
@@ -140,8 +135,7 @@ def _starts(run: _Run, arches: int) -> list[Job]:
     for first in range(0, arches, _ARCHES_A_JOB):
         part = run.arches[first : min(first + _ARCHES_A_JOB, arches)]
         starts_job = StartsJob(run.folder / STARTS, run.task, part, run.seed)
-        weight = len(part) * _SECONDS["starts"]
-        jobs.append(Job(f"{STARTS}/{part[0]}", insert_starts, starts_job, weight=weight))
+        jobs.append(Job(f"{STARTS}/{part[0]}", insert_starts, starts_job))
     return jobs
 
 
@@ -160,8 +154,7 @@ def _demonstrations(run: _Run, after: tuple[str, ...]) -> list[Job]:
             hold=decision_steps(run.task.task),
             seed=run.seed,
         )
-        weight = len(part_job.demonstrated) * _SECONDS["demonstration"]
-        jobs.append(Job(f"{DEMONSTRATIONS}/{part}", record_demonstrations, part_job, after=after, weight=weight))
+        jobs.append(Job(f"{DEMONSTRATIONS}/{part}", record_demonstrations, part_job, after=after))
     return jobs
 
 
@@ -182,10 +175,9 @@ def _roadmap(run: _Run, after: tuple[str, ...]) -> list[Job]:
         validated=run.validated,
     )
     untested, gpu_gb = replace(tests_job, tests=()), policy_gb(settings.task.image_size_px, 0)
-    weight, tests = settings.decisions * _SECONDS["decision"], _seconds_of(tests_job.tests, settings)
     return [
-        Job(ROADMAP, train_roadmap, untested, after=after, weight=weight, gpu_gb=gpu_gb),
-        Job(ROADMAP_TESTS, train_roadmap, tests_job, after=(ROADMAP,), weight=tests, gpu_gb=gpu_gb),
+        Job(ROADMAP, train_roadmap, untested, after=after, gpu_gb=gpu_gb),
+        Job(ROADMAP_TESTS, train_roadmap, tests_job, after=(ROADMAP,), gpu_gb=gpu_gb),
     ]
 
 
@@ -201,8 +193,7 @@ def _of_the_curve(run: _Run, count: int, after: tuple[str, ...]) -> Job:
         settings=training_settings(settings, count, settings.curve_decisions, OF_THE_CURVE),
         validated=run.validated,
     )
-    weight = settings.curve_decisions * _SECONDS["decision"] + _seconds_of(job.tests, settings)
-    return Job(row, train_roadmap, job, after=after, weight=weight, gpu_gb=policy_gb(settings.task.image_size_px, 0))
+    return Job(row, train_roadmap, job, after=after, gpu_gb=policy_gb(settings.task.image_size_px, 0))
 
 
 def _by_images(run: _Run, row: str) -> Job:
@@ -218,16 +209,8 @@ def _by_images(run: _Run, row: str) -> Job:
         settings=settings,
         start=taken,
     )
-    weight = _seconds_of(image_job.tests, settings)
-    if taken is None:
-        weight += settings.rounds * settings.advised_episodes * _SECONDS["xray" if image_job.xray else "advised"]
     gpu_gb = policy_gb(settings.task.image_size_px, 1)
-    return Job(row, train_image_policy, image_job, after=(ROADMAP,), weight=weight, gpu_gb=gpu_gb)
-
-
-def _seconds_of(tests: Sequence[HeldOutSet], settings: UnseenSettings) -> float:
-    episodes = sum(len(test.phantoms) * test.episodes * len(test.modes) for test in tests)
-    return episodes * len(settings.learnt_targets()) * _SECONDS["test"]
+    return Job(row, train_image_policy, image_job, after=(ROADMAP,), gpu_gb=gpu_gb)
 
 
 CURVE = "roadmap_curve"  # in the table of the curve: the policies with equally many decisions
