@@ -212,6 +212,4 @@ class Job:
     given: Any = None  # to `run`; picklable
     after: tuple[str, ...] = ()  # keys of jobs that must be done before
     memory_gb: float = 0.0  # memory that it is expected to need; 0: too little to mind
-    # GPU memory that it is expected to need, on each of its GPUs; 0: it has no network and needs none
-    gpu_gb: float = 0.0
-    gpus: int = 1  # how many GPUs it computes on
+    gpu_gb: float = 0.0  # memory of a GPU that it is expected to need; 0: it has no network and needs none
