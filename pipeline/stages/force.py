@@ -101,7 +101,6 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
     shapes = []
     for row, disturbed in SHAPE_ROWS.items():
         shape = ShapeForceJob(
-            folder=context.path / row,
             phantom=settings.phantom,
             logs=logs,
             test_samples=settings.test_samples,

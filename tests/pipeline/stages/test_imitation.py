@@ -143,14 +143,13 @@ def test_baseline_is_the_mean_of_the_training_samples(run: Path, results: dict) 
     assert test.features is None
 
 
-def test_a_fitted_network_is_kept_and_forces_that_are_all_the_same_have_no_share(
-    run: Path, results: dict, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_a_fit_is_repeatable_and_forces_that_are_all_the_same_have_no_share(
+    run: Path, results: dict, tmp_path: Path
 ) -> None:
     fit = force.plan(of_force(), context(run, "force"))[1][0]
-    monkeypatch.setattr("enn.force.prediction.fit_force", None)
-    kept = learn_force(fit.given, Report())
-    assert kept["mse_n2"] == results["force_prediction_mse"]["fpn_12"]["mse_n2"]
-    outcome = {**kept, "variance_n2": 0.0, "share_pct": None}
+    again = learn_force(replace(fit.given, folder=tmp_path / "again"), Report())
+    assert again["mse_n2"] == results["force_prediction_mse"]["fpn_12"]["mse_n2"]
+    outcome = {**again, "variance_n2": 0.0, "share_pct": None}
     assert force.tables([fit], {fit.key: outcome}, [])["force_share"]["baseline"]["share_pct"] is None
     assert [one.file for one in force.figures([fit], {fit.key: outcome}, tmp_path)] == ["calibration.png"]
 
