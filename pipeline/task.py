@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
-from dataclasses import field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -29,7 +28,6 @@ DESCENDING = "descending"  # the usual entry: from the groin
 NO_WIRE = "none"  # in place of a wire: the catheter alone
 _MM = 1e3
 _DECISION_S = 0.3  # as of enn's DESK_SAC
-Torsion = Annotated[str, kinds.one_of("elastic", "rigid")]
 USUAL_PACE = "usual"
 _JOINTS, _FEEDER_STATE = ("joints", "internal"), "feeder"  # observations
 _SAME = 1e-9  # relative: lengths come back from logs in metres
@@ -43,7 +41,7 @@ class Task:
     wire_length_mm: kinds.WireLength = 0.0  # to which it is scaled; 0: as long as the preset
     # preset of the catheter over the wire, or its YAML file; null: the wire alone
     catheter: kinds.PathText | None = None
-    torsion: Torsion = "elastic"  # of wire and catheter, where there is one
+    torsion: Annotated[str, kinds.one_of("elastic", "rigid")] = "elastic"  # of wire and catheter, where there is one
     # "feeder" (translation and rotation, of the wire, then of the catheter) or "tip_motors" (the thesis's twenty-one)
     actions: Annotated[str, kinds.one_of(FEEDER, TIP_MOTORS)] = FEEDER
     # how often decisions are taken and how far full actions move: "usual" (10 a second) or "arch_variety" (7.5)
@@ -166,24 +164,6 @@ def number_of_actions(task: Task) -> int:
         return 4 if task.two_devices else 2
     wire = task.guidewire()
     return 2 * min(wire.motor_joints, wire.joints) + 1
-
-
-@kinds.validated()
-class DeviceSettings:
-    """The task of a stage that steers the feeder, and its devices as settings of the stage itself."""
-
-    task: Task = field(default_factory=Task)
-    wire: kinds.FolderName | None = None  # stage.wire=… is stage.task.wire=…
-    catheter: kinds.PathText | None = None  # stage.catheter=… is stage.task.catheter=…
-    torsion: Torsion | None = None  # stage.torsion=… is stage.task.torsion=…
-
-    def __post_init__(self) -> None:
-        """Takes the devices over into the task, and then the anatomies of a stage that has some."""
-        values = {name: value for name in ("wire", "catheter", "torsion") if (value := getattr(self, name)) is not None}
-        if values:
-            self.task = dataclasses.replace(self.task, **values)
-        self.wire = self.catheter = self.torsion = None  # so that either way counts as the same settings
-        getattr(super(), "__post_init__", lambda: None)()
 
 
 PARTS = tuple(field.name for field in dataclasses.fields(Task))

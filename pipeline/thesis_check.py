@@ -10,7 +10,7 @@ import os
 import platform
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,79 +25,67 @@ from pipeline.store.provenance import present_commit, software_versions
 EXPERIMENT = "thesis-check"
 JSON, MARKDOWN = "thesis_check.json", "thesis_check.md"
 UNFINISHED = "did not finish"
-COLUMNS = ("stage", "job", "device", "seconds", "CPU seconds", "peak memory, MB", "of the GPU, MB", "result")
+# fields of a `pipeline.store.costs.Cost` to columns of the table, behind stage and job
+COLUMNS = {"device": "device", "wall_s": "seconds", "cpu_s": "CPU seconds", "memory_mb": "peak memory, MB",
+           "gpu_mb": "of the GPU, MB", "outcome": "result"}  # fmt: skip
 _VERSIONS = ("python", "torch", "stable-baselines3", "mujoco", "numpy")
 _EXIT_FAILED = 1
 
-Row = tuple[str, str, str, float | None, float | None, float | None, float | None, str]
+Row = dict[str, Any]
 
 
 def main(overrides: Sequence[str]) -> int:
     """Runs the check, prints its table, and writes it into the run's folder; gives the exit code of a failure, or 0."""
-    command = ["python", "-m", "pipeline.thesis_check", *overrides]
     code = run_chain(["all", "--", "budget=thesis", f"experiment={EXPERIMENT}", *overrides])
     run = Path(chosen_value(overrides, "runs_dir", "runs")) / chosen_value(overrides, "name", EXPERIMENT)
     if not run.is_dir():
         return code
-    table = rows(run)
-    text = markdown(table, shlex.join(command))
-    write_text(run / MARKDOWN, text)
-    write_json(run / JSON, {"rows": [dict(zip(COLUMNS, row, strict=True)) for row in table], **provenance(command)})
-    print(text)  # noqa: T201 - the command's answer
-    return code or (0 if all(row[-1] == OK for row in table) else _EXIT_FAILED)
-
-
-def rows(run: Path) -> list[Row]:
-    """What every stage and its jobs took, in the order of the stages."""
-    table: list[Row] = []
-    for stage in available_stages():
-        manifest = read_manifest(run / stage)
-        costs = manifest.jobs if manifest is not None else kept_costs(run / stage)
-        own = costs.get(OWN_PROCESS)
-        if own is None:
-            table.append((stage, "", "", None, None, None, None, UNFINISHED))
-        else:
-            table.append(_row(stage, "", own))
-        table += [_row(stage, key, cost) for key, cost in sorted(costs.items()) if key != OWN_PROCESS]
-    return table
-
-
-def _row(stage: str, job: str, cost: Mapping[str, Any]) -> Row:
-    numbers = (cost["wall_s"], cost["cpu_s"], cost["memory_mb"], cost["gpu_mb"])
-    return (stage, job, str(cost["device"]), *numbers, str(cost["outcome"]))
-
-
-def provenance(command: Sequence[str]) -> dict[str, Any]:
-    """Command, code, versions and machine."""
-    return {
-        "command": shlex.join(command),
+    found = {
+        "rows": rows(run),
+        "command": shlex.join(["python", "-m", "pipeline.thesis_check", *overrides]),
         "commit": present_commit(),
         "versions": software_versions(),
         "machine": {"cores": os.cpu_count(), "architecture": platform.machine(), "system": platform.system()},
     }
+    text = markdown(found)
+    write_text(run / MARKDOWN, text)
+    write_json(run / JSON, found)
+    print(text)  # noqa: T201 - the command's answer
+    return code or (0 if all(row["result"] == OK for row in found["rows"]) else _EXIT_FAILED)
 
 
-def markdown(found: Sequence[Row], command: str) -> str:
+def rows(run: Path) -> list[Row]:
+    """What every stage and its jobs took, in the order of the stages; a stage's own process has no job."""
+    table: list[Row] = []
+    for stage in available_stages():
+        manifest = read_manifest(run / stage)
+        costs = manifest.jobs if manifest is not None else kept_costs(run / stage)
+        if OWN_PROCESS not in costs:
+            table.append({"stage": stage, "job": "", "result": UNFINISHED})
+        for job, cost in sorted(costs.items()):
+            table.append({"stage": stage, "job": job, **{COLUMNS[name]: cost[name] for name in COLUMNS}})
+    return table
+
+
+def markdown(found: dict[str, Any]) -> str:
     """The table as Markdown, with where it comes from."""
-    source = provenance([command])
-    versions = ", ".join(f"{name} {source['versions'][name]}" for name in _VERSIONS if name in source["versions"])
-    machine = source["machine"]
+    versions = ", ".join(f"{name} {found['versions'][name]}" for name in _VERSIONS if name in found["versions"])
+    machine, columns = found["machine"], ("stage", "job", *COLUMNS.values())
     lines = [
-        f"`{command}`, commit {source['commit']}, {machine['cores']} cores ({machine['architecture']}), {versions}.",
+        f"`{found['command']}`, commit {found['commit']}, {machine['cores']} cores ({machine['architecture']}), "
+        f"{versions}.",
         "",
         "Rows without a job are the stages' own processes; memory counts libraries.",
         "",
-        f"| {' | '.join(COLUMNS)} |",
-        f"|{'---|' * len(COLUMNS)}",
+        f"| {' | '.join(columns)} |",
+        f"|{'---|' * len(columns)}",
+        *(f"| {' | '.join(_cell(column, row.get(column, '')) for column in columns)} |" for row in found["rows"]),
     ]
-    for stage, job, device, *numbers, result in found:
-        cells = [
-            f"{numbers[0]:.1f}" if numbers[0] is not None else "",
-            f"{numbers[1]:.1f}" if numbers[1] is not None else "",
-            *("" if value is None else f"{value:.0f}" for value in numbers[2:]),
-        ]
-        lines.append(f"| {' | '.join((stage, job, device, *cells, result))} |")
     return "\n".join(lines) + "\n"
+
+
+def _cell(column: str, value: Any) -> str:
+    return str(value) if isinstance(value, str) else f"{value:.0f}" if column.endswith("MB") else f"{value:.1f}"
 
 
 if __name__ == "__main__":

@@ -103,7 +103,7 @@ def with_catheter_where_steep(phantom: Phantom, target: TargetLike, task: Task, 
         STEEP_MM,
         f"it gets a {CATHETER} (stage.choose_catheter=false leaves it out)"
         if choose
-        else f"stage.catheter={CATHETER} reaches further",
+        else f"task.catheter={CATHETER} reaches further",
     )
     return replace(task, catheter=CATHETER) if choose else task
 

@@ -34,7 +34,7 @@ DEMONSTRATION = "demonstration"  # mode of what belongs to no row
 # Overrides of a sweep that choose which cells a job fills, and change none of them.
 _CHOOSING = {"seed", "target", "modality", "phantom.name", "phantom.seed", "phantom.file",
              "stage.phantoms", "stage.targets", "stage.modalities", "stage.seeds", "task.catheter",
-             "stage.catheter"}  # fmt: skip
+             "stage.task.catheter"}  # fmt: skip
 
 Task = tuple[str, str, str, str, float, float, float]
 

@@ -119,13 +119,11 @@ class Machine:
 
     def check(self, job: Any) -> None:
         """Refuses a `pipeline.jobs.worker.Job` that would wait for ever."""
-        wide = sum(gpu.free_bytes >= job.gpu_gb * _GB for gpu in self.gpus)
-        if self.gpus and wide < job.gpus:
-            most = max(gpu.free_bytes for gpu in self.gpus) / _GB
+        most = max((gpu.free_bytes for gpu in self.gpus), default=0) / _GB
+        if self.gpus and most < job.gpu_gb:
             raise StageError(
-                f"{job.key} needs {job.gpus} GPU{'s' if job.gpus > 1 else ''} with about {job.gpu_gb:.1f} GB free, of "
-                f"{len(self.gpus)} {wide} have so much, {most:.1f} GB the most: free memory there, or set "
-                "stage.device=cpu"
+                f"{job.key} needs a GPU with about {job.gpu_gb:.1f} GB free, the most is {most:.1f} GB: free memory "
+                "there, or set stage.device=cpu"
             )
         if job.memory_gb > self.available_gb:
             raise StageError(
@@ -134,7 +132,7 @@ class Machine:
             )
 
     def take(self, job: Any) -> tuple[Gpu, ...] | None:
-        """Gives a job a core, memory, and the GPUs with most memory free (() for none); None: one is missing."""
+        """Gives a job a core, memory, and the GPU with most memory free (() for none); None: one is missing."""
         with self._locked() as state:
             others, own = state["jobs"], str(os.getpid())
             left_gb = self.available_gb - sum(other["memory_gb"] for other in others)
@@ -164,9 +162,8 @@ class Machine:
         free_bytes = {
             gpu: gpu.free_bytes - sum(other["gpu_bytes"].get(gpu.visible, 0.0) for other in others) for gpu in self.gpus
         }
-        chosen = sorted(self.gpus, key=lambda gpu: -free_bytes[gpu])[: job.gpus]
-        enough = len(chosen) == job.gpus and all(free_bytes[gpu] >= job.gpu_gb * _GB for gpu in chosen)
-        return tuple(chosen) if enough else None
+        chosen = max(self.gpus, key=lambda gpu: free_bytes[gpu])
+        return (chosen,) if free_bytes[chosen] >= job.gpu_gb * _GB else None
 
     def measured(self, key: str, bytes_used: int) -> None:
         """Takes note of what a job really uses of each of its GPUs, where that is more than it was promised."""

@@ -141,7 +141,6 @@ class _Pool:
         self._taken: dict[str, Job] = {}
         self._answers: dict[str, Message] = {}
         self._failures: dict[str, str] = {}
-        self._unknown: set[str] = set()  # jobs that have to run
         self._messages: deque[tuple[str, Message]] = deque()  # an interruption in the middle loses none
         self._stopping = False
 
@@ -169,23 +168,9 @@ class _Pool:
                 self._fail(job.key, f"it needs {broken[0]}")
             elif any(self._folder.result_of(key) is None for key in job.after):
                 continue
-            elif self._is_known(job):
-                self._waiting.remove(job)
-                self._display.states[job.key].finish()
             elif self._engine.submit(job):
                 self._waiting.remove(job)
                 self._taken[job.key] = job
-
-    def _is_known(self, job: Job) -> bool:
-        """Whether a job need not run; then its result is kept. Asked once, as what it rests on is there."""
-        if job.known is None or job.key in self._unknown:
-            return False
-        result = job.known(job.given)
-        if result is None:
-            self._unknown.add(job.key)
-            return False
-        self._folder.mark_done(job.key, result)
-        return True
 
     def _listen(self) -> None:
         if not self._messages:
@@ -198,12 +183,12 @@ class _Pool:
         if message.cost is not None:
             keep_cost(self._folder.path, key, message.cost)
         if message.kind == STARTED:
-            state.status = "running"
+            state.start()
         elif message.kind == AGAIN:
             state.status = "waiting"
             _LOGGER.warning("%s: %s", key, message.text)
         elif message.kind == "progress":
-            state.fraction, state.text = message.fraction, message.text
+            state.update(message.fraction, message.text)
         elif message.kind == "log":
             _LOGGER.log(message.level, "%s: %s", key, message.text)
         elif message.kind in ("done", "failed"):

@@ -211,9 +211,5 @@ class Job:
     run: Callable[[Any, Report], Any]
     given: Any = None  # to `run`; picklable
     after: tuple[str, ...] = ()  # keys of jobs that must be done before
-    # what it would return, where what it is given and the jobs before it say so; None: it has to run
-    known: Callable[[Any], Any] | None = None
     memory_gb: float = 0.0  # memory that it is expected to need; 0: too little to mind
-    # GPU memory that it is expected to need, on each of its GPUs; 0: it has no network and needs none
-    gpu_gb: float = 0.0
-    gpus: int = 1  # how many GPUs it computes on
+    gpu_gb: float = 0.0  # memory of a GPU that it is expected to need; 0: it has no network and needs none

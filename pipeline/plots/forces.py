@@ -1,4 +1,4 @@
-"""Plots of contact forces: their distribution beside the real one, box plots by task, heat maps on the vessel wall."""
+"""Plots of contact forces: their distribution beside the real one, heat maps on the vessel wall."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.evaluations.forces import QUANTITIES, EpisodeForces, WallForces, pooled
-from pipeline.plots.canvas import MM, chart, new_figure, save_figure, style
+from pipeline.evaluations.forces import EpisodeForces
+from pipeline.plots.canvas import MM, new_figure, save_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,43 +44,6 @@ def draw_distribution(simulated: Array, real_mean_n: float, real_sd_n: float, fi
     style(density)
     style(cumulated)
     save_figure(figure, file)
-
-
-def draw_quantities(wall: WallForces, real_mean_n: float, real_sd_n: float, file: Path) -> None:
-    """Draws the cumulated distributions of load cell, sum of magnitudes and largest contact beside the real one."""
-    from scipy.stats import norm
-
-    labels = dict(zip(QUANTITIES, ("load cell", "sum of the contacts' magnitudes", "largest contact"), strict=True))
-    with chart(file, 6.0) as axes:
-        top = max(
-            real_mean_n + 3.5 * real_sd_n, *(float(np.percentile(getattr(wall, name), 99)) for name in QUANTITIES)
-        )
-        at = np.linspace(0.0, top, 400)
-        for name, label in labels.items():
-            ordered = np.sort(getattr(wall, name))
-            axes.step(ordered, np.arange(1, len(ordered) + 1) / len(ordered), where="post", label=label)
-        real = f"real, N({real_mean_n:.2f}, {real_sd_n:.2f}) N"
-        axes.plot(at, norm.cdf(at, real_mean_n, real_sd_n), color=_REAL, linestyle="--", label=real)
-        axes.set(xlabel="force of a step (N)", ylabel="share of the steps below", xlim=(0, top), ylim=(0, 1.02))
-
-
-def draw_boxes(episodes: Sequence[EpisodeForces], real_mean_n: float, real_sd_n: float, file: Path) -> None:
-    """Draws the forces of each phantom and target as box plots, the real distribution as a band."""
-    tasks = sorted({(episode.phantom, episode.target) for episode in episodes})
-    samples, labels = [], []
-    for phantom, target in tasks:
-        selection = [episode for episode in episodes if (episode.phantom, episode.target) == (phantom, target)]
-        samples.append(pooled(selection))
-        labels.append(f"{phantom}\n{target.upper()}\n{len(selection)} episodes")
-    low, high = real_mean_n - real_sd_n, real_mean_n + real_sd_n
-    with chart(file, max(4.5, 1.5 + 1.1 * len(tasks)), grid="y") as axes:
-        axes.axhspan(low, high, color=_REAL, alpha=0.15, label="real, mean ± SD")
-        axes.axhline(real_mean_n, color=_REAL, linewidth=1.0)
-        fliers = {"markersize": 2, "alpha": 0.4}
-        axes.boxplot(samples, tick_labels=labels, whis=(5, 95), showmeans=True, flierprops=fliers)
-        axes.set(ylabel=_FORCE, title="box: quartiles; whiskers: 5 and 95 %; triangle: mean")
-        axes.title.set_fontsize(9)
-        axes.set_ylim(bottom=0.0)
 
 
 def draw_heat(vertices: Array, episodes: Sequence[EpisodeForces], file: Path, *, title: str) -> None:

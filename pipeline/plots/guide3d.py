@@ -39,19 +39,6 @@ def draw_along(lines: Mapping[str, Array], file: Path) -> None:
         axes.set(xlabel="place along the wire, from the tip", ylabel="reprojection, px", ylim=(0, None))
 
 
-def draw_segments(groups: Mapping[str, Array], file: Path, *, y_label: str) -> None:
-    """Draws the distribution of an error per segment of the wire: name to errors of shape (pairs, segments)."""
-    with chart(file, 7.2, 4.0, grid="y") as axes:
-        for index, (name, values) in enumerate(groups.items()):
-            places = np.arange(1, values.shape[1] + 1) + (index - (len(groups) - 1) / 2) * 0.35
-            axes.boxplot(
-                values, positions=places, widths=0.28, showfliers=False, manage_ticks=False, patch_artist=True,
-                boxprops={"facecolor": f"C{index}", "alpha": 0.5}, medianprops={"color": "black"},
-            )  # fmt: skip
-            axes.plot([], [], color=f"C{index}", linewidth=6, alpha=0.5, label=name)
-        axes.set(xlabel="segment of the wire, from the tip", ylabel=y_label, ylim=(0, None))
-
-
 def draw_overlays(pairs: Sequence[tuple[Overlay, Overlay]], file: Path) -> None:
     """Draws pairs of images with their curves, camera A above camera B, a column each."""
     figure = new_figure(3.4 * len(pairs), 7.2)

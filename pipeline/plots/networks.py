@@ -105,18 +105,6 @@ def draw_along(networks: Mapping[str, Mapping[str, Any]], file: Path) -> None:
         axes.set(xlabel="arc length from the tip, mm", ylabel="mean distance, mm", ylim=(0, None))
 
 
-def draw_training(networks: Mapping[str, Mapping[str, Any]], file: Path) -> None:
-    """Draws losses by epoch: network to ``curve``, which has epoch, loss and validation an epoch."""
-    with chart(file) as axes:
-        for index, (name, outcome) in enumerate(networks.items()):
-            epochs, losses, held = zip(*outcome["curve"], strict=True)
-            axes.plot(epochs, losses, color=f"C{index}", linestyle=":", linewidth=1)
-            if all(value is not None for value in held):
-                axes.plot(epochs, held, color=f"C{index}", label=name)
-        axes.plot([], [], color="0.4", linestyle=":", linewidth=1, label="training")
-        axes.set(xlabel="epoch", ylabel="loss", yscale="log")
-
-
 ANNOTATED, MASK, TRACED, SPLINE = "tab:green", (1.0, 0.55, 0.1), "tab:red", "tab:blue"
 _MARGIN_PX = 40
 _GREY_TAILS_PCT = (1, 99)
@@ -171,34 +159,4 @@ def draw_attention(examples: Path, variants: Sequence[str], labels: Mapping[str,
                     axes.plot(*points.T, color="tab:cyan", linewidth=1.0)
                 axes.set(xticks=[], yticks=[])
                 axes.set_title(labels[name], fontsize=10)
-    save_figure(figure, file)
-
-
-def draw_errors(outcome: Mapping[str, Mapping[str, Any]], labels: Mapping[str, str], file: Path) -> None:
-    """Draws the share of images below an error, and median errors: disturbance to reader to its figures."""
-    figure = new_figure(11.0, 4.0)
-    means, tips, medians = figure.subplots(1, 3)
-    for axes, key, name in ((means, "mean_errors_px", "mean curve error"), (tips, "tip_errors_px", "tip error")):
-        for reader, of_reader in outcome["none"].items():
-            errors = np.sort(of_reader[key])
-            # images in which nothing was found have no error: the curve ends below 100 %
-            shares = 100 * np.arange(1, len(errors) + 1) / max(of_reader["n"], 1)
-            axes.step(errors, shares, where="post", label=labels[reader])
-        axes.set(xlabel=f"{name}, px", ylabel="images below, %", ylim=(0, 102))
-        if any(of_reader[key] for of_reader in outcome["none"].values()):  # a logarithmic axis needs a value
-            axes.set(xscale="log")
-        axes.grid(alpha=0.3)
-    means.legend(frameon=False, fontsize=8, loc="lower right")
-    readers = list(outcome["none"])
-    width = 0.8 / len(readers)
-    for index, reader in enumerate(readers):
-        places = np.arange(len(outcome)) + width * (index - (len(readers) - 1) / 2)
-        known = [of_kind[reader]["median_px"] for of_kind in outcome.values()]
-        heights = [np.nan if error is None else error for error in known]
-        medians.bar(places, heights, width, label=labels[reader])
-    medians.set_xticks(range(len(outcome)), [kind.replace("_", " ") for kind in outcome], fontsize=8)
-    medians.set(ylabel="median of the mean curve error, px")
-    if any(one["median_px"] is not None for of_kind in outcome.values() for one in of_kind.values()):
-        medians.set(yscale="log")
-    medians.grid(alpha=0.3, axis="y")
     save_figure(figure, file)

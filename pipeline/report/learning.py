@@ -66,8 +66,7 @@ def learning_section(run_path: Path, finished: Mapping[str, Manifest], figures: 
     if not learnt:
         return LearningSection(results, variants, by_seed, left_out(evaluation_set))
     curves = read_curves([run_path / name for name in learnt])
-    joined = join_sweep(results, variants)
-    write_figures(figures, draw_learning(Material(run_path, evaluations, curves, joined), figures))
+    write_figures(figures, draw_learning(Material(run_path, evaluations, curves), figures))
     return LearningSection(results, variants, by_seed, left_out(evaluation_set), figures)
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,16 +19,14 @@ from pipeline.plots.canvas import MM
 from pipeline.report import learning_plots as plots
 from pipeline.report.learning_plots import Curve
 from pipeline.report.tables import group_labels, row_labels
-from pipeline.tables import Cell, Figure, Table
+from pipeline.tables import Figure
 
 CURVES_GROUP = "Learning: training"
 FORCES_GROUP = "Learning: forces"
 PATHS_GROUP = "Learning: paths in the vessel"
-BEYOND_GROUP = "Learning: beyond the thesis"
 HEAT_EPISODES = 42  # logs behind a heat map, evenly taken from all rows
 PATHS_SHOWN = 10  # of each who steered
 _LOGGER = logging.getLogger(__name__)
-TARGETS = ("bca", "lcca", "lsa")
 _STEERED = {"enn": "ENN", "expert": "Sampling expert", "human": "Human"}
 _STAGE_WORDS = {"baselines": "baselines", "enn": "ENN", "imitation": "imitation", "unseen": "unseen anatomies"}
 _LABELS = {"baselines": "cathsim_results", "enn": "ablation", "imitation": "imitation"}  # stage -> table with its words
@@ -42,12 +39,11 @@ class Material:
     run_path: Path  # folder of the run, which the logs' names are relative to
     evaluations: Sequence[Evaluation]
     curves: Sequence[Curve]
-    tables: Mapping[str, Table]  # computed from the logs, and those the stages wrote
 
 
 def draw_learning(material: Material, folder: Path) -> list[Figure]:
     """Draws every figure that there is something for, as PNGs in a folder."""
-    drawings = (_training, _lengths, _largest_forces, _heat, _paths, _front, _generalisation)
+    drawings = (_training, _lengths, _largest_forces, _heat, _paths)
     return [figure for draw in drawings for figure in draw(material, folder)]
 
 
@@ -173,65 +169,10 @@ def _paths(material: Material, folder: Path) -> list[Figure]:
     return figures
 
 
-def _front(material: Material, folder: Path) -> list[Figure]:
-    weights = {
-        (phantom, target, row): evaluations[0].force_weight
-        for (stage, phantom, target, row), evaluations in named_rows(material.evaluations).items()
-        if stage == "enn" and (row == EXPERT_ROW or row.startswith(f"{EXPERT_ROW} "))
-    }
-    points = []
-    for (phantom, target, row), weight in weights.items():
-        cells = material.tables.get("enn", {}).get(f"{phantom}/{target}/{row}", {})
-        values = [_pair(cells.get(name)) for name in ("force_n", "success_pct", "force_max_n", "episode_length_steps")]
-        pairs = [pair for pair in values if pair is not None]
-        if len(pairs) < len(values):
-            continue
-        words = row.removeprefix(EXPERT_ROW).strip()
-        named = re.search(r"[0-9.]+$", words)  # a weight in the row's name
-        order = float(named.group()) if named else weight
-        points.append(plots.Point(task_words(phantom, target), words or EXPERT_ROW, order, *pairs))
-    fronts = {point.task for point in points if point.label != EXPERT_ROW}
-    points = [point for point in points if point.task in fronts]
-    if not points:
-        return []
-    plots.draw_front(points, folder / "front.png")
-    caption = (
-        f"{EXPERT_ROW} without and with a cost of the force in its reward; a number is what a newton costs in a step. "
-        "Bars: standard deviation over the training seeds."
-    )
-    return [Figure("Success against force", caption, "front.png", BEYOND_GROUP, "enn")]
-
-
-def _generalisation(material: Material, folder: Path) -> list[Figure]:
-    curves: dict[str, list[tuple[int, float, float]]] = {}
-    for row, cells in material.tables.get("generalisation_curve", {}).items():
-        group, _, number = row.rpartition("/")
-        for target in ("", *TARGETS):
-            pair = _pair(cells.get(f"success_{target}_pct" if target else "success_pct"))
-            if pair is not None and number.isdecimal():
-                name = ", ".join(filter(None, (group.replace("_", " "), target.upper())))
-                curves.setdefault(name or "all targets", []).append((int(number), *pair))
-    if not curves:
-        return []
-    plots.draw_generalisation(curves, folder / "generalisation.png")
-    caption = (
-        "Deterministic episodes on anatomies that were in no training; what each policy sees names its curve. The "
-        "points of the roadmap's curve had equally many decisions; the main policy and the students stand alone."
-    )
-    return [Figure("Success against training anatomies", caption, "generalisation.png", BEYOND_GROUP, "unseen")]
-
-
 def _evenly(evaluations: Sequence[Evaluation], most: int) -> list[Evaluation]:
     """At most so many, evenly from all seeds and rows."""
     places = np.linspace(0, len(evaluations) - 1, min(len(evaluations), most)).round().astype(int)
     return [evaluations[place] for place in places]
-
-
-def _pair(cell: Cell) -> tuple[float, float] | None:
-    """Mean and spread of a cell; None where it is no number."""
-    if isinstance(cell, list):
-        return float(cell[0]), float(cell[1])
-    return (float(cell), 0.0) if isinstance(cell, int | float) else None
 
 
 def _phantom(name: str, log: Path) -> Any:

@@ -1,4 +1,4 @@
-"""Plots of learning: training curves over seeds, episode length, forces by row, paths, fronts, generalisation."""
+"""Plots of learning: training curves over seeds, episode length, forces by row, paths."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.evaluations.logs import changed_settings, stage_of
-from pipeline.plots.canvas import MM, chart, new_figure, save_figure, style
+from pipeline.plots.canvas import MM, new_figure, save_figure, style
 from pipeline.plots.episodes import draw_vessel
 
 if TYPE_CHECKING:
@@ -137,19 +137,6 @@ TRAINING_PANELS = (
 )
 
 
-@dataclass(frozen=True)
-class Point:
-    """A policy in the front of success against force; pairs are mean and standard deviation over seeds."""
-
-    task: str  # its phantom and target, in words
-    label: str  # its weight of the force, or its row
-    weight: float | None  # that weight, to order the points of a task; None comes first
-    force_n: tuple[float, float]  # mean force, N
-    success_pct: tuple[float, float]  # %
-    force_max_n: tuple[float, float]  # largest force of an episode, N
-    steps: tuple[float, float]
-
-
 def draw_training(tasks: Grouped, labels: Mapping[str, str], file: Path) -> None:
     """Draws reward and evaluated success of every task; thin lines are seeds, thick ones means with their spread."""
     figure = new_figure(12.0, 0.7 + 2.7 * len(tasks))
@@ -262,46 +249,3 @@ def draw_paths(
         if axes is not panels[0]:
             axes.set_ylabel("")
     save_figure(figure, file)
-
-
-def draw_front(points: Sequence[Point], file: Path) -> None:
-    """Draws success, and the steps that it takes, against force, a line a task through the weights of the force."""
-    figure = new_figure(9.6, 4.2)
-    success, steps = figure.subplots(1, 2)
-    for index, task in enumerate(dict.fromkeys(point.task for point in points)):
-        of_task = sorted((point for point in points if point.task == task), key=lambda p: p.weight or 0.0)
-        for axes, across, up in ((success, "force_n", "success_pct"), (steps, "force_max_n", "steps")):
-            (x, x_spread), (y, y_spread) = (
-                np.array([getattr(point, name) for point in of_task]).T for name in (across, up)
-            )
-            axes.errorbar(
-                x, y, xerr=x_spread, yerr=y_spread, fmt="o-", color=f"C{index}", linewidth=1.2,
-                elinewidth=0.7, capsize=2, markersize=5, label=task,
-            )  # fmt: skip
-            for number, point in enumerate(of_task):
-                # names of two tasks stay apart, and so do those of neighbours on one line
-                offset = (5, (-12 if index % 2 == 0 else 5) + (-10 if index % 2 == 0 else 10) * (number % 2))
-                axes.annotate(
-                    point.label, (x[number], y[number]), xytext=offset, textcoords="offset points", fontsize=8,
-                    color=f"C{index}",
-                )  # fmt: skip
-            axes.grid(alpha=0.3)
-            axes.margins(x=0.15, y=0.15)
-    success.set(xlabel="mean contact force (N)", ylabel="success (%)", ylim=(-4, 115))
-    success.set_yticks(range(0, 101, 20))
-    steps.set(xlabel="largest contact force of an episode, mean (N)", ylabel="steps to the target")
-    success.legend(frameon=False, fontsize=8, loc="lower left")
-    save_figure(figure, file)
-
-
-def draw_generalisation(curves: Mapping[str, Sequence[tuple[int, float, float]]], file: Path) -> None:
-    """Draws success on unseen anatomies: name -> (training anatomies, success, its standard deviation), % each."""
-    with chart(file, 6.2, 4.0, loc="lower right") as axes:
-        for index, (name, points) in enumerate(curves.items()):
-            count, success, spread = np.array(sorted(points), dtype=np.float64).T
-            axes.errorbar(count, success, yerr=spread, fmt="o-", color=f"C{index}", capsize=2, label=name)
-        numbers = sorted({count for points in curves.values() for count, _, _ in points})
-        axes.set_xscale("log", base=2)
-        axes.set_xticks(numbers, [str(number) for number in numbers])
-        axes.minorticks_off()
-        axes.set(xlabel="training anatomies", ylabel="success on unseen anatomies (%)", ylim=(-4, 104))

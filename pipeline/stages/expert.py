@@ -19,13 +19,13 @@ from pipeline.stages import Stage, StageContext
 from pipeline.stages.learning.task import LearningTask
 from pipeline.store.atomic_files import atomic_path, write_json
 from pipeline.tables import Figure, Results
-from pipeline.task import DeviceSettings, joint_observations, number_of_actions, require_feeder, require_known_task
+from pipeline.task import joint_observations, number_of_actions, require_feeder, require_known_task
 
 OPERATOR, EVALUATION = "sampling_expert", "evaluation"
 
 
 @validated()
-class ExpertSettings(DeviceSettings, ChosenAnatomies):
+class ExpertSettings(ChosenAnatomies):
     """Settings of the sampling expert's episodes; the task is that of the evaluation."""
 
     shows_ct: ClassVar[str | None] = "film"

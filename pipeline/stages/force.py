@@ -10,7 +10,7 @@ from typing import Any
 from pipeline.anatomies.settings import require_known_phantoms
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import POLICIES
-from pipeline.plots.episodes import draw_calibration, draw_shares
+from pipeline.plots.episodes import draw_calibration
 from pipeline.settings.kinds import require_modalities
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.job_memory import LEARNT_BATCH, policy_gb
@@ -101,7 +101,6 @@ def plan(settings: ForceSettings, context: StageContext) -> tuple[list[Job], lis
     shapes = []
     for row, disturbed in SHAPE_ROWS.items():
         shape = ShapeForceJob(
-            folder=context.path / row,
             phantom=settings.phantom,
             logs=logs,
             test_samples=settings.test_samples,
@@ -150,34 +149,14 @@ def tables(fits: Sequence[Job], outcomes: dict[str, Any], shapes: Sequence[Job])
 
 
 def figures(fits: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list[Figure]:
-    """Draws calibration and error against number of samples into the stage's folder."""
+    """Draws the calibration into the stage's folder."""
     draw_calibration({job.key: outcomes[job.key]["calibration"] for job in fits}, folder / "calibration.png")
-    thesis = {job.given.samples: outcomes[job.key]["share_pct"] for job in fits if job.given.inputs == THESIS_INPUTS}
-    shares = {samples: share for samples, share in thesis.items() if share is not None}
     last = outcomes[fits[-1].key]
     spread = (
         f"mean {last['force_mean_n']:.3f} N, variance {last['variance_n2']:.2g} N², largest {last['force_max_n']:.2f} N"
     )
-    entries = [
-        Figure(
-            "Predicted and true contact force",
-            f"Bins of equally many test samples by predicted force; episodes that were not learnt from; {spread}.",
-            "calibration.png",
-            GROUP,
-        )
-    ]
-    if shares:  # none where all test forces are the same
-        draw_shares(shares, folder / "shares.png")
-        entries.append(
-            Figure(
-                "Error of force prediction by number of samples",
-                "From the image alone, as a share of the variance of the test forces; samples are drawn from the "
-                "disturbed episodes at random. The line is at 10 %.",
-                "shares.png",
-                GROUP,
-            )
-        )
-    return entries
+    caption = f"Bins of equally many test samples by predicted force; episodes that were not learnt from; {spread}."
+    return [Figure("Predicted and true contact force", caption, "calibration.png", GROUP)]
 
 
 STAGE = Stage(settings=ForceSettings, run=run_force, reads=("enn",), check=check_force, repeated=True)

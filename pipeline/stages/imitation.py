@@ -21,7 +21,6 @@ from enn.curves import Curves
 from pipeline.anatomies.settings import check_anatomies, settle
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import POLICIES, Report
-from pipeline.plots.episodes import draw_success
 from pipeline.recording.trials import POLICY, Origin, controllers, log_success
 from pipeline.seeds import disturbed_seeds
 from pipeline.settings.kinds import require_modalities
@@ -36,12 +35,11 @@ from pipeline.stages.learning.expert_episodes import (
     require_expert,
 )
 from pipeline.stages.learning.settings import ImitationSettings
-from pipeline.stages.learning.shared_training import CURVE, RECORD
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import evaluate
+from pipeline.stages.learning.training import CURVE, RECORD, evaluate
 from pipeline.store.atomic_files import atomic_path, read_json, write_json
 from pipeline.store.errors import stopping_the_stage
-from pipeline.tables import Figure, Results
+from pipeline.tables import Results
 from pipeline.task import TASK, require_known_task
 
 if TYPE_CHECKING:
@@ -135,7 +133,6 @@ def _student(job: ImitationJob, report: Report) -> tuple[ClonedPolicy, dict[str,
 
 
 CLONED, DISTURBED, DAGGER = "image_w_enn", "image_w_enn_disturbed", "dagger"
-GROUP = "Imitation"
 
 
 def check_imitation(settings: ImitationSettings) -> None:
@@ -159,8 +156,7 @@ def run_imitation(settings: ImitationSettings, context: StageContext) -> Results
     log_success(outcomes)
     return Results(
         {name: table for name, table in tables.items() if table},
-        figures(jobs, outcomes, context.path),
-        {"imitation": note((job.given for job in jobs), of_imitation)},
+        notes={"imitation": note((job.given for job in jobs), of_imitation)},
     )
 
 
@@ -253,28 +249,6 @@ def by_round(jobs: Sequence[Job], outcomes: dict[str, Any]) -> dict[str, dict[st
         for index, done in enumerate(outcomes[job.key]["rounds"]):
             table[f"{job.key.rpartition('/')[0]}/round {index + 1}"] = dict(done)
     return table
-
-
-def figures(jobs: Sequence[Job], outcomes: dict[str, Any], folder: Path) -> list[Figure]:
-    """Draws success against number of episodes into the stage's folder."""
-    curves: dict[str, list[tuple[int, float, int]]] = {}
-    beside: dict[str, list[tuple[str, float]]] = {}
-    for job in jobs:
-        task, outcome = job.key.rpartition("/")[0], outcomes[job.key]
-        share = outcome["deterministic"]["success_pct"]
-        if job.given.disturbed_episodes or job.given.rounds:
-            beside.setdefault(task, []).append((job.given.origin.row, share))
-        else:
-            curves.setdefault(task, []).append((outcome["episodes"], share, outcome["deterministic"]["n"]))
-    draw_success(curves, beside, folder / "success.png")
-    return [
-        Figure(
-            "Imitation by number of expert episodes",
-            "Behaviour cloning from the image alone: deterministic episodes on held-out starts, with 95 % intervals.",
-            "success.png",
-            GROUP,
-        )
-    ]
 
 
 def of_imitation(job: ImitationJob) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pipeline.jobs.pool import Job
-from pipeline.plots.networks import draw_examples, draw_kinds, draw_training
+from pipeline.plots.networks import draw_examples, draw_kinds
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.settings import SegmentationSettings
 from pipeline.stages.networks.training import PRELOAD, cost_cells, learn, train_and_compare, training_job
@@ -49,7 +49,6 @@ def figures(settings: SegmentationSettings, outcomes: dict[str, Any], context: S
     unseen = f"{outcome['images']} images of {outcome['acquisitions']} acquisitions that no network has seen"
     draw_examples({LABELS[row]: folder / row for row in settings.rows}, folder / "examples.png")
     draw_kinds(named, folder / "kinds.png")
-    draw_training(named, folder / "training.png")
     return [
         Figure(
             "Segmentation examples",
@@ -59,7 +58,6 @@ def figures(settings: SegmentationSettings, outcomes: dict[str, Any], context: S
             GROUP,
         ),
         Figure("Dice by wire and fluid", f"Mean and standard deviation; {unseen}.", "kinds.png", GROUP),
-        Figure("Training of the segmentation networks", "Loss by epoch.", "training.png", GROUP),
     ]
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from guide3d.reconstruction.evaluation import METRICS
 from pipeline.jobs.pool import Job
-from pipeline.plots.networks import draw_along, draw_in_space, draw_reprojections, draw_training
+from pipeline.plots.networks import draw_along, draw_in_space, draw_reprojections
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.networks.settings import ShapeSettings
 from pipeline.stages.networks.training import (
@@ -57,7 +57,7 @@ def tables(settings: ShapeSettings, outcomes: dict[str, Any]) -> dict[str, Any]:
 
 
 def figures(settings: ShapeSettings, outcomes: dict[str, Any], context: StageContext) -> list[Figure]:
-    """Draws curves in space, their projections, the error along the wire and the trainings."""
+    """Draws curves in space, their projections, the error along the wire."""
     folder = context.path
     named = {LABELS[row]: outcomes[row] for row in settings.rows}
     outcome = outcomes[settings.rows[0]]
@@ -83,7 +83,6 @@ def figures(settings: ShapeSettings, outcomes: dict[str, Any], context: StageCon
             ),
         ]
     draw_along(named, folder / "error_along.png")
-    draw_training(named, folder / "training.png")
     return [
         *drawn,
         Figure(
@@ -91,12 +90,6 @@ def figures(settings: ShapeSettings, outcomes: dict[str, Any], context: StageCon
             f"Mean distance at equal arc length from the tip; {unseen}. Lengths that fewer than five wires have are "
             "left out; 3D-FGRN, which has no stop, is cut at the true length.",
             "error_along.png",
-            GROUP,
-        ),
-        Figure(
-            "Training of the shape networks",
-            "Loss of the validation acquisitions by epoch; losses of different networks are not comparable.",
-            "training.png",
             GROUP,
         ),
     ]

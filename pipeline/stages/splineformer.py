@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.jobs.pool import Job
 from pipeline.jobs.worker import OPTIMISER, Report
-from pipeline.plots.networks import draw_attention, draw_comparison, draw_errors, draw_training
+from pipeline.plots.networks import draw_attention, draw_comparison
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.guide3d.folder import open_dataset
 from pipeline.stages.networks.settings import SplineformerSettings
@@ -205,10 +205,7 @@ def figures(settings: SplineformerSettings, outcomes: dict[str, Any], context: S
     folder, variants = context.path, settings.variants
     examples = folder / COMPARISON / EXAMPLES
     draw_comparison(examples, settings.rival, variants, LABELS, folder / "comparison.png")
-    draw_errors(outcomes[COMPARISON], LABELS, folder / "errors.png")
     draw_attention(examples, variants, LABELS, folder / "attention.png")
-    draw_training({LABELS[variant]: outcomes[variant] for variant in variants}, folder / "training.png")
-    count = outcomes[COMPARISON]["none"][settings.rival]["n"]
     return [
         Figure(
             "SplineFormer and segmentation",
@@ -219,19 +216,12 @@ def figures(settings: SplineformerSettings, outcomes: dict[str, Any], context: S
             GROUP,
         ),
         Figure(
-            "Errors of SplineFormer and of the traced segmentation",
-            f"{count} images of unseen acquisitions; at the right the medians under disturbances.",
-            "errors.png",
-            GROUP,
-        ),
-        Figure(
             "Attention of SplineFormer",
             "Cross-attention of the last decoder layer, heads fused by their maximum, values below 0.65 of the "
             "greatest discarded; the line is the curve that was read.",
             "attention.png",
             GROUP,
         ),
-        Figure("Training of SplineFormer", "Loss by epoch; the variants' losses differ.", "training.png", GROUP),
     ]
 
 

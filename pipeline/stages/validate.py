@@ -22,7 +22,7 @@ from pipeline.evaluations.forces import (
     read_forces,
 )
 from pipeline.jobs.pool import Job, Report, run_jobs
-from pipeline.plots.forces import draw_boxes, draw_distribution, draw_heat, draw_quantities
+from pipeline.plots.forces import draw_distribution, draw_heat
 from pipeline.settings.kinds import Count, FolderName, validated
 from pipeline.stages import Stage, StageContext
 from pipeline.store.atomic_files import write_text
@@ -41,7 +41,7 @@ SPEED_MODES: dict[str, str | tuple[str, ...]] = {
     "image_mask": ("image", "mask"),
 }
 GROUP = "Force validation"
-VERDICT, DISTRIBUTION, BOXES, LOAD_CELL = "verdict.txt", "distribution.png", "boxes.png", "quantities.png"
+VERDICT, DISTRIBUTION = "verdict.txt", "distribution.png"
 
 _LOGGER = logging.getLogger(__name__)
 
@@ -206,28 +206,18 @@ def wall_vertices(phantoms: Path, name: str) -> np.ndarray:
 
 
 def figures(episodes: list[EpisodeForces], settings: ValidateSettings, phantoms: Path, folder: Path) -> list[Figure]:
-    """Draws distribution, box plots, and a heat map for each phantom."""
+    """Draws the distribution, and a heat map for each phantom."""
     real = settings.real_mean_n, settings.real_sd_n
     in_phantom = [episode for episode in episodes if episode.phantom == settings.phantom]
     selection = in_phantom or episodes
     place = settings.phantom if in_phantom else "all phantoms"
     draw_distribution(pooled(selection), *real, folder / DISTRIBUTION)
-    draw_boxes(episodes, *real, folder / BOXES)
     words = " ".join((folder / VERDICT).read_text(encoding="utf-8").split())
     entries = [
         Figure(
             "Contact forces beside real ones", f"{len(selection)} episodes in {place}. {words}", DISTRIBUTION, GROUP
         ),
-        Figure("Contact forces by arch and target", f"{len(episodes)} expert episodes.", BOXES, GROUP),
     ]
-    wall = pooled_wall(selection)
-    if wall is not None:
-        draw_quantities(wall, *real, folder / LOAD_CELL)
-        caption = (
-            f"{len(wall.load_cell_n)} steps in {place}. The cell reads the resultant on the vessel, averaged over a "
-            "step and filtered, with its noise; opposite walls cancel in it, but not in the sum of magnitudes."
-        )
-        entries.insert(1, Figure("What a load cell under the phantom reads", caption, LOAD_CELL, GROUP))
     for name in dict.fromkeys(episode.phantom for episode in episodes):
         inside = [episode for episode in episodes if episode.phantom == name]
         file = f"heat/{name}.png"

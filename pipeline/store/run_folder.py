@@ -163,7 +163,7 @@ class RunFolder(FinishedItems):
         todo = self.pending(items, key=key)
         with JobDisplay(label, [key(item) for item in items], [key(item) for item in todo]) as display:
             for item in todo:
-                display.states[key(item)].status = "running"
+                display.states[key(item)].start()
                 yield item
                 if self.result_of(key(item)) is None:
                     self.mark_done(key(item))

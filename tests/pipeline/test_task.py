@@ -209,9 +209,8 @@ def test_demonstrations_of_another_wire_are_refused(run: Path) -> None:
 @pytest.mark.parametrize("name", ["expert", "enn", "force"])
 def test_a_catheter_is_a_setting_of_the_stages_that_steer(name: str) -> None:
     bare = composed(f"stage={name}").stage
-    assert (bare.task.catheter, bare.catheter) == (None, None)
-    short = composed(f"stage={name}", "stage.catheter=simmons2", "stage.torsion=rigid").stage
-    assert short == composed(f"stage={name}", "stage.task.catheter=simmons2", "stage.task.torsion=rigid").stage
+    assert bare.task.catheter is None
+    short = composed(f"stage={name}", "stage.task.catheter=simmons2", "stage.task.torsion=rigid").stage
     assert short == composed(f"stage={name}", "task.catheter=simmons2", "task.torsion=rigid").stage
     assert short.task == replace(bare.task, catheter="simmons2", torsion="rigid")
     assert number_of_actions(short.task) == 4
@@ -223,11 +222,11 @@ def test_a_catheter_is_a_setting_of_the_stages_that_steer(name: str) -> None:
 def test_catheters_that_cannot_be_are_refused_in_one_sentence(tmp_path: Path) -> None:
     for name, check in (("expert", check_expert), ("enn", enn.check_enn)):
         with pytest.raises(ConfigurationError, match="unknown catheter 'rope'"):
-            check(composed(f"stage={name}", "stage.catheter=rope").stage)
+            check(composed(f"stage={name}", "task.catheter=rope").stage)
     with pytest.raises(ConfigurationError, match=r"torsion has no 'soft': choose from elastic, rigid"):
-        composed("stage=enn", "stage.torsion=soft")
+        composed("stage=enn", "task.torsion=soft")
     with pytest.raises(ConfigurationError, match=r"task\.actions=tip_motors bends the tip of a wire alone"):
-        composed("stage=baselines", "budget=thesis", "stage.catheter=simmons2")
+        composed("stage=baselines", "budget=thesis", "task.catheter=simmons2")
     with pytest.raises(ConfigurationError, match=r"images and the true mask: give stage\.image=false"):
         composed("stage=unseen", "budget=smoke", "stage.task.catheter=jb2")
     with pytest.raises(ConfigurationError, match="stage navigation steers a wire without a catheter"):
@@ -236,7 +235,7 @@ def test_catheters_that_cannot_be_are_refused_in_one_sentence(tmp_path: Path) ->
     text = preset_path("catheter", "straight").read_text()
     thick.write_text(re.sub(r"inner_diameter(\w*): [\d.e-]+", r"inner_diameter\1: 0.5", text))
     with pytest.raises(ConfigurationError, match=r"does not pass a catheter with a lumen of 0\.50 mm"):
-        check_expert(composed("stage=expert", f"stage.catheter={thick}").stage)
+        check_expert(composed("stage=expert", f"task.catheter={thick}").stage)
 
 
 def test_a_log_says_which_catheter_its_task_had(tmp_path: Path) -> None:
@@ -262,10 +261,9 @@ def test_a_log_says_which_catheter_its_task_had(tmp_path: Path) -> None:
 
 
 def test_a_catheter_alone_is_steered_with_two_actions(tmp_path: Path) -> None:
-    task = composed("stage=enn", "stage.catheter=simmons2", "stage.wire=none").stage.task
-    assert task == composed("stage=enn", "task.catheter=simmons2", "task.wire=none").stage.task
+    task = composed("stage=enn", "task.catheter=simmons2", "task.wire=none").stage.task
     assert (task.wire, task.device_names, task.two_devices) == ("none", "simmons2 alone", False)
-    check_expert(composed("stage=expert", "stage.catheter=simmons2", "stage.wire=none").stage)
+    check_expert(composed("stage=expert", "task.catheter=simmons2", "task.wire=none").stage)
     learnt = LearningTask("type_1", "lcca", replace(task, max_steps=2))
     environment = learnt.environment(("joints", "feeder"))
     assert environment.action_space.shape == (number_of_actions(task),) == (2,)
@@ -278,11 +276,11 @@ def test_a_catheter_alone_is_steered_with_two_actions(tmp_path: Path) -> None:
 
 def test_no_device_at_all_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"task\.wire=none leaves no device: name a catheter or a wire"):
-        composed("stage=expert", "stage.wire=none")
+        composed("stage=expert", "task.wire=none")
     with pytest.raises(ConfigurationError, match=r"unseen steers a wire, got task\.wire=none: name a wire"):
         composed("stage=unseen", "stage.task.catheter=jb2", "stage.task.wire=none")
     with pytest.raises(ConfigurationError, match=r"unknown wire 'rope': choose from .*, none"):
-        check_expert(composed("stage=expert", "stage.wire=rope").stage)
+        check_expert(composed("stage=expert", "task.wire=rope").stage)
 
 
 def test_a_catheters_file_is_part_of_the_results(tmp_path: Path) -> None:

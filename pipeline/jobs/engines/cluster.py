@@ -127,13 +127,12 @@ _CARRIED = ("CATHSIM_", "ENDONAV_FILMS", "ENN_LOGGER", "MUJOCO_GL", "PYTHONPATH"
 class Needs:
     """What a job needs of a machine, beside one CPU."""
 
-    gpus: int
+    gpus: int  # 0 or 1
     memory_gb: float
 
     def __str__(self) -> str:
         """For example ``1 CPU, 1 GPU and 4.0 GB of memory``."""
-        gpus = f", {self.gpus} GPU{'s' if self.gpus > 1 else ''}" if self.gpus else ""
-        return f"1 CPU{gpus} and {self.memory_gb:.1f} GB of memory"
+        return f"1 CPU{', 1 GPU' if self.gpus else ''} and {self.memory_gb:.1f} GB of memory"
 
 
 class Executor(ABC):
@@ -208,8 +207,7 @@ class ClusterEngine:
             )
 
     def _needs(self, job: Job) -> Needs:
-        gpus = job.gpus if self._on_gpus and job.gpu_gb else 0
-        return Needs(gpus, max(job.memory_gb, self._settings.memory_gb))
+        return Needs(int(self._on_gpus and job.gpu_gb > 0), max(job.memory_gb, self._settings.memory_gb))
 
     def submit(self, job: Job) -> bool:
         """Queues a job; the cluster starts it when it has room."""

@@ -22,7 +22,7 @@ from guide3d.reconstruction.evaluation import (
 )
 from guide3d.reconstruction.reconstruction import reconstruct, reconstruct_greedy
 from pipeline.plots.canvas import draw_in_space
-from pipeline.plots.guide3d import Overlay, draw_along, draw_overlays, draw_samples, draw_segments
+from pipeline.plots.guide3d import Overlay, draw_along, draw_overlays, draw_samples
 from pipeline.stages.guide3d.reconstruction import WAYS
 from pipeline.tables import Figure
 
@@ -70,7 +70,6 @@ def reconstruction_tables(records: Sequence[Record]) -> dict[str, Any]:
 
 GROUP = "Guide3D"
 _SHOWN = (0.1, 0.5, 0.9, 1.0)  # quantiles of the reprojection error
-_SEGMENTS = 10
 _BLANK = 230  # grey where a data set has no images
 
 
@@ -102,7 +101,6 @@ def reconstruction_figures(data: Dataset, records: Sequence[Record], folder: Pat
         return []
     errors = {f"camera {view.upper()}": np.array([record[f"along_{view}_px"] for record in ours]) for view in VIEWS}
     draw_along(errors, folder / "reprojection.png")
-    segments = _segments(by_way, folder)
     by_index = {record["index"]: record for record in ours}
     # where the thesis's way does well, and where it does not: ours hardly tells pairs apart
     chosen = [by_index[record["index"]] for record in _chosen(greedy or ours) if record["index"] in by_index]
@@ -116,7 +114,6 @@ def reconstruction_figures(data: Dataset, records: Sequence[Record], folder: Pat
             "reprojection.png",
             GROUP,
         ),
-        segments,
         Figure(
             "Reconstructed wires over their images",
             f"Pairs at {shares} of the greedy way's reprojection error: annotation, and curves in space drawn back. "
@@ -128,28 +125,6 @@ def reconstruction_figures(data: Dataset, records: Sequence[Record], folder: Pat
             "Reconstructed wires in space", "The same pairs from two angles; a dot marks the tip.", "space.png", GROUP
         ),
     ]
-
-
-def _segments(by_way: dict[str, list[Record]], folder: Path) -> Figure:
-    known = {way: [record["along_mm"] for record in own if "along_mm" in record] for way, own in by_way.items()}
-    known = {way: values for way, values in known.items() if values and "clicks" not in way}
-    if known:
-        groups = {way: _binned(np.array(values)) for way, values in known.items()}
-        label, caption = "error, mm", "Distance from the true wire at equal arc length; exact annotations."
-    else:
-        ours = by_way[WAYS[0]]
-        groups = {
-            f"camera {view.upper()}": _binned(np.array([record[f"along_{view}_px"] for record in ours]))
-            for view in VIEWS
-        }
-        label, caption = "reprojection, px", "Reprojection error of the segments of the wire in space."
-    draw_segments(groups, folder / "segments.png", y_label=label)
-    return Figure("Reconstruction error per segment", caption, "segments.png", GROUP)
-
-
-def _binned(values: np.ndarray) -> np.ndarray:
-    """Means of `_SEGMENTS` equal parts of rows."""
-    return np.stack([part.mean(axis=1) for part in np.array_split(values, _SEGMENTS, axis=1)], axis=1)
 
 
 def _chosen(records: Sequence[Record]) -> list[Record]:

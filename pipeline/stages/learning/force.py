@@ -18,7 +18,6 @@ from pipeline.recording.trials import recorded
 from pipeline.seeds import force_seed
 from pipeline.stages.learning.expert_episodes import load_expert, read_episodes
 from pipeline.stages.learning.task import LearningTask
-from pipeline.store.atomic_files import read_json, write_json
 from pipeline.store.errors import stopping_the_stage
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
 
 
 OPERATOR = "disturbed_policy"
-RECORD, PREDICTOR = "force.json", "predictor.pt"
+PREDICTOR = "predictor.pt"
 TEST_EVERY = 4  # of the episodes, one in so many is not learnt from
 
 _LOGGER = logging.getLogger(__name__)
@@ -91,9 +90,6 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
     from enn.force.evaluation import evaluate_predictor
     from enn.force.prediction import fit_force
 
-    record = job.folder / RECORD
-    if record.is_file() and (job.folder / PREDICTOR).is_file():
-        return dict(read_json(record))
     began, worked = time.monotonic(), time.process_time()
     training, test = samples_of(job, report.device)
 
@@ -105,17 +101,15 @@ def learn_force(job: ForceJob, report: Report) -> dict[str, Any]:
         predictor, fitted = fit_force(
             training, job.settings, seed=job.seed, folder=job.folder / "fit", device=report.device, progress=tell
         )
-    outcome = {
+    predictor.metadata |= {"inputs": job.inputs, "samples": len(training)}
+    predictor.save(job.folder / PREDICTOR)
+    return {
         "samples": len(training),
         **evaluate_predictor(predictor, training, test, seed=job.seed),
         "cpu_s": time.process_time() - worked,
         "wall_s": time.monotonic() - began,
         "loss": fitted.rows[-1]["loss"],
     }
-    predictor.metadata |= {"inputs": job.inputs, "samples": len(training)}
-    predictor.save(job.folder / PREDICTOR)
-    write_json(record, outcome)
-    return outcome
 
 
 def samples_of(job: ForceJob, device: str = "cpu") -> tuple[ForceSamples, ForceSamples]:
@@ -138,7 +132,6 @@ def samples_of(job: ForceJob, device: str = "cpu") -> tuple[ForceSamples, ForceS
 class ShapeForceJob:
     """Contact forces of the test frames, estimated by `cathsim.statics`."""
 
-    folder: Path
     phantom: str
     logs: tuple[Path, ...]  # folders of the disturbed episodes
     test_samples: int  # at most
@@ -151,13 +144,10 @@ def forces_from_shape(job: ShapeForceJob, report: Report) -> dict[str, Any]:
     """Estimates test frames' resultant contact forces from the wire's points and feeder; refused curves have none."""
     from enn.force.evaluation import score
 
-    record = job.folder / RECORD
-    if record.is_file():
-        return dict(read_json(record))
     worked = time.process_time()
     estimated, true, refused = estimated_and_true(job, report)
     result = score(estimated, true)
-    outcome = {
+    return {
         "test_samples": result.samples,
         "mse_n2": result.mse_n2,
         "variance_n2": result.variance_n2,
@@ -166,8 +156,6 @@ def forces_from_shape(job: ShapeForceJob, report: Report) -> dict[str, Any]:
         "refused": refused,
         "cpu_s": time.process_time() - worked,
     }
-    write_json(record, outcome)
-    return outcome
 
 
 def estimated_and_true(job: ShapeForceJob, report: Report) -> tuple[NDArray[np.float64], NDArray[np.float32], int]:

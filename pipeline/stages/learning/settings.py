@@ -13,7 +13,7 @@ from pipeline.anatomies.settings import ChosenAnatomies
 from pipeline.settings import kinds
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_file
-from pipeline.task import DeviceSettings
+from pipeline.task import Task
 
 if TYPE_CHECKING:
     from enn.reinforcement.training.settings import TrainingSettings
@@ -36,7 +36,7 @@ _SafeWeights = Annotated[list[Annotated[float, Gt(0), Le(1e6)]], kinds.UNIQUE]
 
 
 @kinds.validated()
-class PolicySettings(DeviceSettings, ChosenAnatomies, kinds.JobSettings):
+class PolicySettings(ChosenAnatomies, kinds.JobSettings):
     """What the stages that make policies have in common: the task, networks, and how policies are tested."""
 
     name: str = ""  # of the stage
@@ -120,7 +120,7 @@ class ImitationSettings(PolicySettings):
 
 
 @kinds.validated()
-class ForceSettings(DeviceSettings, kinds.JobSettings):
+class ForceSettings(kinds.JobSettings):
     """Settings of force prediction: disturbed episodes of the expert, and networks of several amounts of samples."""
 
     name: str = "force"
@@ -136,6 +136,7 @@ class ForceSettings(DeviceSettings, kinds.JobSettings):
     epochs: kinds.CountOrNone = 0  # 0: the variant's own number
     # V: the image alone, as the thesis; see the stage
     inputs: _ForceInputs = field(default_factory=lambda: ["V", "V_plain", "I+V"])
+    task: Task = field(default_factory=Task)
 
 
 @kinds.validated()

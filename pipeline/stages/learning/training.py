@@ -29,10 +29,8 @@ from pipeline.stages.job_memory import training_gb, training_gpu_gb
 from pipeline.stages.learning.encoders import ENCODERS, EncodersJob, encoder_file, fit_encoders
 from pipeline.stages.learning.expert_episodes import EXPERT, repeat, require_demonstrations
 from pipeline.stages.learning.settings import LearningSettings
-from pipeline.stages.learning.shared_training import CHECKPOINT, RECORD, SharedTraining, shared_training
 from pipeline.stages.learning.task import ACCURACY_OF_TESTS, LearningTask
 from pipeline.store.errors import stopping_the_stage
-from pipeline.store.provenance import hash_file
 from pipeline.task import FEEDER, TASK, require_known_task
 
 if TYPE_CHECKING:
@@ -42,6 +40,7 @@ if TYPE_CHECKING:
     from enn.trajectory import Trajectory
 
 EVALUATION = "evaluation"
+RECORD, CURVE = "training.json", "training.csv"
 
 
 def evaluate(
@@ -79,8 +78,7 @@ def evaluate(
     return outcome
 
 
-_SECONDS_A_STEP = 1.3e-3  # of a logged episode; only for the progress
-_SECONDS_A_DECISION = 1e-2
+_TRAINED = 0.8  # share of a job's progress at the end of its training
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,6 @@ class PolicyTrainingJob:
     keys: tuple[str, ...]
     evaluation_episodes: int  # by the best action
     drawn_episodes: int  # by drawn actions
-    run: Path  # the run's folder, in which stages share trainings
     encoder: Path | None = None  # file of a fitted encoder; None: the policy sees the observations themselves
     demonstrations: tuple[Path, ...] = ()
     expert_episodes: int = 0  # with images, for imitation
@@ -103,12 +100,6 @@ class PolicyTrainingJob:
     def name(self) -> str:
         """Its folder below the stage's: ``type_1/bca/I+V+M/seed0``."""
         return f"{self.task.name}/{self.origin.row}/seed{self.origin.training_seed}"
-
-    @property
-    def weight(self) -> float:
-        """Guess of its seconds, beside other jobs."""
-        steps = (self.tested + self.expert_episodes) * self.task.task.max_steps / 3
-        return self.settings.decisions * _SECONDS_A_DECISION + steps * _SECONDS_A_STEP
 
     @property
     def tested(self) -> int:
@@ -130,10 +121,6 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
     }
     for leftover in job.folder.glob(".*.tmp"):  # of a killed training
         leftover.unlink()
-    shared = shared_by(job, report.device)
-    begun = any((job.folder / name).exists() for name in (RECORD, CHECKPOINT))
-    taken = shared is not None and not begun and shared.take(job.folder, metadata)
-    trained = job.settings.decisions * _SECONDS_A_DECISION / max(job.weight, 1e-9)  # share of the job, by time
     # a policy may get stuck in accurate physics alone: those choose the best one
     validation = replace(job.task, accuracy=ACCURACY_OF_TESTS).factory(job.keys, job.settings.action_repeat)
     training = Training(
@@ -148,14 +135,12 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
         after_evaluation=training_films(job.folder, validation, job.origin.training_seed),
     )
     with stopping_the_stage(CheckpointError):
-        result = training.run(lambda progress: report(trained * progress.decisions / progress.total, words(progress)))
-    if shared is not None and not taken and not begun:  # what was begun before may be of other code
-        shared.offer(job.folder)
+        result = training.run(lambda progress: report(_TRAINED * progress.decisions / progress.total, words(progress)))
     outcome: dict[str, Any] = {"training_s": result.timings["wall_s"], "decisions": result.timings["decisions"]}
-    evaluated = trained + (1.0 - trained) * job.tested / (job.tested + job.expert_episodes)
+    evaluated = _TRAINED + (1.0 - _TRAINED) * job.tested / (job.tested + job.expert_episodes)
     environment = job.task.environment(result.policy.keys)
     policies = functools.partial(controllers, result.policy)
-    outcome |= evaluate(environment, policies, job, report.part(trained, evaluated))
+    outcome |= evaluate(environment, policies, job, report.part(_TRAINED, evaluated))
     if job.expert_episodes:
         run_trials(
             environment,
@@ -169,22 +154,6 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
         )
     environment.close()
     return outcome
-
-
-def shared_by(job: PolicyTrainingJob, device: str) -> SharedTraining | None:
-    """The run's trainings of a job's definition; None where they cannot be told, as in an anatomy of a file."""
-    if job.task.file is not None:
-        return None
-    definition = {
-        "settings": asdict(job.settings),
-        "task": asdict(job.task),
-        "keys": job.keys,
-        "seed": job.origin.training_seed,
-        "encoder": None if job.encoder is None else hash_file(job.encoder),
-        "demonstrations": [hash_file(log) for log in job.demonstrations],
-        "device": device,
-    }
-    return shared_training(job.run, definition)
 
 
 def words(progress: Progress) -> str:
@@ -248,7 +217,6 @@ def planned_training(
         demonstrations=demonstrations(task, context) if settings.demonstrations else (),
         evaluation_episodes=settings.evaluation_episodes,
         drawn_episodes=settings.drawn_episodes,
-        run=context.run_path,
         expert_episodes=expert_episodes,
     )
 

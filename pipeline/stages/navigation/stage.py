@@ -73,7 +73,7 @@ def run_navigation(settings: NavigationSettings, context: StageContext) -> Resul
         context.folder, jobs, workers=settings.workers, label="navigators", preload=preload, device=settings.device
     )
     notes = {"navigation": note((job.given for job in jobs if isinstance(job.given, NavigatorJob)), of_navigator)}
-    return Results(tables(settings, context, outcomes), figures(settings, context.path, outcomes), notes)
+    return Results(tables(settings, context, outcomes), figures(outcomes), notes)
 
 
 def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
@@ -107,8 +107,7 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
     if settings.arches:  # takes longest: goes first, beside the experts' episodes
         rounds, count = settings.arch_rounds, settings.arch_episodes
         navigator(
-            ARCHES, (PERCEPTION,), (*tests, *cluttered(settings)),
-            settings.arch_epochs,
+            ARCHES, (PERCEPTION,), (*tests, *cluttered(settings)), settings.arch_epochs,
             courses=(_arches(settings, context),), rounds=rounds, round_episodes=count, hidden=settings.arch_hidden,
         )  # fmt: skip
     first = len(navigators)
@@ -120,8 +119,8 @@ def plan(settings: NavigationSettings, context: StageContext) -> list[Job]:
     if settings.dagger_rounds:
         rounds, count = settings.dagger_rounds, settings.dagger_episodes
         navigator(
-            DAGGER, after, tests, settings.dagger_epochs, logs=files,
-            episodes=settings.episodes[0], courses=tuple(courses), rounds=rounds, round_episodes=count,
+            DAGGER, after, tests, settings.dagger_epochs, logs=files, episodes=settings.episodes[0],
+            courses=tuple(courses), rounds=rounds, round_episodes=count,
         )  # fmt: skip
     jobs = [_perception(settings, context, reading_gb), *navigators[:first], *seen, *navigators[first:], *rivals]
     if settings.film:

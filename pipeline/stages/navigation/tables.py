@@ -14,7 +14,6 @@ from cathsim.viewing.film import Film, write_gif
 from pipeline.episodes import EpisodeReader
 from pipeline.episodes.records import EpisodeReadError
 from pipeline.jobs.worker import Report
-from pipeline.plots.episodes import draw_failures, draw_success
 from pipeline.recording.trials import MODES, Origin
 from pipeline.stages import StageContext
 from pipeline.stages.learning.expert_episodes import expert_folder
@@ -36,7 +35,6 @@ _FRAMES_PER_SECOND = 8.0  # of playback: 3.2 times the episode's speed
 _GREYS, _COLOURS = 36, 72  # noise in many greys would make the file ten times as large
 GROUP = "Autonomous navigation"
 ROW, DAGGER, ARCHES, PIXELS = "splineformer", "splineformer_dagger", "splineformer_arches", "behaviour_cloning"
-LABELS = {name: name.replace("_", " ") for name in ("success", *FAILURES)}
 
 
 def tables(settings: NavigationSettings, context: StageContext, outcomes: dict[str, Any]) -> dict[str, Any]:
@@ -140,58 +138,16 @@ def _of_logs(logs: Iterable[Path], settings: NavigationSettings, operator: str) 
     return cells
 
 
-def figures(settings: NavigationSettings, folder: Path, outcomes: dict[str, Any]) -> list[Figure]:
-    """Draws the curve and the failure modes, and lists the films."""
-    first = settings.phantoms[0]
-    curves: dict[str, list[tuple[int, float, int]]] = {}
-    for count in settings.episodes:
-        for one in outcomes[row_of(settings, count)]["tests"]:
-            if one["test"] == first:
-                curves.setdefault(f"{first}/{one['target']}", []).append((count, one["success_pct"], one["n"]))
-    beside: dict[str, list[tuple[str, float]]] = {}
-    taught = [row for row in (DAGGER, ARCHES) if row in outcomes]
-    for row in taught:
-        for one in outcomes[row]["tests"]:
-            if one["test"] == first:
-                beside.setdefault(f"{first}/{one['target']}", []).append((row, one["success_pct"]))
-    draw_success(curves, beside, folder / "curve.png")
-    bars = {
-        f"{row}, {one['test']}, {one['target']}": {
-            "success": round(one["success_pct"] / 100 * one["n"]),
-            **{mode: one[mode] for mode in FAILURES},
-        }
-        for row in navigator_rows(outcomes)
-        for one in outcomes[row]["tests"]
-    }
-    draw_failures(bars, LABELS, FAILURES, folder / "failures.png")
-    entries = [
-        Figure(
-            "Navigation by number of expert trials",
-            f"Navigators cloned from expert trials of {first}, with 95 % intervals, and those taught further.",
-            "curve.png",
-            GROUP,
-        ),
-        Figure(
-            "How trials ended",
-            "Failed trials by where the tip was for most of their last third: in a branch off the way, past the "
-            "take-off towards the heart, or anywhere else.",
-            "failures.png",
-            GROUP,
-        ),
-    ]
-    for kind in (SUCCESS, FAILURE):
-        trial = outcomes.get(FILMS, {}).get(kind)
-        if trial is not None:
-            words = f"{trial['navigator']}, {trial['test']}, {trial['target'].upper()}, trial {trial['trial']}"
-            entries.append(
-                Figure(
-                    f"A {kind}",
-                    f"{words}. Left the cameras' images; right attention (orange), predicted spline (red), its tip "
-                    "(green) and the target's mark (blue).",
-                    f"{FILMS}/{kind}.gif",
-                    GROUP,
-                )
-            )
+def figures(outcomes: dict[str, Any]) -> list[Figure]:
+    """Lists the films."""
+    entries = []
+    for kind, trial in outcomes.get(FILMS, {}).items():
+        words = f"{trial['navigator']}, {trial['test']}, {trial['target'].upper()}, trial {trial['trial']}"
+        caption = (
+            f"{words}. Left the cameras' images; right attention (orange), predicted spline (red), its tip (green) and "
+            "the target's mark (blue)."
+        )
+        entries.append(Figure(f"A {kind}", caption, f"{FILMS}/{kind}.gif", GROUP))
     return entries
 
 

@@ -7,8 +7,6 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated
 
-from annotated_types import Ge, Le
-
 from pipeline.settings import kinds
 from pipeline.store.errors import ConfigurationError
 from pipeline.store.provenance import hash_file
@@ -35,7 +33,6 @@ class TrainingSettings(kinds.JobSettings):
     size: Annotated[str, kinds.one_of(*NETWORK_SIZES)] = "desk"  # of networks and training: see the package's recipes
     epochs: kinds.CountOrNone = 0  # 0: the recipe's own number
     split_seed: kinds.Seed = 0  # of the split by acquisition
-    processes: Annotated[int, Ge(1), Le(64)] = 1  # that train one network together, by torchrun: one a GPU
     # of the networks: see pipeline.jobs.machine
     device: kinds.Device = field(default="auto", metadata=kinds.NO_EFFECT_ON_RESULTS)
 

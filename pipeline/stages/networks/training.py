@@ -1,15 +1,10 @@
-"""Network jobs: a training by a package's own command line, here or by torchrun, then tests on unseen acquisitions."""
+"""Network jobs: a training by a package's own command line, then tests on unseen acquisitions."""
 
 from __future__ import annotations
 
 import importlib
 import json
-import os
 import shutil
-import subprocess
-import sys
-import tempfile
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,41 +22,12 @@ from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.stages.job_memory import network_gb
 from pipeline.stages.networks.settings import SEGMENTATION_ROWS, SHIPPED, ShippedSettings, TrainingSettings
 from pipeline.store.atomic_files import atomic_path, read_json, write_json
-from pipeline.store.errors import StageError
 from pipeline.store.manifest import read_manifest
 from pipeline.tables import Figure, Results
 
 if TYPE_CHECKING:
     from guide3d.dataset.dataset import Dataset
     from guide3d.learning.training import FitProgress
-
-
-_SECONDS_BETWEEN_LOOKS = 1.0
-
-
-def train_together(module: str, words: Sequence[str], processes: int, report: Report) -> None:
-    """Starts torchrun on a module and waits; what `report` raises stops it, which leaves the last checkpoint."""
-    command = [
-        sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes),
-        "-m", module, *words,
-    ]  # fmt: skip
-    # a file, not a pipe: one that nobody reads while the processes run would fill and stop them
-    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
-        running = subprocess.Popen(command, stderr=errors, env={**os.environ})
-        try:
-            while running.poll() is None:
-                time.sleep(_SECONDS_BETWEEN_LOOKS)
-                report(0.5, f"{processes} processes")
-        finally:
-            if running.poll() is None:
-                running.terminate()
-            running.wait()
-        if running.returncode:
-            errors.seek(0)
-            lines = [line.strip() for line in errors if line.strip()]
-            raise StageError(
-                f"torchrun ended with code {running.returncode}: {lines[0] if lines else 'no word of why'}"
-            )
 
 
 PREDICTOR, TRAINING = "predictor.pt", "training.json"
@@ -81,7 +47,7 @@ class TrainingJob:
 
 
 def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[str], report: Report) -> dict[str, Any]:
-    """Trains a network or goes on with it, here or by torchrun in several processes; gives ``training.json``."""
+    """Trains a network or goes on with it; gives ``training.json``."""
     table = job.folder / TRAINING
     if job.shipped is not None and not table.is_file():
         _take(job, job.shipped)
@@ -100,12 +66,6 @@ def train(module: str, job: TrainingJob, words: Sequence[str], places: Sequence[
             words += [f"--{name}", str(path)]
     if settings.epochs:
         words += ["--epochs", str(settings.epochs)]
-    if settings.processes > 1:
-        train_together(module, words, settings.processes, report)
-        trained = dict(read_json(table))
-        with Curves(job.folder) as curves:
-            curves.add_epochs(trained["rows"])
-        return trained
     command = importlib.import_module(module)
 
     def tell(now: FitProgress) -> None:
@@ -136,7 +96,6 @@ def training_figures(training: dict[str, Any], predictor: Any) -> dict[str, Any]
         "epochs": len(rows),
         "best_epoch": training["best_epoch"],
         "cpu_min": rows[-1]["cpu_s"] / 60,
-        "curve": [[row["epoch"], row["loss"], row["validation"]] for row in rows],
     }
 
 
@@ -161,7 +120,7 @@ def training_job(
     context: StageContext,
     shipped: str | None = None,
 ) -> Job:
-    """The job that trains one network, named and with a folder after it, with a GPU for each of its processes."""
+    """The job that trains one network, named and with a folder after it."""
     learn_job = TrainingJob(
         folder=context.path / network,
         guide3d=context.inputs["guide3d"],
@@ -172,7 +131,7 @@ def training_job(
         shipped=shipped,
     )
     gpu_gb = network_gb(network, settings.size)
-    return Job(network, learn, learn_job, gpu_gb=gpu_gb, gpus=settings.processes)
+    return Job(network, learn, learn_job, gpu_gb=gpu_gb)
 
 
 def cost_cells(outcome: dict[str, Any]) -> dict[str, Any]:

@@ -43,8 +43,7 @@ class RehearsalJob:
     copies: tuple[int, ...] = ()  # of a test: seeds
     # of demonstrations: the policies that may give them; the first is `start`, where there is one
     demonstrators: tuple[Path, ...] = ()
-    part: int = 0  # of demonstrations and trials: its number among those that are made beside each other
-    turn: int = 0  # of demonstrations: its number (`pipeline.stages.rehearsal.training`)
+    part: int = 0  # of trials: its number among those that are made beside each other
     # of the policy to start from, in trials of its devices; None: there were none
     trial_statistics: TrialStatistics | None = None
 

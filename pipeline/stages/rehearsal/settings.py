@@ -11,7 +11,7 @@ from pipeline.anatomies.settings import ChosenAnatomies
 from pipeline.settings import kinds
 from pipeline.stages.learning.settings import StartingPolicySettings
 from pipeline.store.errors import ConfigurationError
-from pipeline.task import DeviceSettings, Task
+from pipeline.task import Task
 
 if TYPE_CHECKING:
     from cathsim.anatomy import Phantom
@@ -25,7 +25,7 @@ _Percent = Annotated[float, Ge(0), Le(90)]
 
 
 @kinds.validated()
-class RehearsalSettings(DeviceSettings, ChosenAnatomies, StartingPolicySettings, kinds.JobSettings):
+class RehearsalSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings):
     """Settings of a rehearsal; a wire of length 0 becomes as long as the way asks for, at least the preset.
 
     Without `policy` it starts from the stage unseen's, or a shipped one, with the same devices.

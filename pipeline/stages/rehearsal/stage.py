@@ -34,9 +34,7 @@ from pipeline.stages.rehearsal.start import (
 from pipeline.stages.rehearsal.training import (
     DEMONSTRATIONS,
     EXPERT,
-    PARTS,
-    nothing_to_record,
-    record_demonstrations,
+    demonstrate,
     train,
 )
 from pipeline.store.errors import ConfigurationError
@@ -92,7 +90,7 @@ def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> Results
         f"{phantom.name}/{tested} {kind}": row(outcomes, tested, kind) for tested in played for kind in (SCAN, COPIES)
     }
     origin = "nothing" if start is None else "a policy"
-    demonstration_counts = count_demonstrations(outcomes)
+    demonstration_counts = {name: arrived for name, (_, arrived) in outcomes.get(DEMONSTRATIONS, {}).items()}
     if demonstration_counts and not any(demonstration_counts.values()):
         _LOGGER.warning(
             "%s brought these devices to %s in any copy of %s: nothing was shown to the training",
@@ -123,51 +121,21 @@ def plan(
     """The jobs: demonstrations by other policies, tests before, the training, tests after."""
     origin = Origin("rehearsal", AFTER, context.seed, context.budget)
     job = RehearsalJob(context.path, origin, settings, task, target, start, trial_statistics=trial_statistics)
-    jobs = _demonstrations(replace(job, demonstrators=tuple(demonstrators))) if settings.demonstrations else []
-    demonstration_keys = tuple(one.key for one in jobs)
+    jobs: list[Job] = []
+    if settings.demonstrations and (demonstrators or settings.expert != "never"):
+        given = replace(job, demonstrators=tuple(demonstrators))
+        jobs.append(Job(DEMONSTRATIONS, demonstrate, given))
+    after = tuple(one.key for one in jobs)
     memory = policy_gb(settings.task.image_size_px, 0)
-    jobs.append(Job(TRAINING, train, job, after=demonstration_keys, gpu_gb=memory))
+    jobs.append(Job(TRAINING, train, job, after=after, gpu_gb=memory))
     jobs += [] if start is None else _tests(job, BEFORE, start, ())
     trained = job.own_folder / POLICY
     tests = _tests(job, AFTER, trained, (TRAINING,))
     if settings.film:  # the longest of them: first of those that can start beside others
-        filmed = Job(
-            FILM,
-            film_scan,
-            replace(job, policy=trained, tested=AFTER),
-            after=(f"{AFTER}/{SCAN}",),
-        )
-        tests.insert(1, filmed)
+        filmed = replace(job, policy=trained, tested=AFTER)
+        tests.insert(1, Job(FILM, film_scan, filmed, after=(f"{AFTER}/{SCAN}",)))
     jobs += tests
     return jobs
-
-
-def _demonstrations(job: RehearsalJob) -> list[Job]:
-    """The turns that there may be, each after the one before; those that nobody has are left out when it is known."""
-    jobs: list[Job] = []
-    for turn in range(job.rules.most_turns(len(job.demonstrators))):
-        before = tuple(one.key for one in jobs[-PARTS:])
-        jobs += [
-            Job(
-                f"{DEMONSTRATIONS}/{turn}/{part}",
-                record_demonstrations,
-                replace(job, turn=turn, part=part),
-                after=before,
-                known=nothing_to_record,
-            )
-            for part in range(PARTS)
-        ]
-    return jobs
-
-
-def count_demonstrations(outcomes: dict[str, Any]) -> dict[str, int]:
-    """How many episodes each demonstrator brought to the target, by the stem of its file."""
-    counts: dict[str, int] = {}
-    for key, outcome in outcomes.items():
-        if key.startswith(DEMONSTRATIONS):
-            for name, (_, arrived) in outcome.items():
-                counts[name] = counts.get(name, 0) + arrived
-    return counts
 
 
 def _tests(job: RehearsalJob, tested: str, policy: Path, after: tuple[str, ...]) -> list[Job]:
@@ -176,12 +144,7 @@ def _tests(job: RehearsalJob, tested: str, policy: Path, after: tuple[str, ...])
         f"{tested}/{COPIES}{part}": tuple(copies[part::_PARTS]) for part in range(min(_PARTS, len(copies)))
     }
     return [
-        Job(
-            key,
-            play,
-            replace(job, policy=policy, tested=tested, copies=those),
-            after=after,
-        )
+        Job(key, play, replace(job, policy=policy, tested=tested, copies=those), after=after)
         for key, those in sets.items()
     ]
 

@@ -1,16 +1,16 @@
 """A rehearsal's training, and the demonstrations that it learns from.
 
 It trains from the policy that it starts from, and once more from its own while it seldom arrives. Demonstrations are
-episodes in its training's copies in which some policy reached the target. Processes share the copies of a turn. Whose
-turn it is depends on the files of those before, however often the work was interrupted
-(`enn.reinforcement.rehearsal_rules`). The sampling expert plays copy by copy until enough episodes have arrived. It
-presses gently, and plays as usual, too, where few of these episodes arrive.
+episodes in its training's copies in which some policy reached the target, turn by turn
+(`enn.reinforcement.rehearsal_rules`); threads share the copies of a turn. The sampling expert plays copy by copy until
+enough episodes have arrived. It presses gently, and plays as usual, too, where few of these episodes arrive.
 
 One file an episode, ``demonstrations/<policy or expert>_<copy>_<turn>.npz`` (`pipeline.stages.unseen.roadmap`).
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import shutil
 from collections.abc import Sequence
@@ -47,20 +47,8 @@ if TYPE_CHECKING:
     from enn.reinforcement.training.settings import TrainingSettings
     from enn.trajectory import Trajectory
 
-DEMONSTRATIONS = "demonstrations"  # folder, and first part of the jobs' names
+DEMONSTRATIONS = "demonstrations"  # job and folder
 EXPERT = "expert"
-
-
-def turn_of(job: RehearsalJob) -> Turn[Path] | None:
-    """Who plays in the job's turn; None: there are enough demonstrations, or no further demonstrator."""
-    turns = job.rules.turns(job.demonstrators, job.start, job.trial_statistics)
-    try:
-        turn = next(turns)
-        for _ in range(job.turn):
-            turn = turns.send(_outcomes(job, turn))
-    except StopIteration:
-        return None
-    return turn
 
 
 def first_turn(job: RehearsalJob) -> list[bool]:
@@ -69,14 +57,6 @@ def first_turn(job: RehearsalJob) -> list[bool]:
         return []
     files = [demonstration_file(job, job.start.stem, copy, 0) for copy in job.training_cases]
     return [arrived(file) for file in files] if all(file.is_file() for file in files) else []
-
-
-def _outcomes(job: RehearsalJob, turn: Turn[Path]) -> list[bool]:
-    """Where the episodes of a turn arrived."""
-    if turn.policy is None:
-        return [arrived(file) for file in sorted((job.folder / DEMONSTRATIONS).glob(f"{EXPERT}_*.npz"))]
-    name = policy_names(job)[turn.policy]
-    return [arrived(demonstration_file(job, name, copy, turn.number)) for copy in job.training_cases]
 
 
 def demonstration_file(job: RehearsalJob, name: str, copy: int, number: int) -> Path:
@@ -100,16 +80,30 @@ STEPS = 100_000  # that the expert simulates for an episode at most
 EXPERT_TRIALS = {True: 3, False: 2}
 
 
-def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
-    """Lets the policy, or "expert", whose turn it is play an episode in each of the part's copies: played, arrived."""
+def demonstrate(job: RehearsalJob, report: Report) -> dict[str, list[int]]:
+    """Lets policies and the expert play, turn by turn, each episode where it lacks: name to played, arrived."""
+    from enn.reinforcement.resources import Workers
+
     map_simulations()
-    turn, copies = turn_of(job), job.training_cases
-    if turn is None:
-        return {}
-    cases = range(job.part, len(copies), PARTS)
-    if turn.policy is None:
-        return {EXPERT: _expert_demonstrations(job, cases, report)}
-    name = policy_names(job)[turn.policy]
+    turns = job.rules.turns(job.demonstrators, job.start, job.trial_statistics)
+    names, counts, workers = policy_names(job), dict[str, list[int]](), Workers(PARTS)
+    with contextlib.closing(workers), contextlib.suppress(StopIteration):
+        turn = next(turns)
+        while True:
+            name = EXPERT if turn.policy is None else names[turn.policy]
+            play = partial(_expert_demonstrations if turn.policy is None else _policy_demonstrations, job, turn, report)
+            arrivals = [one for part in workers.each(play, range(PARTS)) for one in part]
+            played, arrived_before = counts.get(name, [0, 0])
+            counts[name] = [played + len(arrivals), arrived_before + sum(arrivals)]
+            turn = turns.send(arrivals)
+    return counts
+
+
+def _policy_demonstrations(job: RehearsalJob, turn: Turn[Path], report: Report, part: int) -> list[bool]:
+    """Whether a policy arrives in each of a part of the copies."""
+    assert turn.policy is not None
+    name, copies = policy_names(job)[turn.policy], job.training_cases
+    cases = range(part, len(copies), PARTS)
     outcomes: list[bool] = []
     steered = None
     for case in cases:
@@ -121,23 +115,18 @@ def record_demonstrations(job: RehearsalJob, report: Report) -> dict[str, Any]:
         outcomes.append(arrived(file))
     if steered is not None:
         steered.environment.close()
-    return {name: [len(outcomes), sum(outcomes)]}
+    return outcomes
 
 
-def nothing_to_record(job: RehearsalJob) -> dict[str, Any] | None:
-    """What `record_demonstrations` returns where nobody has the job's turn; None: somebody has."""
-    return {} if turn_of(job) is None else None
-
-
-def _expert_demonstrations(job: RehearsalJob, cases: Sequence[int], report: Report) -> list[int]:
-    """Episodes of the sampling expert, usual ones only where few gentle ones arrive: played, arrived."""
-    counts = [0, 0]
+def _expert_demonstrations(job: RehearsalJob, turn: Turn[Path], report: Report, part: int) -> list[bool]:
+    """Whether the sampling expert arrives in a part of the copies: usual episodes only where few gentle ones do."""
+    cases = range(part, len(job.training_cases), PARTS)
+    outcomes: list[bool] = []
     for number, gentle in enumerate((True, False)):
-        outcomes = _episodes_of_expert(job, cases, number, gentle, report)
-        counts = [counts[0] + len(outcomes), counts[1] + sum(outcomes)]
-        if counts[1] >= min(LEAST, len(cases)):
+        outcomes += _episodes_of_expert(job, cases, number, gentle, report)
+        if sum(outcomes) >= min(LEAST, len(cases)):
             break
-    return counts
+    return outcomes
 
 
 def _episodes_of_expert(

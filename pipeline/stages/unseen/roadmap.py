@@ -30,7 +30,7 @@ from pipeline.seeds import arch_demonstration_seed
 from pipeline.stages.learning.settings import with_hyperparameters
 from pipeline.stages.learning.training import words
 from pipeline.stages.unseen.settings import UnseenSettings
-from pipeline.stages.unseen.task import RESOLUTION, ROADMAP_KEYS
+from pipeline.stages.unseen.task import ROADMAP_KEYS
 from pipeline.stages.unseen.trials import PolicyJob, run_tests, taken_over
 from pipeline.store.atomic_files import write_arrays
 from pipeline.store.errors import ConfigurationError, stopping_the_stage
@@ -235,14 +235,6 @@ def policy_to_start_from(settings: UnseenSettings) -> Policy | None:
     return policy
 
 
-@dataclass(frozen=True)
-class AnatomiesJob:
-    """Random arches to build into the cache."""
-
-    arches: tuple[tuple[str, int], ...]  # kind and seed of each
-    targets: tuple[str, ...]  # whose ways are laid out in them
-
-
 @dataclass(frozen=True, kw_only=True)
 class RoadmapJob(PolicyJob):
     """A policy on the local roadmap."""
@@ -250,17 +242,6 @@ class RoadmapJob(PolicyJob):
     settings: TrainingSettings | None  # of its training; None: the policy of `start` is taken as it is
     validated: tuple[int, ...]  # seeds of random arches that the best policy is chosen by
     start: Path | None = None  # file of the policy that it starts from; None: from nothing
-
-
-def build_anatomies(job: AnatomiesJob, report: Report) -> dict[str, Any]:
-    from cathsim.anatomy import load_phantom
-
-    for done, (kind, seed) in enumerate(job.arches):
-        report(done / len(job.arches), f"arch {seed}")
-        phantom = load_phantom(kind, seed=seed, resolution=RESOLUTION)
-        for target in job.targets:
-            phantom.geodesic_field(target)
-    return {"anatomies": len(job.arches)}
 
 
 def train_roadmap(job: RoadmapJob, report: Report) -> dict[str, Any]:

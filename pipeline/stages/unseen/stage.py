@@ -12,7 +12,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from pipeline.evaluations.tables import OWN_TABLES
 from pipeline.jobs.pool import Job, run_jobs
 from pipeline.jobs.worker import POLICIES
 from pipeline.recording.trials import MODES, Origin, log_success
-from pipeline.seeds import training_arches, unseen_arches, validation_arches
+from pipeline.seeds import training_arches, validation_arches
 from pipeline.stages import Stage, StageContext
 from pipeline.stages.job_memory import policy_gb
 from pipeline.stages.unseen.image_policy import ImagePolicyJob, train_image_policy
@@ -29,11 +29,9 @@ from pipeline.stages.unseen.roadmap import (
     DEMONSTRATIONS,
     EVALUATIONS,
     STARTS,
-    AnatomiesJob,
     DemonstrationsJob,
     RoadmapJob,
     StartsJob,
-    build_anatomies,
     insert_starts,
     policy_to_start_from,
     record_demonstrations,
@@ -47,8 +45,6 @@ from pipeline.stages.unseen.task import (
     VARIETY,
     XRAY,
     UnseenTask,
-    arch_of_test,
-    training_arch,
     with_steep_take_off,
 )
 from pipeline.stages.unseen.trials import (
@@ -63,13 +59,11 @@ from pipeline.store.errors import ConfigurationError
 from pipeline.tables import Results
 from pipeline.task import decision_steps, require_feeder, require_known_task
 
-_Part = TypeVar("_Part")
 ROADMAP_TESTS = "roadmap tests"
 DEMONSTRATED = "lcca"  # the target that is hard to find without
 OF_THE_CURVE = 2  # evaluations of its trainings; policies of few anatomies fail, which takes longest
-_ANATOMIES_A_JOB = 16
+_ARCHES_A_JOB = 16
 _PARTS = 2  # jobs that demonstrate beside each other
-
 
 _SHIPPED = (
     f"Rows roadmap and xray are the policies {GENERALIST} and {NAVIGATOR} that come with enn: shipped, training not "
@@ -97,7 +91,7 @@ class _Run:
 
 
 def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) -> list[Job]:
-    """The jobs in their order: anatomies, roadmap policies, and the image policies' teacher before the others."""
+    """The jobs in their order: start states, which build the arches, and roadmap policies, the teacher first."""
     task = UnseenTask(settings.learnt_targets(), settings.task, settings.accuracy, settings.arches)
     images = [XRAY] * settings.xray + [IMAGE] * settings.image
     curve = sorted({*settings.curve, settings.anatomies}) if settings.curve else []
@@ -106,11 +100,9 @@ def plan(settings: UnseenSettings, folder: Path, run_seed: int, variant: str) ->
     arches, validated = arches_of(settings, run_seed, max(most, settings.image_anatomies if images else 0))
     run = _Run(settings, folder, run_seed, variant, task, tuple(arches), tuple(validated))
     by_images = [_by_images(run, row) for row in images]
-    learnt_in = [len(job.given.anatomies) for job in by_images if job.given.start is None]
-    built = _anatomies(run, max([most * trains, *learnt_in]), validated=trains)
     inserted = _starts(run, most) if trains else []
-    demonstrations = _demonstrations(run, after=_keys(built)) if trains and DEMONSTRATED in task.targets else []
-    prepared = [*built, *inserted, *demonstrations]
+    demonstrations = _demonstrations(run, _keys(inserted)) if trains and DEMONSTRATED in task.targets else []
+    prepared = [*inserted, *demonstrations]
     teacher, tests = _roadmap(run, _keys(prepared))
     # policies by images are the longest chain of jobs: next after their teacher
     jobs = [*prepared, teacher, *by_images, tests]
@@ -137,25 +129,13 @@ def _keys(jobs: Sequence[Job]) -> tuple[str, ...]:
     return tuple(job.key for job in jobs)
 
 
-def _anatomies(run: _Run, learnt_in: int, *, validated: bool) -> list[Job]:
-    jobs = []
-    for name, kinds in (
-        ("training", [training_arch(seed, run.task.arches) for seed in run.arches[:learnt_in]]),
-        ("validation", [training_arch(seed, run.task.arches) for seed in run.validated if validated]),
-        ("test", [arch_of_test(seed, run.task.arches) for seed in unseen_arches(run.settings.test_anatomies)]),
-    ):
-        for part in _parts(kinds):
-            building = AnatomiesJob(tuple(part), run.task.kept_targets())
-            jobs.append(Job(f"{name}/{part[0][1]}", build_anatomies, building))
-    return jobs
-
-
 def _starts(run: _Run, arches: int) -> list[Job]:
     """Those in the first arches of the training."""
     jobs = []
-    for part in _parts(run.arches[:arches]):
-        starts_job = StartsJob(run.folder / STARTS, run.task, tuple(part), run.seed)
-        jobs.append(Job(f"{STARTS}/{part[0]}", insert_starts, starts_job, after=(f"training/{part[0]}",)))
+    for first in range(0, arches, _ARCHES_A_JOB):
+        part = run.arches[first : min(first + _ARCHES_A_JOB, arches)]
+        starts_job = StartsJob(run.folder / STARTS, run.task, part, run.seed)
+        jobs.append(Job(f"{STARTS}/{part[0]}", insert_starts, starts_job))
     return jobs
 
 
@@ -231,10 +211,6 @@ def _by_images(run: _Run, row: str) -> Job:
     )
     gpu_gb = policy_gb(settings.task.image_size_px, 1)
     return Job(row, train_image_policy, image_job, after=(ROADMAP,), gpu_gb=gpu_gb)
-
-
-def _parts(whole: Sequence[_Part]) -> list[Sequence[_Part]]:
-    return [whole[k : k + _ANATOMIES_A_JOB] for k in range(0, len(whole), _ANATOMIES_A_JOB)]
 
 
 CURVE = "roadmap_curve"  # in the table of the curve: the policies with equally many decisions

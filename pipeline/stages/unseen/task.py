@@ -76,10 +76,6 @@ class UnseenTask:
             tip_stiffness_nmm2=factor * wire.tip_stiffness_nmm2,
         )
 
-    def kept_targets(self) -> tuple[str, ...]:
-        """The targets whose ways are kept in the cache of phantoms; those to an arch's own points are not."""
-        return self.targets if self.arches != VARIETY else ()
-
     def _catheter(self) -> dict[str, Any]:
         return {name: value for name, value in self.task.devices().items() if name != "wire"}
 

@@ -146,7 +146,7 @@ def test_a_steep_take_off_gets_a_catheter_or_a_word(steep: Phantom, caplog: pyte
     assert f"lcca of steep leaves the aorta steeply: its ostium lies {back:.0f} mm behind" in caplog.text
     caplog.clear()
     assert with_catheter_where_steep(steep, "lcca", Task(), choose=False) == Task()
-    assert "stage.catheter=jb2 reaches further" in caplog.text
+    assert "task.catheter=jb2 reaches further" in caplog.text
 
 
 def test_elsewhere_the_devices_stay_and_nothing_is_said(steep: Phantom, caplog: pytest.LogCaptureFixture) -> None:

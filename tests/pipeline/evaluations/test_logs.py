@@ -22,7 +22,7 @@ from pipeline.evaluations.logs import (
     read_logs,
 )
 from pipeline.evaluations.tables import learning_tables, shortest_paths, tables_from_logs
-from pipeline.plots.forces import draw_heat, draw_quantities
+from pipeline.plots.forces import draw_heat
 from pipeline.stages.validate import table_rows
 from pipeline.tables import check_cell
 from tests.pipeline.evaluations.evaluation_logs import write_evaluation, write_force_log, write_row
@@ -163,7 +163,7 @@ def test_table_pools_the_steps_of_operators_and_leaves_out_older_logs(tmp_path: 
     assert row["load_cell_n"][0] == pytest.approx(0.5, abs=0.02)
 
 
-def test_forces_of_logs_are_joined_and_drawn(tmp_path: Path) -> None:
+def test_forces_of_logs_are_joined(tmp_path: Path) -> None:
     for index, loads in enumerate((LOADS, None)):
         write_evaluation(tmp_path / f"{index}.mcap", loads=loads, steps=12)
     first, second = forces.read_forces(tmp_path)
@@ -173,8 +173,6 @@ def test_forces_of_logs_are_joined_and_drawn(tmp_path: Path) -> None:
     assert isinstance(joined, forces.WallForces)
     assert all(len(getattr(joined, name)) == 24 for name in forces.QUANTITIES)
     assert forces.pooled_wall([second]) is None
-    draw_quantities(joined, 0.40, 0.19, tmp_path / "quantities.png")
-    assert Image.open(tmp_path / "quantities.png").size[0] > 300
 
 
 def test_a_heat_map_has_the_colour_of_force_only_where_contacts_are(tmp_path: Path) -> None:
@@ -318,7 +316,7 @@ def test_weights_of_the_force_are_rows_of_their_own(tmp_path: Path) -> None:
 def test_each_device_has_a_line_with_its_success_and_forces(tmp_path: Path) -> None:
     write_row(tmp_path, "enn", "I+V+M", successes=(True, False))
     for catheter, force in (("simmons2", -0.3), ("vertebral", 0.1)):
-        one = {"successes": (True,), "folder": f"enn@stage.catheter={catheter}", "catheter": catheter}
+        one = {"successes": (True,), "folder": f"enn@task.catheter={catheter}", "catheter": catheter}
         for seed in range(2):
             write_row(tmp_path, "enn", "I+V+M", seed=seed, feeder_forces=(0.2, force * (seed + 1)), **one)
     tables = tables_from_logs(tmp_path)

@@ -76,23 +76,6 @@ def test_a_job_waits_for_those_it_needs(folder: RunFolder, tmp_path: Path) -> No
         run_jobs(folder, jobs[::-1])
 
 
-def test_a_job_whose_result_is_known_does_not_run(folder: RunFolder) -> None:
-    def known(given: int) -> int | None:
-        asked.append(given)
-        return 100 if given == 2 else None
-
-    asked: list[int] = []
-    jobs = [
-        Job("first", square, 1),
-        Job("second", square, 2, after=("first",), known=known),
-        Job("third", square, 3, after=("second",), known=known),
-    ]
-    assert run_jobs(folder, jobs, workers=1) == {"first": 1, "second": 100, "third": 9}
-    assert asked == [2, 3]  # once each, when the jobs before were done
-    assert run_jobs(folder, jobs, workers=1) == {"first": 1, "second": 100, "third": 9}
-    assert asked == [2, 3]
-
-
 def test_a_failing_or_killed_job_stops_no_other_and_is_named(folder: RunFolder, tmp_path: Path, caplog) -> None:
     jobs = [
         Job("error", train, Toy(tmp_path / "error", fails="error")),
@@ -175,15 +158,30 @@ def test_a_killed_stage_takes_its_jobs_along_and_the_next_run_goes_on(tmp_path: 
     assert {result["count"] for result in results.values()} == {40}
 
 
-def test_the_line_of_the_progress() -> None:
+def test_estimate_of_the_end() -> None:
     display = JobDisplay("toys", "abcd", "abc")
-    assert display.line().startswith("toys 1/4; ")
-    for key in "ab":
-        display.states[key].status, display.states[key].fraction, display.states[key].text = "running", 0.5, "half"
+    assert display.remaining_s() is None
+    now = time.monotonic()
+    for state in (display.states["a"], display.states["b"]):
+        state.start()
+        state._started = now - 10.0
+        state.update(0.0, "")
+        state.update(0.5, "half")
+    assert display.remaining_s() == pytest.approx(20.0, abs=0.5)
     assert display.line().startswith("toys 1/4, 2 running: a 50 % (half), b 50 % (half); ")
-    display.states["a"].finish()
-    display.states["b"].status = "failed"
-    assert display.line().startswith("toys 2/4, 1 failed; ")
+
+
+def test_what_was_done_by_an_earlier_run_is_no_pace() -> None:
+    display = JobDisplay("toys", "ab", "a")
+    assert display.remaining_s() is None
+    assert display.line().startswith("toys 1/2; ")
+    state = display.states["a"]
+    state.start()
+    state._started -= 10.0
+    state.update(0.8, "")
+    assert state.total_s() is None
+    state.update(0.9, "")
+    assert state.total_s() == pytest.approx(100.0, abs=1.0)
 
 
 def test_a_report_is_throttled_and_stops_the_job() -> None:

@@ -10,7 +10,6 @@ import pytest
 from PIL import Image
 
 from pipeline.evaluations.logs import COUNTED, evaluation_folders, read_logs
-from pipeline.evaluations.tables import tables_from_logs
 from pipeline.report import learning_figures, learning_plots
 from pipeline.report.learning import learning_section
 from pipeline.report.learning_figures import Material, draw_learning
@@ -79,7 +78,7 @@ def test_each_seed_of_a_repeated_stage_has_tables_of_its_own(tmp_path: Path) -> 
 
 
 def test_an_empty_run_has_no_figures_and_long_heat_maps_take_episodes_evenly(tmp_path: Path) -> None:
-    assert draw_learning(Material(tmp_path, [], [], {}), tmp_path / "figures") == []
+    assert draw_learning(Material(tmp_path, [], []), tmp_path / "figures") == []
     assert learning_figures._evenly(range(20), 3) == [0, 10, 19]
     assert learning_figures._evenly([], 3) == []
 
@@ -101,17 +100,11 @@ def test_each_figure_appears_when_there_is_something_for_it(tmp_path: Path, monk
     write_evaluation(run / "human/type_1/bca/000.mcap", operator="human", steps=9)
     # a phantom that the library does not know is in no picture of a vessel
     write_row(run, "enn", "I+V+M", phantom="mine")
-    learnt_in = {"roadmap/4": {"success_pct": 80.0}, "roadmap/16": {"success_pct": [90, 5]}}
     folders = evaluation_folders(run)
-    tables = {**tables_from_logs(run), "generalisation_curve": learnt_in}
-    figures = draw_learning(
-        Material(run, read_logs(folders).evaluations, learning_plots.read_curves(folders), tables), folder
-    )
-    assert len(figures) == 8
+    figures = draw_learning(Material(run, read_logs(folders).evaluations, learning_plots.read_curves(folders)), folder)
+    assert len(figures) == 6
     written = {path.name for path in folder.glob("*.png")}
-    assert written == {
-        "training_baselines.png", "training_enn.png", "largest_forces.png", "front.png", "generalisation.png"
-    }  # fmt: skip
+    assert written == {"training_baselines.png", "training_enn.png", "largest_forces.png"}
     (_, human, _, _) = drawn["lengths"][0]
     assert {task: list(lengths) for task, lengths in human.items()} == {"Type I arch, BCA": [9.0]}
     (vessel, target, ways, _), more = drawn["ways"][0]
@@ -135,21 +128,12 @@ def image(path: Path) -> np.ndarray:
 
 
 def test_plots_show_what_they_are_given(tmp_path: Path) -> None:
-    """A curve more, a weight more, an anatomy more: each darkens more pixels."""
+    """A curve more darkens more pixels."""
     one = {"V": [curve([0, 1, 2], [0, 1, 0])]}
     two = one | {"I": [curve([0, 1, 2], [1, 0, 1])]}
     for name, rows in (("one", one), ("two", two)):
         learning_plots.draw_training({"task": rows}, {"I": "Internal"}, tmp_path / f"{name}.png")
     assert (image(tmp_path / "one.png") < 250).sum() < (image(tmp_path / "two.png") < 250).sum()
-    points = [
-        learning_plots.Point("a", "I+V+M", None, (0.2, 0.01), (100.0, 0.0), (0.9, 0.1), (90.0, 3.0)),
-        learning_plots.Point("a", "safe 1", 1.0, (0.1, 0.01), (95.0, 2.0), (0.4, 0.1), (100.0, 2.0)),
-    ]
-    learning_plots.draw_front(points[:1], tmp_path / "front_1.png")
-    learning_plots.draw_front(points, tmp_path / "front_2.png")
-    assert (image(tmp_path / "front_1.png") != 255).sum() < (image(tmp_path / "front_2.png") != 255).sum()
-    learning_plots.draw_generalisation({"roadmap": [(4, 80.0, 1.0), (1, 50.0, 0.0)]}, tmp_path / "generalisation.png")
-    assert image(tmp_path / "generalisation.png").std() > 5
 
 
 def test_curves_are_found_and_a_cut_off_line_is_skipped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

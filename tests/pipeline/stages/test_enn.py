@@ -80,16 +80,16 @@ def test_ppo_trains_in_physics_of_its_own(place: StageContext, algorithm: str, a
 @pytest.mark.parametrize(
     ("changed", "episodes"),
     [
-        ({"catheter": None}, 10),
+        ({"task": Task()}, 10),
         ({}, 20),
-        ({"wire": "none"}, 10),
+        ({"task": Task(catheter="vertebral", wire="none")}, 10),
         ({"evaluation_episodes": 1}, 1),
         ({"variant": "thesis"}, 10),
         ({"training": {"evaluation_episodes": 7}}, 7),
     ],
 )
 def test_policies_of_two_devices_are_chosen_by_more_episodes(place: StageContext, changed: dict, episodes: int) -> None:
-    jobs = plan(settings(**{"catheter": "vertebral", **changed}), place)
+    jobs = plan(settings(**{"task": Task(catheter="vertebral"), **changed}), place)
     assert {job.settings.evaluation_episodes for job in jobs} == {episodes}
 
 

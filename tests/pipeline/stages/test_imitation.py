@@ -36,7 +36,7 @@ def settings(**changed) -> ImitationSettings:
     return ImitationSettings(**values | rounds | {"task": TASK.task} | changed)
 
 
-def test_a_run_leaves_students_logs_tables_and_a_figure(enn: Path, caplog) -> None:
+def test_a_run_leaves_students_logs_and_tables(enn: Path, caplog) -> None:
     caplog.set_level("INFO")
     results = run_here(settings(), enn.parent, imitation)
     folder = enn.parent / "imitation"
@@ -51,7 +51,6 @@ def test_a_run_leaves_students_logs_tables_and_a_figure(enn: Path, caplog) -> No
     }  # fmt: skip
     assert results["bc_hyperparameters"]["epochs"]["value"] == 1
     assert results["dagger_rounds"]["type_1/bca/round 1"]["episodes"] == 3
-    assert (folder / "success.png").stat().st_size > 5000
     for row in rows:
         student = folder / "type_1/bca" / row / "seed0"
         assert {"policy.pt", "training.csv", "training.json"} <= {path.name for path in student.iterdir()}
@@ -129,7 +128,7 @@ def test_a_run_of_force_leaves_episodes_networks_tables_and_figures(run: Path, r
     for cells in results["force_share"].values():
         assert cells["share_pct"] == pytest.approx(100 * cells["mse_n2"] / cells["variance_n2"])
     assert results["force_distribution"]["test"]["n"] == 12
-    assert {p.name for p in (run / "force").glob("*.png")} == {"calibration.png", "shares.png"}
+    assert {p.name for p in (run / "force").glob("*.png")} == {"calibration.png"}
     assert (run / "force/V/12/predictor.pt").is_file()
     steps = sum(map(len, read_episodes(sorted((run / "force/type_1/bca/episodes").glob("*.mcap")))))
     assert steps >= 44
@@ -145,14 +144,13 @@ def test_baseline_is_the_mean_of_the_training_samples(run: Path, results: dict) 
     assert test.features is None
 
 
-def test_a_fitted_network_is_kept_and_forces_that_are_all_the_same_have_no_share(
-    run: Path, results: dict, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+def test_a_fit_is_repeatable_and_forces_that_are_all_the_same_have_no_share(
+    run: Path, results: dict, tmp_path: Path
 ) -> None:
     fit = force.plan(of_force(), context(run, "force"))[1][0]
-    monkeypatch.setattr("enn.force.prediction.fit_force", None)
-    kept = learn_force(fit.given, Report())
-    assert kept["mse_n2"] == results["force_prediction_mse"]["fpn_12"]["mse_n2"]
-    outcome = {**kept, "variance_n2": 0.0, "share_pct": None}
+    again = learn_force(replace(fit.given, folder=tmp_path / "again"), Report())
+    assert again["mse_n2"] == results["force_prediction_mse"]["fpn_12"]["mse_n2"]
+    outcome = {**again, "variance_n2": 0.0, "share_pct": None}
     assert force.tables([fit], {fit.key: outcome}, [])["force_share"]["baseline"]["share_pct"] is None
     assert [one.file for one in force.figures([fit], {fit.key: outcome}, tmp_path)] == ["calibration.png"]
 

@@ -61,7 +61,7 @@ def test_a_generated_run_leaves_data_curves_tables_and_figures(generated: Path) 
     errors = [np.linalg.norm(curve[0] - frame.curve_mm[0]) for curve, frame in zip(curves, data.frames, strict=True)]
     assert max(errors) < 1.0
     shown = {entry["file"] for entry in json.loads((generated / "figures.json").read_text())}
-    assert shown == {"samples.png", "reprojection.png", "segments.png", "overlays.png", "space.png"}
+    assert shown == {"samples.png", "reprojection.png", "overlays.png", "space.png"}
 
 
 def test_ones_own_data_set_is_read_where_it_lies(tmp_path: Path) -> None:

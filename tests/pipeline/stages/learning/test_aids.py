@@ -21,7 +21,6 @@ from pipeline.task import Task
 
 DESK = PolicyTrainingJob(
     folder=Path("desk"),
-    run=Path(),
     task=LearningTask("type_1", "bca", path_penalty=40.0),
     settings=replace(DESK_SAC, demonstrations_in_replay=0.25),
     keys=("image", "mask", "joints"),

@@ -99,7 +99,7 @@ def test_demonstrations_with_a_catheter_are_for_that_catheter(tmp_path: Path, ca
 
 
 def test_a_policy_of_two_devices_sees_the_feeders(tmp_path: Path) -> None:
-    settings = EnnSettings(**EXPERT_ALONE, targets=["bca"], catheter="vertebral")
+    settings = EnnSettings(**EXPERT_ALONE, targets=["bca"], task=Task(catheter="vertebral"))
     (job,) = plan(settings, context(tmp_path, "enn", ("expert",)))
     assert job.keys == ("joints", "image", "mask", "feeder")
     assert job.encoder is not None

@@ -13,14 +13,14 @@ import pytest
 from guide3d import shipped as shelf
 from guide3d.learning.predictor import ShapePredictor
 from pipeline.jobs.worker import Report
-from pipeline.plots.networks import draw_attention, draw_comparison, draw_errors
+from pipeline.plots.networks import draw_attention, draw_comparison
 from pipeline.settings.kinds import settings_that_matter
 from pipeline.stages import shape, splineformer
 from pipeline.stages.guide3d.folder import Source
 from pipeline.stages.guide3d.settings import Guide3dSettings
 from pipeline.stages.networks import training as network_stage
 from pipeline.stages.networks.settings import SegmentationSettings, ShapeSettings, SplineformerSettings
-from pipeline.stages.networks.training import learn, shipped_rows, train_network, train_together
+from pipeline.stages.networks.training import learn, shipped_rows, train_network
 from pipeline.stages.splineformer import EXAMPLES, compare, learn_variant
 from pipeline.store.errors import ConfigurationError, StageError
 from splineformer.comparison.evaluation import ReadCurve, Reader
@@ -121,26 +121,6 @@ def test_settings_know_what_the_package_trains() -> None:
     assert NETWORK_SIZES == SIZES
 
 
-TALKER = """
-import sys
-from pathlib import Path
-sys.stderr.write("much to say\\n" * 30_000)
-Path(sys.argv[1]).write_text("finished")
-"""
-
-
-def test_an_error_stream_that_nobody_reads_stops_no_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "talker.py").write_text(TALKER)
-    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    train_together("talker", [str(tmp_path / "written")], 1, lambda share, words="": None)
-    assert (tmp_path / "written").read_text() == "finished"
-
-
-def test_a_failure_is_told_in_a_sentence() -> None:
-    with pytest.raises(StageError, match=r"torchrun ended with code 1: .*no_such_training"):
-        train_together("no_such_training", [], 1, lambda share, words="": None)
-
-
 def test_a_shipped_network_is_taken_in_place_of_its_training(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -187,7 +167,7 @@ def test_tables_and_figures(run: Path, results: dict) -> None:
         assert cells["tokens_max"] <= 23
         assert cells["latency_ms"] > 0
     files = [entry["file"] for entry in json.loads((run / "splineformer" / "figures.json").read_text())]
-    assert files == ["comparison.png", "errors.png", "attention.png", "training.png"]
+    assert files == ["comparison.png", "attention.png"]
 
 
 def test_finished_jobs_are_kept_and_a_missing_rival_is_told(
@@ -221,9 +201,8 @@ def test_wires_that_no_reader_finds_are_drawn(
     assert {read["read_pct"] for read in outcome["none"].values()} == {0.0}
     examples = tmp_path / EXAMPLES
     draw_comparison(examples, SETTINGS.rival, SETTINGS.variants, splineformer.LABELS, tmp_path / "comparison.png")
-    draw_errors(outcome, splineformer.LABELS, tmp_path / "errors.png")
     draw_attention(examples, SETTINGS.variants, splineformer.LABELS, tmp_path / "attention.png")
-    assert len(list(tmp_path.glob("*.png"))) == 3
+    assert len(list(tmp_path.glob("*.png"))) == 2
 
 
 @pytest.mark.parametrize(

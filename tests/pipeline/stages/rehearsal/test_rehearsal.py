@@ -43,14 +43,16 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> RehearsalJob:
 
 
 @pytest.mark.parametrize(
-    "changed", [{}, {"algorithm": "ppo"}, {"catheter": "vertebral"}], ids=["sac", "ppo", "catheter"]
+    "changed",
+    [{}, {"algorithm": "ppo"}, {"task": replace(TINY["task"], catheter="vertebral")}],
+    ids=["sac", "ppo", "catheter"],
 )
 def test_it_trains_in_copies_and_logs_its_tests(trained: RehearsalJob, tmp_path: Path, changed: dict[str, Any]) -> None:
     job = job_of(tmp_path, **changed) if changed else trained
     assert not changed or train(job, Report())["decisions"] >= 48
     policy = Policy.load(job.own_folder / "policy.pt")
     assert policy.critics
-    assert policy.action_space.shape == ((4,) if "catheter" in changed else (2,))
+    assert policy.action_space.shape == ((4,) if "task" in changed else (2,))
     with np.load(job.folder / "starts.npz") as starts:
         assert {int(states[0, -1]) for states in starts.values() if len(states)} == {0, 1}
     tested = trial_of(job, replace(job, folder=tmp_path), FIRST, FIRST + 1)
@@ -379,7 +381,7 @@ def test_a_given_policy_brings_its_catheter_or_steers_a_wire_alone(tmp_path: Pat
     assert start.with_devices_of(GENERALIST, Task()) == Task()
     assert start.with_devices_of(OF_SIMMONS, Task(max_steps=7)) == Task(catheter="simmons2", max_steps=7)
     assert start.with_devices_of(OF_SIMMONS, Task(catheter="jb2")) == Task(catheter="jb2")
-    settings = RehearsalSettings(**TINY | {"policy": str(GENERALIST), "catheter": "jb2"})
+    settings = RehearsalSettings(**TINY | {"policy": str(GENERALIST), "task": Task(catheter="jb2")})
     with pytest.raises(ConfigurationError, match="steers a wire alone"):
         run_rehearsal(settings, context(tmp_path, "rehearsal"))
 

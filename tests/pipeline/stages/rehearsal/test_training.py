@@ -1,6 +1,5 @@
 """Trainings of a rehearsal: hyperparameters, demonstrations of policies and of the expert, and further trainings."""
 
-import itertools
 import json
 import shutil
 from collections.abc import Callable, Sequence
@@ -14,26 +13,25 @@ import pytest
 from enn.device_trials import TrialStatistics
 from enn.policy import Policy
 from enn.reinforcement.evaluation import EpisodeOutcome, EvaluationResult, LatestPolicy
-from enn.reinforcement.rehearsal_rules import RehearsalRules, Turn, in_share
+from enn.reinforcement.rehearsal_rules import RehearsalRules, in_share
 from enn.reinforcement.training.result import TrainingResult
 from enn.reinforcement.training.settings import TrainingSettings
 from enn.trajectory import Trajectory
 from pipeline.jobs.worker import Report
 from pipeline.stages.rehearsal.copies import RehearsalJob, copies_environment, training_settings
 from pipeline.stages.rehearsal.settings import RehearsalSettings
-from pipeline.stages.rehearsal.stage import count_demonstrations, plan
+from pipeline.stages.rehearsal.stage import plan
 from pipeline.stages.rehearsal.start import advising_policies
 from pipeline.stages.rehearsal.training import (
+    demonstrate,
     demonstration_file,
     first_turn,
     read_demonstrations,
-    record_demonstrations,
     train,
-    turn_of,
 )
 from pipeline.store.atomic_files import write_arrays
 from pipeline.task import Task
-from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, all_demonstrations, job_of
+from tests.pipeline.stages.rehearsal.small_rehearsal import GENERALIST, TINY, job_of
 from tests.pipeline.stages.small_expert import context
 
 
@@ -198,25 +196,28 @@ def test_other_policies_are_asked_where_its_own_seldom_arrives(tmp_path: Path, m
     job = job_of(tmp_path, copies=2, demonstrations=4, task=task)
     job = replace(job, start=GENERALIST, demonstrators=tuple(demonstrators))
     # it arrives nearly always, so nobody else is asked
-    assert all_demonstrations(job) == {"generalist": [3, 3]}
+    assert demonstrate(job, Report()) == {"generalist": [3, 3]}
     shown = read_demonstrations(tmp_path)
     assert len(shown) == 3
     assert all(episode.terminated and episode.observations["roadmap"].shape[1] == 64 for episode in shown)
     assert {int(episode.simulation_states[0, -1]) for episode in shown} == {0, 1, 2}  # type: ignore[index]
     assert max(np.abs(episode.actions).max() for episode in shown) <= 1.0
     monkeypatch.setattr("enn.reinforcement.rehearsal.demonstrated", None)  # nothing is played again
-    assert all_demonstrations(job) == {"generalist": [3, 3]}
+    assert demonstrate(job, Report()) == {"generalist": [3, 3]}
 
 
 @pytest.mark.parametrize(("reached", "others"), [(None, False), (4, False), (1, False), (0, True)])
 def test_trials_of_the_devices_count_when_others_are_asked(tmp_path: Path, reached: int | None, others: bool) -> None:
-    """It arrives in both of two copies that one process plays, in three of four altogether: all of them count."""
+    """It arrives in both of two copies that one thread plays, in three of four altogether: all of them count."""
     demonstrators = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))[:2]
     job = job_of(tmp_path, copies=3, demonstrations=12)
-    job = replace(job, start=GENERALIST, demonstrators=demonstrators, turn=1)
+    job = replace(job, start=GENERALIST, demonstrators=demonstrators)
     job = replace(job, trial_statistics=None if reached is None else TrialStatistics(reached, 4, 100.0, 0.1))
     leave(job, "generalist", 0, [True, True, True, False])
-    assert turn_of(job) == (Turn(demonstrators[1]) if others else None)
+    for name, turn in (("navigator", 0), ("generalist", 1)):
+        leave(job, name, turn, [False] * 4)
+    told = {"generalist": [8, 3], "navigator": [4, 0]} if others else {"generalist": [4, 3]}
+    assert demonstrate(job, Report()) == told
 
 
 def test_images_show_the_way_and_the_best_is_asked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -237,18 +238,19 @@ def test_images_show_the_way_and_the_best_is_asked_again(tmp_path: Path, monkeyp
     monkeypatch.setattr("pipeline.stages.rehearsal.training._Steered", Steered)
     demonstrators = tuple(advising_policies(tmp_path, 0, Task(), GENERALIST))
     job = replace(job_of(tmp_path, copies=2, demonstrations=3), start=GENERALIST, demonstrators=demonstrators)
-    assert all_demonstrations(job) == {"generalist": [3, 0], "navigator": [9, 3], "navigator_seed1": [3, 0]}
+    assert demonstrate(job, Report()) == {"generalist": [3, 0], "navigator": [9, 3], "navigator_seed1": [3, 0]}
     turns = [("generalist", 0), ("navigator", 0), ("navigator_seed1", 0), ("navigator", 1), ("navigator", 2)]
-    assert played == [(name, case, number) for name, number in turns for case in (0, 2, 1)]  # one part, then the other
+    assert list(dict.fromkeys((name, number) for name, _, number in played)) == turns
+    assert sorted(played) == sorted((name, case, number) for name, number in turns for case in range(3))
     assert len(read_demonstrations(tmp_path)) == 3
     fewer = replace(job, settings=replace(job.settings, demonstrations=1))
     played.clear()
-    assert all_demonstrations(fewer) == {"generalist": [3, 0], "navigator": [3, 1]}  # enough, so no third
+    assert demonstrate(fewer, Report()) == {"generalist": [3, 0], "navigator": [3, 1]}  # enough, so no third
     assert not played  # all of them were there
     last = 0
     alone = replace(job, folder=tmp_path / "alone")
     # a turn in which nobody arrives is the last one
-    assert all_demonstrations(alone) == {"generalist": [3, 0], "navigator": [6, 1], "navigator_seed1": [3, 0]}
+    assert demonstrate(alone, Report()) == {"generalist": [3, 0], "navigator": [6, 1], "navigator_seed1": [3, 0]}
 
 
 def waiting(
@@ -259,16 +261,11 @@ def waiting(
     return {one.key: one.after for one in jobs}
 
 
-def test_turns_are_jobs_one_after_the_other_and_the_training_follows_them(tmp_path: Path) -> None:
+def test_the_training_follows_the_demonstrations(tmp_path: Path) -> None:
     demonstrators = advising_policies(tmp_path, 0, Task(), GENERALIST)
     settings = job_of(tmp_path, demonstrations=6).settings
     after = waiting(settings, tmp_path, GENERALIST, *demonstrators)
-    turns = [f"demonstrations/{turn}" for turn in range(6)]  # of three policies, and three more of the best
-    assert after["training"] == tuple(f"{turn}/{part}" for turn in turns for part in range(2))
-    for earlier, later in itertools.pairwise(turns):
-        assert after[f"{later}/0"] == after[f"{later}/1"] == (f"{earlier}/0", f"{earlier}/1")
-    played = {"demonstrations/0/0": {"a": [6, 3]}, "demonstrations/0/1": {"a": [4, 1], "b": [2, 0]}}
-    assert count_demonstrations(played) == {"a": 4, "b": 0}
+    assert after["training"] == ("demonstrations",)
     none = replace(settings, demonstrations=0)
     assert waiting(none, tmp_path, GENERALIST, *demonstrators)["training"] == ()
 
@@ -278,51 +275,57 @@ def test_policies_whose_files_have_one_name_are_told_apart(tmp_path: Path) -> No
     for file in same:
         file.parent.mkdir()
         shutil.copy(GENERALIST.with_name("generalist_simmons2.pt"), file)
-    job = replace(job_of(tmp_path, copies=1, catheter="simmons2"), demonstrators=tuple(same))
-    assert all_demonstrations(job) == {"policy": [2, 0], "policy2": [2, 0]}  # after twelve steps
+    job = replace(
+        job_of(tmp_path, copies=1, task=replace(TINY["task"], catheter="simmons2")), demonstrators=tuple(same)
+    )
+    assert demonstrate(job, Report()) == {"policy": [2, 0], "policy2": [2, 0]}  # after twelve steps
     assert len(list((tmp_path / "demonstrations").iterdir())) == 4
 
 
 def test_a_navigator_by_images_plays_in_the_copies(tmp_path: Path) -> None:
     navigator = GENERALIST.with_name("navigator.pt")
-    job = replace(job_of(tmp_path, copies=1, demonstrations=1), demonstrators=(navigator,), part=0)
-    assert record_demonstrations(job, Report()) == {"navigator": [1, 0]}  # twelve steps do not lead there
-    assert [file.name for file in (tmp_path / "demonstrations").iterdir()] == ["navigator_0_0.npz"]
+    job = replace(job_of(tmp_path, copies=1, demonstrations=1), demonstrators=(navigator,))
+    assert demonstrate(job, Report()) == {"navigator": [2, 0]}  # twelve steps do not lead there
+    files = sorted(file.name for file in (tmp_path / "demonstrations").iterdir())
+    assert files == ["navigator_0_0.npz", f"navigator_{job.training_cases[1]}_0.npz"]
     assert read_demonstrations(tmp_path) == []
 
 
 def test_the_sampling_expert_shows_the_way_where_none_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = Task(start_rotation_deg=180.0, max_steps=300, success_radius_mm=50.0)  # half way is enough
     job = job_of(tmp_path, copies=1, demonstrations=2, expert="needed", task=task)
-    assert record_demonstrations(job, Report()) == {"expert": [1, 1]}  # the scan is this part's
-    (shown,) = read_demonstrations(tmp_path)
+    assert demonstrate(job, Report()) == {"expert": [2, 2]}
+    shown = read_demonstrations(tmp_path)[0]
     assert shown.terminated
     assert len(shown.actions) == len(shown.rewards) == len(shown.simulation_states) - 1
     assert shown.simulation_states[0, -1] == 0  # the case
     monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", None)  # nothing is played again
-    assert record_demonstrations(job, Report()) == {"expert": [1, 1]}
+    assert demonstrate(job, Report()) == {"expert": [2, 2]}
     # enough is shown, so that no policy is asked
     always = replace(job.settings, expert="always", demonstrations=1)
     beginning = replace(job, settings=always, start=GENERALIST, demonstrators=(GENERALIST,))
-    assert turn_of(beginning) == Turn(None)
-    assert turn_of(replace(beginning, turn=1)) is None
+    assert demonstrate(beginning, Report()) == {"expert": [2, 2]}
     assert train(job, Report())["decisions"] == 48  # which takes them up
     record = json.loads((tmp_path / "seed0" / "training.json").read_text())
     assert record["settings"]["demonstrations_in_replay"] == 0.25
-    assert waiting(job.settings, tmp_path, None)["training"] == ("demonstrations/0/0", "demonstrations/0/1")
+    assert waiting(job.settings, tmp_path, None)["training"] == ("demonstrations",)
     assert waiting(replace(job.settings, expert="never"), tmp_path, None)["training"] == ()
 
 
 @pytest.mark.parametrize(("arriving", "expert"), [(0, True), (1, True), (2, False)])
-def test_the_expert_is_asked_where_policies_show_next_to_nothing(tmp_path: Path, arriving: int, expert: bool) -> None:
+def test_the_expert_is_asked_where_policies_show_next_to_nothing(
+    tmp_path: Path, arriving: int, expert: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of six episodes that are wanted a third is enough."""
+    failed = {"terminated": np.array(False)}
+    monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", lambda *_, **__: failed)
     job = job_of(tmp_path, copies=5, demonstrations=6, expert="needed")
     job = replace(job, start=GENERALIST, demonstrators=(GENERALIST,))
     leave(job, "generalist", 0, [place < arriving for place in range(6)])
     leave(job, "generalist", 1, [False] * 6)
-    number = 2 if arriving else 1  # a turn in which nobody arrives is the last one of policies
-    assert turn_of(replace(job, turn=number)) == (Turn(None) if expert else None)
-    assert turn_of(replace(job, turn=number + 1)) is None
+    # a turn in which nobody arrives is the last one of policies
+    told = {"generalist": [12 if arriving else 6, arriving], **({"expert": [10, 0]} if expert else {})}
+    assert demonstrate(job, Report()) == told
 
 
 def test_the_expert_gives_up_where_it_does_not_arrive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -333,23 +336,23 @@ def test_the_expert_gives_up_where_it_does_not_arrive(tmp_path: Path, monkeypatc
         return failed
 
     monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", fail)
-    job = replace(job_of(tmp_path, copies=13, demonstrations=4, expert="needed"), part=1)
-    assert record_demonstrations(job, Report()) == {"expert": [5, 0]}
-    assert gentle == [True] * 3 + [False] * 2
+    job = job_of(tmp_path, copies=13, demonstrations=4, expert="needed")
+    assert demonstrate(job, Report()) == {"expert": [10, 0]}  # in two parts
+    assert sorted(gentle) == [False] * 4 + [True] * 6
     assert read_demonstrations(tmp_path) == []
 
 
-@pytest.mark.parametrize(("arriving", "told", "usual"), [(1, [14, 7], True), (3, [7, 3], False)])
+@pytest.mark.parametrize(("arriving", "told", "usual"), [(1, [29, 14], True), (3, [15, 6], False)])
 def test_it_plays_as_usual_where_few_gentle_episodes_arrive(
     tmp_path: Path, arriving: int, told: list[int], usual: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of seven copies the gentle one arrives in the first so many, the usual one in all but the first."""
+    """Of each part's copies the gentle one arrives in the first so many, the usual one in all but the first."""
 
     def play(_: object, case: int, *__: object, gentle: bool, **___: object) -> dict[str, np.ndarray]:
-        number = (case - 1) // 2  # of the second part
+        number = case // 2  # of its part
         return {"terminated": np.array(number < arriving if gentle else number > 0)}
 
     monkeypatch.setattr("cathsim.planning.demonstration.demonstrate", play)
-    job = replace(job_of(tmp_path, copies=14, demonstrations=20, expert="needed"), part=1)
-    assert record_demonstrations(job, Report()) == {"expert": told}
+    job = job_of(tmp_path, copies=14, demonstrations=20, expert="needed")
+    assert demonstrate(job, Report()) == {"expert": told}
     assert bool(list((tmp_path / "demonstrations").glob("expert_*_1.npz"))) == usual

@@ -21,7 +21,7 @@ from pipeline.recording.trials import Origin
 from pipeline.stages.unseen import roadmap
 from pipeline.stages.unseen.image_policy import train_image_policy
 from pipeline.stages.unseen.stage import check_unseen, curve, plan
-from pipeline.stages.unseen.task import UnseenTask, training_arch
+from pipeline.stages.unseen.task import UnseenTask
 from pipeline.task import Task
 from tests.pipeline.stages.unseen.small_unseen import TASK, TESTS, image_job, small_settings
 
@@ -76,7 +76,6 @@ def test_wires_of_the_tests_and_with_a_catheter_both_devices_are_steered() -> No
 
 
 def test_jobs_leave_policies_logs_and_tables(tmp_path: Path) -> None:
-    assert roadmap.build_anatomies(roadmap.AnatomiesJob((training_arch(0),), ("lcca",)), Report()) == {"anatomies": 1}
     starts = roadmap.StartsJob(tmp_path / "unseen" / "starts", TASK, (0,), seed=0)
     assert roadmap.insert_starts(starts, Report())["states"] > 0
     small = small_settings(targets=["lcca"], anatomies=1, validation_episodes=1, hidden=16)

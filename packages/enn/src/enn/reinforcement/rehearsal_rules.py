@@ -109,10 +109,6 @@ class RehearsalRules:
         if self.expert == NEEDED and arrival_count * self.few < self.demonstrations:
             yield Turn(None)
 
-    def most_turns(self, policies: int) -> int:
-        """Turns that there may be with so many policies."""
-        return policies + (self.rounds - 1 if policies else 0) + (self.expert != NEVER)
-
     def mostly_arrives(
         self,
         outcomes: Sequence[bool],
