@@ -139,8 +139,8 @@ def _check_records(log: EpisodeReader, report: CheckReport) -> list[int]:
         if (devices := record.devices) is not None:
             present = np.array([len(devices.wire_points), len(devices.catheter_points)]) > 0
             for name in schema.DEVICE_FIELDS:
-                value = np.asarray(getattr(devices, name, record.step))
-                if not np.isfinite(value[present] if name == "tip_rotations" else value).all():
+                numbers = np.asarray(getattr(devices, name, record.step))
+                if not np.isfinite(numbers[present] if name == "tip_rotations" else numbers).all():
                     _add(report, f"step {record.step} has a non-finite number in {name} of its devices")
         record_shapes = (record.action.shape, record.joint_positions.shape, record.joint_velocities.shape)
         shapes = shapes or record_shapes
