@@ -30,14 +30,18 @@ class Entry:
     amid: bool = False  # whether the sheath reaches here through the lumen, not through an open end
 
 
-def locate_entries(tree: VesselTree) -> dict[str, Entry]:
-    """Entries "descending" and "ascending" at the first and at the last end of the aorta."""
-    aorta = tree.root
-    end = aorta.length - ENTRY_DEPTH
-    return {
-        "descending": Entry("descending", aorta.point_at(ENTRY_DEPTH), aorta.tangent_at(ENTRY_DEPTH)),
-        "ascending": Entry("ascending", aorta.point_at(end), -aorta.tangent_at(end)),
-    }
+def locate_entries(tree: VesselTree, chord: float = 0.0) -> dict[str, Entry]:
+    """Entries "descending" and "ascending" at the first and at the last end of the aorta.
+
+    Args:
+        chord: m of centreline that give an entry its direction; 0: the tangent.
+    """
+    aorta, entries = tree.root, {}
+    for name, arc, sign in (("descending", ENTRY_DEPTH, 1.0), ("ascending", aorta.length - ENTRY_DEPTH, -1.0)):
+        position = aorta.point_at(arc)
+        onward = aorta.point_at(arc + sign * chord) - position if chord else sign * aorta.tangent_at(arc)
+        entries[name] = Entry(name, position, onward / np.linalg.norm(onward) if chord else onward)
+    return entries
 
 
 def end_names(tree: VesselTree) -> tuple[str, ...]:

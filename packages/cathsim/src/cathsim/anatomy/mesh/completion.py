@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from cathsim.anatomy.distance_grid import SignedDistanceGrid
-from cathsim.anatomy.entry import ENTRY_DEPTH, Entry
+from cathsim.anatomy.entry import locate_entries
 from cathsim.anatomy.extension import DEPTH, LEAST_DEPTH, extend_short_branches
 from cathsim.anatomy.mesh.branches import RoughVessel
 from cathsim.anatomy.mesh.report import ImportReport, MeshRefusedError, Names
@@ -47,7 +45,7 @@ def imported_phantom(
     if not targets:
         advice = "export the branches of the arch, too" if extend else "import it with extend=True"
         raise MeshRefusedError(f"no branch of this vessel is wide and long enough for a wire and a target; {advice}.")
-    phantom = Phantom(name, digest, None, tree, grid, targets, _propose_entries(tree))
+    phantom = Phantom(name, digest, None, tree, grid, targets, locate_entries(tree, _ENTRY_CHORD))
     report = replace(
         report,
         automatic_names={found: final for found, final in report.automatic_names.items() if final in tree},
@@ -110,17 +108,3 @@ def propose_targets(tree: VesselTree) -> tuple[dict[str, Target], tuple[str, ...
             )
         targets[branch.name] = Target(branch.name, branch.name, branch.point_at(ostium + distance), ostium + distance)
     return targets, tuple(notes)
-
-
-def _propose_entries(tree: VesselTree) -> dict[str, Entry]:
-    """Entries "descending" and "ascending" at the two ends of the aorta."""
-    aorta = tree.root
-    entries = {}
-    for name, near, far in (
-        ("descending", ENTRY_DEPTH, ENTRY_DEPTH + _ENTRY_CHORD),
-        ("ascending", aorta.length - ENTRY_DEPTH, aorta.length - ENTRY_DEPTH - _ENTRY_CHORD),
-    ):
-        position = aorta.point_at(near)
-        way = aorta.point_at(far) - position
-        entries[name] = Entry(name, position, way / np.linalg.norm(way))
-    return entries
