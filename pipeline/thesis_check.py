@@ -40,7 +40,7 @@ def main(overrides: Sequence[str]) -> int:
     run = Path(chosen_value(overrides, "runs_dir", "runs")) / chosen_value(overrides, "name", EXPERIMENT)
     if not run.is_dir():
         return code
-    found = {
+    found: dict[str, Any] = {
         "rows": rows(run),
         "command": shlex.join(["python", "-m", "pipeline.thesis_check", *overrides]),
         "commit": present_commit(),
