@@ -302,17 +302,6 @@ def test_a_policy_of_images_steers(folder: Path) -> None:
         np.testing.assert_array_equal(controller(observation), first)
 
 
-def test_a_file_that_cannot_be_used_is_refused(folder: Path) -> None:
-    file = folder / "teacher.pt"
-    whole = file.read_bytes()
-    file.write_bytes(whole[:-5])
-    with pytest.raises(ValueError, match=r"teacher\.pt is damaged"):
-        enn.load("teacher")
-    write_model(file, {**decoded(whole), "format": "enn-policy-0"})
-    with pytest.raises(ValueError, match=r"teacher.* is no policy of format enn-policy-1, but 'enn-policy-0'"):
-        enn.load("teacher")
-
-
 @pytest.mark.parametrize("use", [enn.load, shipped.card])
 def test_an_unknown_name_is_refused_with_the_known_ones(folder: Path, use: Callable[[str], object]) -> None:
     with pytest.raises(ValueError, match=r"there is no model '\.\./teacher': choose from seer, teacher"):

@@ -1,24 +1,16 @@
-"""Model files and checkpoints: damaged bytes, and files that are missing or exchanged."""
+"""Checkpoints of a training: damaged bytes, and files that are missing or exchanged."""
 
 import random
 import shutil
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from enn.encoder import Encoder, EncoderSettings
-from enn.policy import Policy
 from enn.reinforcement.checkpoint import CheckpointError, CheckpointFolder
-from splineformer import build as splineformer_build
-from splineformer.predictor import Predictor
-from tests.enn.test_model_file import policy
 from tests.fuzz.mutations import damaged
 from tests.fuzz.promise import BrokenPromiseError, fuzz, refused
-from tests.guide3d.test_shipped import shape
 
 STATE = {
     "weights": {"a": torch.arange(40.0)},
@@ -26,60 +18,6 @@ STATE = {
     "generator": np.random.default_rng(0).bit_generator.state,
 }
 ROWS = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
-
-
-def encoder() -> Encoder:
-    """A small encoder."""
-    return Encoder(EncoderSettings(keys=("image", "joints"), shapes=((1, 36, 36), (4,)), hidden=8, features=6))
-
-
-def wire_reader() -> Predictor:
-    """A small SplineFormer."""
-    return Predictor(splineformer_build.build(splineformer_build.size_of("ordered", "smoke")), source_px=256)
-
-
-def weights(model: Any) -> dict[str, torch.Tensor]:
-    """The numbers of a model; those of a policy's critic are not kept."""
-    network = model.module if isinstance(model, Policy) else getattr(model, "network", model)
-    return {name: values for name, values in network.state_dict().items() if not name.startswith("critic")}
-
-
-Kind = tuple[Callable[[Path], Any], bytes, dict[str, torch.Tensor]]
-
-
-@pytest.fixture(scope="module")
-def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where damaged files go."""
-    return tmp_path_factory.mktemp("models") / "victim.pt"
-
-
-@pytest.fixture(scope="module")
-def kinds(path: Path) -> list[Kind]:
-    """Each kind of model: what loads it, its file, its weights."""
-    torch.manual_seed(0)
-    found: list[Kind] = []
-    for model in (policy(), encoder(), shape(), wire_reader()):
-        model.save(path)
-        found.append((type(model).load, path.read_bytes(), weights(type(model).load(path))))
-    return found
-
-
-@fuzz()
-def test_models(rng: random.Random, path: Path, kinds: list[Kind]) -> str:
-    """A file that opens has the very weights that were written."""
-    load, data, truth = rng.choice(kinds)
-    if rng.random() < 0.1:
-        path.write_bytes(data)  # perhaps a model of another kind
-        load = rng.choice(kinds)[0]
-    else:
-        path.write_bytes(damaged(data, rng))
-    try:
-        found = weights(load(path))
-    except ValueError as error:
-        return refused(error)
-    if found.keys() != truth.keys() or not all(torch.equal(found[name], truth[name]) for name in truth):
-        raise BrokenPromiseError("a damaged model was loaded with other weights")
-    return "equal"
 
 
 def checkpoint_folder(path: Path) -> CheckpointFolder:

@@ -57,16 +57,6 @@ def test_package_imports_only_what_it_may_and_no_module_is_called_after_nothing(
     assert not offences
 
 
-def test_only_the_stage_report_imports_the_report() -> None:
-    root = source_root("pipeline")
-    files = {
-        file.relative_to(root).as_posix()
-        for file in sources("pipeline")
-        if any(f"{name}.".startswith("pipeline.report.") for name in imported_modules(file))
-    }
-    assert {name for name in files if not name.startswith("report/")} == {"stages/report.py"}
-
-
 @pytest.mark.parametrize(
     ("folder", "forbidden"),
     [

@@ -65,12 +65,6 @@ def test_a_reader_that_has_gone_is_no_fault(command: str, unbuffered: str) -> No
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-def test_a_command_of_logs_is_no_module_that_does_nothing() -> None:
-    folder = PROJECT_ROOT / "pipeline" / "episodes"
-    programs = {file.stem for file in folder.glob("*.py")} | {file.parent.name for file in folder.glob("*/__main__.py")}
-    assert not programs & {"info", "check", "recover", "view", "film", "export"}
-
-
 def test_a_training_without_torch_ends_with_one_line(run_python: Callable[[str], str]) -> None:
     trainings = ["guide3d.train", "guide3d.train_reader", "splineformer.train", "splineformer.train_on_fluoroscopy"]
     snippet = f"""

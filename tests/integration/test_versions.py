@@ -2,7 +2,6 @@
 
 import importlib.metadata
 import json
-import re
 import sys
 import tomllib
 from collections.abc import Callable
@@ -131,13 +130,6 @@ def test_every_extra_of_the_packages_is_tried() -> None:
     extras = {package: project(f"packages/{package}").get("optional-dependencies", ()) for package in PACKAGES}
     declared = {f"{package}[{extra}]" for package in PACKAGES for extra in extras[package]}
     assert declared == {extra for extra, _, _ in USES} | ELSEWHERE
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_no_message_advises_a_distribution_of_a_foreign_name(package: str) -> None:
-    foreign = re.compile(rf"(?<![\w/-]){package}\[\w+\]")
-    sources = (PROJECT_ROOT / "packages" / package / "src").rglob("*.py")
-    assert not [str(file) for file in sources if foreign.search(file.read_text(encoding="utf-8"))]
 
 
 # comes with another one that is declared

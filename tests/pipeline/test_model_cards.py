@@ -10,7 +10,7 @@ import guide3d
 import splineformer
 from guide3d.learning.model_file import write_content
 from models import cards as model_cards
-from models.cards import INDEX, LIMIT_BYTES, SECTIONS, ShippedModel, main, shipped_models, written
+from models.cards import INDEX, SECTIONS, ShippedModel, main, shipped_models, written
 
 LOADERS = {"enn": enn.load, "guide3d": guide3d.load, "splineformer": splineformer.Predictor.pretrained}
 MODELS = shipped_models()
@@ -19,10 +19,6 @@ MODELS = shipped_models()
 def test_cards_and_index_agree_with_the_files() -> None:
     outdated = [path.name for path, text in written().items() if path.read_text(encoding="utf-8") != text]
     assert not outdated, "run python models/cards.py"
-
-
-def test_all_together_are_small() -> None:
-    assert 0 < sum(model.path.stat().st_size for model in MODELS) <= LIMIT_BYTES
 
 
 @pytest.mark.parametrize("model", MODELS, ids=lambda model: f"{model.package}-{model.path.stem}")

@@ -209,8 +209,6 @@ def test_a_reward_of_ones_own_is_given_what_navigate_env_gives(make_composer: Ma
         ({"wire": load_guidewire("default").scaled(0.12)}, "the wire of 120 mm is too short"),
         ({"colour": "red"}, "no argument colour"),
         ({"catheter": "vertebral", "actions": "tip_motors"}, "without tip motors"),
-        ({"catheter": "vertebral", "torsion": "soft"}, "unknown torsion 'soft'"),
-        ({"wire": None}, "neither a wire nor a catheter"),
     ],
     ids=str,
 )

@@ -70,15 +70,3 @@ def read(document: Path) -> str:
 
 
 documents = pytest.mark.parametrize("document", DOCUMENTS, ids=relative)
-
-
-def table_column(text: str, header: str) -> list[str]:
-    """The first cells of the tables whose first header cell is this."""
-    cells: list[str] = []
-    inside = False
-    for line in text.splitlines():
-        first = line.split("|")[1].strip() if line.startswith("|") else None
-        inside = first is not None and (inside or first == header)
-        if inside and first is not None and first != header and not set(first) <= set("-: "):
-            cells.append(first)
-    return cells

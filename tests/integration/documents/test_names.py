@@ -26,7 +26,6 @@ from tests.integration.documents.pages import (
     relative,
     require_imports,
     resolves,
-    table_column,
     without_blocks,
 )
 
@@ -156,11 +155,6 @@ def test_documents_packages_and_citation_name_the_declared_addresses() -> None:
     for document in (*DOCUMENTS, citation):
         placeholders = re.findall(r"https?://example\.invalid[^\s>)\"'`]*", read(document))
         assert set(placeholders) <= set(declared.values()), relative(document)
-
-
-def test_table_of_stages_is_complete() -> None:
-    listed = [cell.strip("`") for cell in table_column(read(DOCS / "pipeline" / "stages.md"), "stage")]
-    assert sorted(listed) == sorted(STAGES)
 
 
 def nav_pages(entry: object) -> Iterator[str]:
