@@ -35,8 +35,9 @@ from pipeline.stages.learning.expert_episodes import (
     require_expert,
 )
 from pipeline.stages.learning.settings import ImitationSettings
+from pipeline.stages.learning.shared_training import CURVE, RECORD
 from pipeline.stages.learning.task import LearningTask
-from pipeline.stages.learning.training import CURVE, RECORD, evaluate
+from pipeline.stages.learning.training import evaluate
 from pipeline.store.atomic_files import atomic_path, read_json, write_json
 from pipeline.store.errors import stopping_the_stage
 from pipeline.tables import Results

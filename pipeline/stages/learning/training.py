@@ -29,8 +29,10 @@ from pipeline.stages.job_memory import training_gb, training_gpu_gb
 from pipeline.stages.learning.encoders import ENCODERS, EncodersJob, encoder_file, fit_encoders
 from pipeline.stages.learning.expert_episodes import EXPERT, repeat, require_demonstrations
 from pipeline.stages.learning.settings import LearningSettings
+from pipeline.stages.learning.shared_training import CHECKPOINT, RECORD, SharedTraining, shared_training
 from pipeline.stages.learning.task import ACCURACY_OF_TESTS, LearningTask
 from pipeline.store.errors import stopping_the_stage
+from pipeline.store.provenance import hash_file
 from pipeline.task import FEEDER, TASK, require_known_task
 
 if TYPE_CHECKING:
@@ -40,7 +42,6 @@ if TYPE_CHECKING:
     from enn.trajectory import Trajectory
 
 EVALUATION = "evaluation"
-RECORD, CURVE = "training.json", "training.csv"
 
 
 def evaluate(
@@ -92,6 +93,7 @@ class PolicyTrainingJob:
     keys: tuple[str, ...]
     evaluation_episodes: int  # by the best action
     drawn_episodes: int  # by drawn actions
+    run: Path  # the run's folder, in which stages share trainings
     encoder: Path | None = None  # file of a fitted encoder; None: the policy sees the observations themselves
     demonstrations: tuple[Path, ...] = ()
     expert_episodes: int = 0  # with images, for imitation
@@ -121,6 +123,9 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
     }
     for leftover in job.folder.glob(".*.tmp"):  # of a killed training
         leftover.unlink()
+    shared = shared_by(job, report.device)
+    begun = any((job.folder / name).exists() for name in (RECORD, CHECKPOINT))
+    taken = shared is not None and not begun and shared.take(job.folder, metadata)
     # a policy may get stuck in accurate physics alone: those choose the best one
     validation = replace(job.task, accuracy=ACCURACY_OF_TESTS).factory(job.keys, job.settings.action_repeat)
     training = Training(
@@ -136,6 +141,8 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
     )
     with stopping_the_stage(CheckpointError):
         result = training.run(lambda progress: report(_TRAINED * progress.decisions / progress.total, words(progress)))
+    if shared is not None and not taken and not begun:  # what was begun before may be of other code
+        shared.offer(job.folder)
     outcome: dict[str, Any] = {"training_s": result.timings["wall_s"], "decisions": result.timings["decisions"]}
     evaluated = _TRAINED + (1.0 - _TRAINED) * job.tested / (job.tested + job.expert_episodes)
     environment = job.task.environment(result.policy.keys)
@@ -154,6 +161,22 @@ def train_and_evaluate(job: PolicyTrainingJob, report: Report) -> dict[str, Any]
         )
     environment.close()
     return outcome
+
+
+def shared_by(job: PolicyTrainingJob, device: str) -> SharedTraining | None:
+    """The run's trainings of a job's definition; None where they cannot be told, as in an anatomy of a file."""
+    if job.task.file is not None:
+        return None
+    definition = {
+        "settings": asdict(job.settings),
+        "task": asdict(job.task),
+        "keys": job.keys,
+        "seed": job.origin.training_seed,
+        "encoder": None if job.encoder is None else hash_file(job.encoder),
+        "demonstrations": [hash_file(log) for log in job.demonstrations],
+        "device": device,
+    }
+    return shared_training(job.run, definition)
 
 
 def words(progress: Progress) -> str:
@@ -217,6 +240,7 @@ def planned_training(
         demonstrations=demonstrations(task, context) if settings.demonstrations else (),
         evaluation_episodes=settings.evaluation_episodes,
         drawn_episodes=settings.drawn_episodes,
+        run=context.run_path,
         expert_episodes=expert_episodes,
     )
 
