@@ -56,7 +56,7 @@ RETIRED_ARCHES = range(30_000, 32_000), range(33_000, 34_000)
 
 EPISODES = {
     "sampling expert": SeedRange(0, 1_000, _TRAININGS, "demonstrations"),
-    # as enn.reinforcement.evaluation counts
+    # enn.reinforcement.evaluation counts seeds in the same way.
     "evaluation while training": SeedRange(500_000, 1_000, _TRAININGS, "evaluations"),
     "expert": SeedRange(2_000_000, 1_000, _TRAININGS, "expert episodes"),
     "disturbed expert": SeedRange(2_500_000, 1_000, _TRAININGS, "disturbed expert episodes"),
@@ -82,11 +82,11 @@ ANATOMY_COPIES = {  # of an anatomy, as cathsim.rehearsal draws them; 0 is the a
 training_arches = ARCHES["training"].part  # of the random arches that a run trains in
 perception_arches = ARCHES["perception"].part  # that show the SplineFormer their wires; no policy learns there
 demonstration_seeds = EPISODES["sampling expert"].part  # of the episodes that others learn from
-# of the test episodes of a training: no other's, and none that anything was trained or chosen on
+# Seeds of a training's test episodes; nothing else is trained or chosen on them.
 held_out_seeds = EPISODES["test"].part
 expert_seeds = EPISODES["expert"].part  # of a training's episodes with images, which imitation learns from
 disturbed_seeds = EPISODES["disturbed expert"].part  # ... with disturbed actions
-# of the episodes that an expert plays for a navigator where its logs are too few
+# Seeds of episodes that an expert plays for a navigator where its logs are too few.
 further_expert_seeds = EPISODES["navigation, expert goes on"].part
 training_copies = ANATOMY_COPIES["training"].part  # of an anatomy, that a rehearsal trains in
 

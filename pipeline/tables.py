@@ -54,7 +54,7 @@ class Results:
     """What a stage measured and drew."""
 
     tables: Mapping[str, Any]  # measured cells: table -> row -> column -> cell
-    # in the order they are shown; their files are in the stage's folder. None: the stage draws none.
+    # Figures in the order in which they are shown, with files in the stage's folder; None: the stage draws none.
     figures: Sequence[Figure] | None = None
     notes: Mapping[str, str] = field(default_factory=dict)  # table -> how its rows were made
 

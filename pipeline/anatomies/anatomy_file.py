@@ -31,9 +31,9 @@ class AnatomyFile:
 
     path: str
     unit: str | None = None  # of a surface
-    # of branches: pairs of an automatic name and one's own, or names from the heart on
+    # Pairs of a branch's automatic name and one's own, or all names in order from the heart.
     names: tuple[Any, ...] | None = None
-    # of a label volume: pairs of a label and a vessel's name, or None
+    # Pairs of a label of a volume and the name of its vessel; None leaves the label out.
     labels: tuple[tuple[int | str, str | None], ...] | None = None
     ct: str | None = None  # path of the CT that it was segmented from
     transform: str | None = None  # of NIfTI files, the CT's too: "sform" or "qform"

@@ -91,14 +91,14 @@ _Coordinates = Annotated[list[float], Len(3, 3)]
 class FileSettings:
     """A file with an anatomy of one's own; results depend on what is in it, not on where it lies."""
 
-    # of the stage, by which its films, pictures or X-ray images show a CT; None: nothing does
+    # The stage's setting which says that films, pictures or X-ray images show a CT; None: nothing does.
     shows_ct: ClassVar[str | None] = None
 
     file: kinds.PathText | None = field(default=None, metadata=kinds.NO_EFFECT_ON_RESULTS)  # as cathsim imports it
     unit: str | None = None  # of a surface
     names: kinds.BranchNames = None  # of its branches: a mapping from automatic names, or a list from the heart on
     labels: kinds.VesselLabels = None  # of a label volume: which label is which vessel
-    # of NIfTI files: which of their affines is taken
+    # Which of a NIfTI file's two affines is taken.
     transform: Annotated[str, kinds.one_of("sform", "qform")] | None = None
     extend: bool | None = None  # whether branches that the file cuts short are extended; null: they are
     ct: kinds.PathText | None = field(default=None, metadata=kinds.NO_EFFECT_ON_RESULTS)  # that it was segmented from

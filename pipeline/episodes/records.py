@@ -59,7 +59,7 @@ FloatArray = NDArray[np.float64]
 MOST_STEPS = 1_000_000
 """Of an episode: 28 hours at ten steps a second. A log that claims more is damaged, not long."""
 
-# of a step: length, where it is known
+# Arrays of a step, and their length where it is known.
 _VECTORS = {"action": None, "joint_positions": None, "joint_velocities": None, "tip": 3, "resultant_force": 3}
 _PAIRS = ("insertions", "hub_rotations", "tip_rotations", "feeder_forces", "hub_torques")
 _CHECKED = ConfigDict(allow_inf_nan=False, extra="forbid")

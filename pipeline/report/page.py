@@ -63,7 +63,7 @@ class Chapter:
     """A chapter of the page."""
 
     title: str
-    # of stages that left something, those with most tables of the thesis first
+    # Blocks of the stages that left results; stages with most tables of the thesis come first.
     blocks: list[Block] = field(default_factory=list)
     settings: list[ReportTable] = field(default_factory=list)  # tables of settings and of the literature, folded
     not_run: list[ReportTable] = field(default_factory=list)  # tables that nothing was measured of, folded

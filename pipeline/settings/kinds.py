@@ -248,4 +248,5 @@ class JobSettings:
     """How the jobs of a stage are run."""
 
     workers: Processes = field(default=0, metadata=NO_EFFECT_ON_RESULTS)  # jobs beside each other; 0: one a core
-    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)  # of the networks: see pipeline.jobs.machine
+    # The networks train on this device: see pipeline.jobs.machine.
+    device: Device = field(default="cpu", metadata=NO_EFFECT_ON_RESULTS)

@@ -65,7 +65,7 @@ class Stage:
     check: Callable[[Any], None] = lambda settings: None
     seeded: bool = True  # whether its results depend on the run's seed: then each seed has a folder of its own
     repeated: bool = False  # whether a chain over several seeds repeats it: its figures differ from seed to seed
-    # of the run's folder: hashes of whatever else it reads
+    # Gives hashes of whatever else the stage reads in the run's folder.
     further_inputs: Callable[[Path], dict[str, str]] = lambda run_path: {}
     uses: tuple[str, ...] = ()  # stages whose results it takes where they are there
     gathers: bool = False  # whether it reads whatever has finished: in a chain it waits for all before it

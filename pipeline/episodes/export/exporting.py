@@ -93,7 +93,7 @@ def export_logs(
     try:
         with _whole_folder(destination) as temporary, WRITERS[kind](temporary, layout, name) as writer:
             for path in tqdm(logs, desc=f"export to {kind}", unit="episode", disable=None):
-                # before it is written: HDF5's library crashes on a full disk
+                # Free space is checked before the file is written, since HDF5's library crashes on a full disk.
                 if shutil.disk_usage(temporary).free < _ROOM * path.stat().st_size + 2**20:
                     raise OSError(errno.ENOSPC, "no room is left")
                 with open_episode(path, layout) as episode:

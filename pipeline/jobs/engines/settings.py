@@ -36,7 +36,7 @@ class RaySettings(ClusterSettings):
     """Tasks of a Ray cluster."""
 
     name: Annotated[str, one_of(RAY)] = RAY
-    # of the cluster, HOST:PORT; null: that of RAY_ADDRESS, or the one that `ray start` has started on this machine
+    # HOST:PORT of the cluster; null: RAY_ADDRESS, or the cluster that `ray start` has started on this machine.
     address: PathText | None = None
 
 

@@ -57,7 +57,7 @@ class LearningSettings(PolicySettings):
     reward: _Reward = "geodesic"  # of training; "distance" is the thesis's, which every table shows
     path_penalty: kinds.Weight = 40.0  # of the reward of training, a metre of the tip's way
     accuracy: kinds.Accuracy = "fast"  # of SAC's training; the best policy is chosen, and tested, in accurate physics
-    # of PPO's training: from fast physics it knows too little of the branches that it enters by mistake
+    # PPO trains in accurate physics: fast physics shows it too little of branches that it enters by mistake.
     ppo_accuracy: kinds.Accuracy = "accurate"
     training: kinds.Hyperparameters = None  # hyper-parameters: fields of enn's SacSettings or PpoSettings
 
@@ -84,10 +84,10 @@ class EnnSettings(LearningSettings):
     modalities: kinds.FolderNames = field(default_factory=lambda: ["I", "V", "V+M", "I+V"])  # the ablation's other rows
     ablation_phantoms: kinds.FolderNames = field(default_factory=lambda: ["type_1"])  # where those are trained
     ablation_seeds: kinds.Trainings = 1
-    # of the force in the reward, 1/N: a row each, there too
+    # Weights of the force in the reward, 1/N; each one has a row, on every phantom, too.
     safe_weights: _SafeWeights = field(default_factory=lambda: [1.0, 5.0])
     safe_decisions: kinds.Decisions = 6_000  # of their trainings, which a price on force makes slower
-    # with images, for imitation, of each task's first training of the expert row
+    # Episodes with images, for imitation, which each task's first training of the expert row plays.
     expert_episodes: kinds.EpisodesOrNone = 100
     modality: kinds.FolderName | None = None  # filled in by modality=…: the only row, on every phantom
 
@@ -128,7 +128,7 @@ class ForceSettings(kinds.JobSettings):
     targets: kinds.SomeFolderNames = field(default_factory=lambda: ["bca", "lcca"])
     expert: kinds.FolderName = EnnSettings.expert  # row of the stage enn whose policy steers
     variant: _Variant = "desk"
-    # to learn from; inputs beside the image are tried with the last
+    # Numbers of samples to learn from; inputs beside the image are tried with the last number.
     samples: _Samples = field(default_factory=lambda: [1_000, 10_000])
     test_samples: kinds.Decisions = 4_000  # of episodes that are not learnt from
     noise: Annotated[float, Ge(0), Le(10)] = 0.3  # standard deviation added to the expert's actions

@@ -33,7 +33,7 @@ class TrainingSettings(kinds.JobSettings):
     size: Annotated[str, kinds.one_of(*NETWORK_SIZES)] = "desk"  # of networks and training: see the package's recipes
     epochs: kinds.CountOrNone = 0  # 0: the recipe's own number
     split_seed: kinds.Seed = 0  # of the split by acquisition
-    # of the networks: see pipeline.jobs.machine
+    # The networks train on this device: see pipeline.jobs.machine.
     device: kinds.Device = field(default="auto", metadata=kinds.NO_EFFECT_ON_RESULTS)
 
 

@@ -41,10 +41,10 @@ class RehearsalJob:
     policy: Path | None = None
     tested: str | None = None  # for tests, the row of the table; None: for the training
     copies: tuple[int, ...] = ()  # of a test: seeds
-    # of demonstrations: the policies that may give them; the first is `start`, where there is one
+    # Policies that may demonstrate; the first is `start`, where there is one.
     demonstrators: tuple[Path, ...] = ()
     part: int = 0  # of trials: its number among those that are made beside each other
-    # of the policy to start from, in trials of its devices; None: there were none
+    # How the policy to start from did in the trials of its devices; None: there were none.
     trial_statistics: TrialStatistics | None = None
 
     @property

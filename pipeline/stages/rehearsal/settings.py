@@ -52,11 +52,11 @@ class RehearsalSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettin
     scan_episodes: kinds.Episodes = 10  # on the scan itself
     mode: Annotated[str, kinds.one_of("stochastic", "deterministic")] = "stochastic"  # of the tests' actions
     film: bool = True  # of an episode in the scan after the training
-    # of a test's episode: what has not arrived after its steps is withdrawn and begins again
+    # Attempts of a test's episode: devices that have not arrived are withdrawn and begin again.
     attempts: Annotated[int, Ge(1), Le(10)] = 1
     # episodes that arrive, of other policies of the same devices where that which it starts from seldom does; 0: none
     demonstrations: Annotated[int, Ge(0), Le(1000)] = 12
-    # by the sampling expert: where policies give less than a third of them, always, or never
+    # When the sampling expert demonstrates: where policies give less than a third, always, or never.
     expert: Annotated[str, kinds.one_of("needed", "always", "never")] = "needed"
     algorithm: Annotated[str, kinds.one_of(SAC, PPO)] = SAC
     decisions: kinds.Decisions = 20_000
@@ -64,7 +64,7 @@ class RehearsalSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettin
     # in all, and in four fifths with trials and the validation's; SAC's rate is higher by as much. Where it arrives in
     # all and in all trials, two thirds of them at the usual rate. 1: all decisions
     share_of_decisions: Annotated[float, Ge(0.1), Le(1)] = 0.5
-    # at most, each as short as that share, where fewer than nine tenths of the training's latest episodes arrive (SAC)
+    # At most so many further trainings follow while fewer than nine tenths of the latest episodes arrive (SAC).
     further_trainings: Annotated[int, Ge(0), Le(20)] = 2
     environments: Annotated[int, Ge(1), Le(1024)] = 16  # of the training
     hidden: kinds.Units = 256  # units of both layers, where it starts from nothing

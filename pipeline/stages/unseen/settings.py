@@ -53,7 +53,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
     arches: Annotated[str, kinds.one_of(*TRAINING_KINDS)] = TEST_PHANTOM
     points: Annotated[int, Ge(1), Le(20)] = 3  # that each arch of arch_variety has as targets
     targets: kinds.FolderNames = field(default_factory=lambda: list(TARGETS))  # of every policy in random arches
-    # of the tests in `phantoms`; none: those of the policies
+    # Targets of the tests in `phantoms`; an empty list takes those of the policies.
     own_targets: kinds.TargetNames = field(default_factory=list)
     accuracy: kinds.Accuracy = "fast"  # of the physics that policies are trained in; tests are accurate
     anatomies: kinds.Count = 160  # random arches that the roadmap policy is trained on
@@ -65,7 +65,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
     demonstrations: kinds.CountOrNone = 0  # that the sampling expert tries, in as many arches
     # of the roadmap policy's training, whose success rose until 48,000; 0: that of `policy` is taken as it is
     decisions: kinds.CountOrNone = 48_000
-    # of each of the curve's policies, the one on `anatomies` arches among them
+    # Decisions of each of the curve's policies, which include the one on `anatomies` arches.
     curve_decisions: kinds.Decisions = 12_000
     hidden: kinds.Units = 256  # units of each of their two layers
     training: kinds.Hyperparameters = None  # their hyper-parameters: fields of enn's SacSettings or PpoSettings
@@ -74,7 +74,7 @@ class UnseenSettings(ChosenAnatomies, StartingPolicySettings, kinds.JobSettings)
     # also the policy that observes images without noise and the wire's true mask: what noise and segmentation cost
     image: bool = False
     xray: bool = True  # also the one that sees noisy X-ray images and a contrast run, and finds the wire itself
-    # of noisy X-ray, an image of each a decision: two are those of a bi-planar fluoroscope
+    # Views of the noisy X-ray, one image each a decision; two views are a bi-planar fluoroscope's.
     views: kinds.SomeFolderNames = field(default_factory=lambda: list(ONE_VIEW))
     # side of the square that they show, about the arch, mm in the plane of the isocentre; 0: all of the anatomy
     field_mm: Annotated[float, Ge(0), Le(400)] = 0.0

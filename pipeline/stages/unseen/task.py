@@ -36,7 +36,7 @@ TRAINING_KINDS = {
     TRUNK: (TRUNK, "random_scan", TRUNK, "random_wide", TEST_PHANTOM),
     VARIETY: _VARIETY_KINDS,
 }
-# of the tests' arches by turns
+# Kinds of the tests' arches, which are drawn by turns.
 TEST_KINDS = {TEST_PHANTOM: (TEST_PHANTOM,), STEEP: (STEEP,), TRUNK: (TRUNK,), VARIETY: _VARIETY_KINDS}
 ROADMAP_KEYS = ("roadmap", "history")  # what a policy with a roadmap sees
 RESOLUTION = 1e-3  # m: at 1.5 mm thin walls open, and ways become short cuts

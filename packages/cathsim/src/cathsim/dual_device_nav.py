@@ -32,7 +32,7 @@ WIRE, CATHETER = load_guidewire(DEVICES / "guidewire.yaml"), load_catheter(DEVIC
 PLACEHOLDER = "lcca"  # the target, before an episode draws its own
 _SEEDS = 2**31
 
-# of the 98 episodes in which the task is evaluated, as published
+# Seeds of the 98 episodes in which the task is evaluated, as published.
 TEST_SEEDS: tuple[int, ...] = (
     *(1, 2, 3, 5, 6, 7, 8, 9, 10, 12, 13, 14, 16, 17, 18, 21, 22, 23, 27, 31, 34, 35, 37, 39, 42, 43, 44, 47, 48, 50),
     *(52, 55, 56, 58, 61, 62, 63, 68, 69, 70, 71, 73, 79, 80, 81, 84, 89, 91, 92, 93, 95, 97, 102, 103, 108, 109, 110),

@@ -140,7 +140,7 @@ def _optimise(
         encoder.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, fused=True
     )
     steps = settings.epochs * per_epoch
-    # of ten steps the first phase would have none
+    # With ten steps the first phase would have no step.
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, settings.learning_rate, total_steps=steps + (steps == 10), pct_start=0.1
     )

@@ -38,7 +38,7 @@ class Ellipsoid:
             source: (3,) m, where the rays start, from the phantom's centre; outside the solid.
             directions: (..., 3) unit vectors.
         """
-        # in the space where the solid is the unit sphere, a ray start + s * direction is a quadratic in s
+        # Where the solid is scaled to the unit sphere, a quadratic in s gives where start + s * direction meets it.
         axes = np.asarray(self.semi_axes)
         start = (source - np.asarray(self.centre)) / axes
         along = directions / axes

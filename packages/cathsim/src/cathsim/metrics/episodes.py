@@ -108,7 +108,7 @@ class EpisodeMetrics:
     safety: float  # share of steps below the force limit, 0 to 1
     success: bool  # whether the target was reached in time
     reward: float  # sum over the steps
-    # of the last step; unknown of episodes that were logged without them
+    # The next three describe the last step; episodes that were logged without them leave them unknown.
     branch: str = ""  # in which the tip is
     depth: float | None = None  # of the tip behind the branch's ostium, m
     success_lumen: bool | None = None  # whether the target was reached along the lumen

@@ -211,7 +211,7 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         require_field(field)
         self.environment, self.size, self.draw_clutter, self.every = environment, size, clutter, every
         self.views, self.field, self.background = tuple(views), field, background
-        # of the episode, a view each, where there is clutter
+        # The episode's clutter, one per view; None where there is no clutter.
         self._clutter: list[Clutter | None] | None = None
         self._cluttered_runs: list[tuple[BiplaneFluoroscope, ContrastRun]] | None = None
         if not isinstance(environment.observation_space, gymnasium.spaces.Dict):

@@ -24,7 +24,7 @@ CLAMPS, ROTARIES = (HOLDING_CLAMP, DRIVING_CLAMP), (CATHETER_ROTARY, GUIDEWIRE_R
 CARRIAGE = (GUIDEWIRE_ROTARY, DRIVING_CLAMP)  # platforms that move along the rail together
 JAWS, WHEEL = ("{}_jaw_left", "{}_jaw_right"), "{}_wheel"
 
-# from the patient back, m: the first platform, the way between neighbours, and free rail behind the last
+# Distances from the patient backwards, m: to the first platform, between neighbours, and of rail behind the last.
 FIRST, PITCH, REAR = 0.030, 0.042, 0.025
 RAIL_HEIGHT = 0.036  # of the wire above the rail, m
 

@@ -79,7 +79,7 @@ class ContactForceEstimator:
         self._nominal = simulated_device(*self._case, Deviation())
         self.max_insertion = self._nominal.max_insertion
         self._workers, self._members = workers, [_Member(self._nominal)]
-        # with feeder data, and with a feeder that is found: the same draws, of other widths
+        # Both cases, a measured feeder and one that is found from the curve, take the same draws in other widths.
         self._deviations = tuple(
             deviations(members, one, seed) for one in (self.uncertainty, _of_found_feeder(self.uncertainty))
         )

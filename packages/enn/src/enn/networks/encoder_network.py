@@ -33,7 +33,7 @@ class EncoderSettings:
     shapes: tuple[tuple[Units, ...], ...] = ()
     feeder: Units = 3  # numbers of the observation `feeder`, which it learns to read; 7 with two devices
     pool: Pixels = 2  # side of the squares over which pictures are averaged first
-    # of the convolutions of 4 px that then halve the picture; none: dense layers alone
+    # Channels of the convolutions of 4 px that halve the picture; without any there are dense layers alone.
     channels: tuple[Units, ...] = ()
     hidden: Units = 256  # units of the layer after the convolutions, and of the MLP for vectors
     features: Units = 64

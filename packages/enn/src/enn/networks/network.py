@@ -29,7 +29,7 @@ class NetworkSettings:
     keys: tuple[str, ...] = ()  # observations that the actor sees; none: all
     extractor: str = "vectors"  # "vectors" (flat, normalised) or "multimodal" (`enn.networks.features`)
     variant: str = "desk"  # of the multimodal extractor: "thesis", "desk", or "baselines"
-    # of the multimodal extractor: features an image, 128 in the thesis's table, 256 in its text
+    # Features an image of the multimodal extractor: 128 in the thesis's table, 256 in its text.
     image_features: Units = 128
     hidden: tuple[Units, ...] = (128, 128)
     critic_hidden: tuple[Units, ...] | None = None

@@ -149,7 +149,7 @@ class Distortion:
         x = np.arange(-_GRID_PX, self.width + 2 * _GRID_PX, _GRID_PX)
         y = np.arange(-_GRID_PX, self.height + 2 * _GRID_PX, _GRID_PX)
         coarse = self._backward(np.stack(np.meshgrid(x, y), axis=-1).astype(float))
-        # by cubic splines, which OpenCV does not have
+        # Cubic splines interpolate here, which OpenCV does not have.
         along = np.arange(self.height), np.arange(self.width)
         columns, rows = (RectBivariateSpline(y, x, coarse[..., axis])(*along) for axis in (0, 1))
         return columns.astype(np.float32), rows.astype(np.float32)
@@ -168,7 +168,7 @@ class Distortion:
         if image.shape[:2] != (self.height, self.width) or image.ndim not in (2, 3):
             size = " x ".join(str(side) for side in image.shape[1::-1])
             raise ValueError(f"expected an image of {self.width} x {self.height} px, as the sheet's, found {size}")
-        # of other types, float64 among them, OpenCV takes places to 1/32 px only
+        # OpenCV rounds places to 1/32 px in images of other types, float64 among them.
         known = image.dtype in (np.uint8, np.uint16, np.float32)
         channels = image.shape[2] if image.ndim == 3 else 1
         values = cv2.remap(

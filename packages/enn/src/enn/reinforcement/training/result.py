@@ -57,7 +57,7 @@ class TrainingResult:
     policy: Policy  # the best by evaluation (or the last, when there were none)
     curve: list[dict[str, Any]]
     timings: dict[str, float]  # seconds in all and in parts, and what was done in them
-    # of the best policy: success, stochastic_success, steps, path_mm, force_mean, force_max, decisions
+    # Figures of the best policy: success, stochastic_success, steps, path_mm, force_mean, force_max, decisions.
     evaluation: dict[str, float] | None
 
 

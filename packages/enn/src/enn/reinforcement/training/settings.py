@@ -157,7 +157,7 @@ class PpoSettings(TrainingSettings):
     gae_lambda: Share = 0.95
     clip_range: Annotated[float, Interval(gt=0, le=1e3)] = 0.2
     log_std_init: Annotated[float, Interval(ge=-20, le=2)] = 0.0  # of the actions, logarithm of their deviation
-    # at the end of the budget, to which it falls evenly: drawn actions become the best ones; None: it is learnt
+    # It falls evenly to this value until the budget ends, so that drawn actions become the best; None: it is learnt.
     log_std_final: Annotated[float, Interval(ge=-20, le=2)] | None = None
     # factor on the rewards, for the value's loss, clipped together with the policy's, should not be far larger
     reward_scale: Annotated[float, Interval(gt=0, le=1e6)] = 1.0
