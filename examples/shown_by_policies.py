@@ -4,7 +4,7 @@ Wire and JB2 catheter to steep take-offs of ArchVariety: python examples/shown_b
 shipped was shown the way by `arch_variety_simmons2` of commit 6b117e8, whose place it has taken here.
 
 Micro-guidewire and microcatheter from the groin to carotids and vertebrals: python examples/shown_by_policies.py trees.
-It goes on from `arch_variety_jb2`, which steers there without a further training.
+It goes on from `arch_variety_jb2`, in trees most of which have what that fails in: a left carotid that leaves the BCA.
 """
 
 from __future__ import annotations
@@ -14,18 +14,19 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import count, islice
 from typing import Any
 
 import numpy as np
 import torch
 
 import enn
+from cathsim.anatomy.generator.random_tree import RandomTree, build_random_tree
 from cathsim.anatomy.point_target import Point, as_target, points_beyond_root
 from cathsim.anatomy.vessel_tree import set_back
 from cathsim.arch_variety import ArchVarietyEnv
 from cathsim.dual_device_nav import LONG_CATHETER, LONG_WIRE
 from cathsim.many_anatomies import SHELF, NavigateManyEnv
-from enn.reinforcement.evaluation import EpisodeOutcome, EvaluationResult
 from enn.reinforcement.rehearsal import REHEARSAL, demonstrated, rehearse
 from enn.trajectory import Trajectory
 
@@ -35,6 +36,7 @@ KINDS = ("II",) * 5 + ("IV",) * 4 + ("VI",) * 3 + ("I",) * 2 + ("V", "VII")  # h
 STEEP = 0.005  # m that an ostium lies behind the top of the arch
 HOLD = 2  # steps of 0.133 s for which an action is held
 TREE = "random_tree"
+TRAVEL, SPACING = 120, 20  # steps from the groin to the arch, and between the states of a miss that are kept
 LEFT, RIGHT, VERTEBRAL = (
     ("lcca", "internal_carotid_left"),
     ("rcca", "internal_carotid_right"),
@@ -84,10 +86,16 @@ def steep_cases(first: int, arches: int) -> list[Case]:
     return cases
 
 
-def tree_cases(first: int, trees: int, groups: Sequence[tuple[str, ...]]) -> list[Case]:
+def tree_seeds(first: int, trees: int, *, bovine: bool) -> list[int]:
+    """Give the first trees whose left carotid leaves the BCA, or the first in which it does not."""
+    fitting = (seed for seed in count(first) if (build_random_tree(RandomTree(seed))["lcca"].parent == "bca") == bovine)
+    return list(islice(fitting, trees))
+
+
+def tree_cases(seeds: Sequence[int], groups: Sequence[tuple[str, ...]]) -> list[Case]:
     """Draw a point for each group of vessels in each tree."""
     cases: list[Case] = []
-    for seed in range(first, first + trees):
+    for seed in seeds:
         generator, phantom = np.random.default_rng(seed), SHELF.take((TREE, seed), 1e-3)
         for group in groups:
             vessels = [phantom.tree[name] for name in group]
@@ -97,9 +105,15 @@ def tree_cases(first: int, trees: int, groups: Sequence[tuple[str, ...]]) -> lis
     return cases
 
 
-def shown(cases: list[Case], policies: list[enn.Policy], draws: int, steps: int) -> list[Trajectory]:
-    """Let policies play every case by turns until one of them arrives; give the episodes that did."""
-    env, episodes = training_env(cases, steps), []
+def shown(
+    cases: list[Case], policies: list[enn.Policy], draws: int, steps: int
+) -> tuple[list[Trajectory], list[np.ndarray]]:
+    """Let policies play every case by turns until one of them arrives.
+
+    Returns:
+        The episodes that did; of each other one states on its way from the first TRAVEL steps on.
+    """
+    env, episodes, missed = training_env(cases, steps), [], []
     for case in range(len(cases)):
         for number in range(draws):
             controller = policies[number % len(policies)].controller(deterministic=False, seed=draws * case + number)
@@ -107,8 +121,9 @@ def shown(cases: list[Case], policies: list[enn.Policy], draws: int, steps: int)
             if episode.terminated:
                 episodes.append(episode)
                 break
+            missed.append(np.asarray(episode.simulation_states[TRAVEL::SPACING]))
         print(f"{len(episodes)} of {case + 1} cases were reached", flush=True)
-    return episodes
+    return episodes, [states for states in missed if len(states)]
 
 
 def training_env(cases: list[Case], steps: int, **arguments: Any) -> OwnPoints:
@@ -125,7 +140,7 @@ def main(
     start, other = enn.load("generalist_jb2"), enn.load("arch_variety_jb2")
     start.action_repeat = HOLD
     cases, validation = steep_cases(2000, arches), steep_cases(3000, -(-arches // 5))
-    episodes = shown(cases, [start, other], draws, steps)
+    episodes, _ = shown(cases, [start, other], draws, steps)
     settings = replace(
         REHEARSAL,
         decisions=decisions,
@@ -149,27 +164,28 @@ def main(
     return result
 
 
-def trees(
-    trees: int = 24, decisions: int = 10_000, draws: int = 2, steps: int = 300, folder: str | None = FOLDER_OF_TREES
-) -> Any:
-    """Train in trees; give the result.
+def trees(trees: int = 16, decisions: int = 16_000, steps: int = 300, folder: str | None = FOLDER_OF_TREES) -> Any:
+    """Train in trees; give the result, whose policy is that of the last decision.
 
-    It starts from the actor of `arch_variety_jb2`, which shows the way itself, and the critics of `generalist_jb2`.
+    It starts from the actor of `arch_variety_jb2`, which shows the way itself, and the critics of `generalist_jb2`;
+    episodes begin at times where that one missed.
     """
     torch.set_num_threads(1)
-    SHELF.capacity = max(SHELF.capacity, 4 * trees)
+    SHELF.capacity = max(SHELF.capacity, trees)
     start, actor = enn.load("generalist_jb2"), enn.load("arch_variety_jb2").module.state_dict()
     weights = start.module.state_dict()
     start.module.load_state_dict(weights | {name: actor[name] for name in weights if name.startswith("actor.")})
     start.action_repeat = HOLD
-    cases = tree_cases(2000, trees, (LEFT, LEFT, RIGHT, VERTEBRAL))
-    validation = tree_cases(3000, -(-trees // 12), (LEFT, RIGHT, VERTEBRAL))
+    hard = -(-3 * trees // 4)
+    cases = tree_cases(tree_seeds(2000, hard, bovine=True), (LEFT, LEFT))
+    cases += tree_cases(tree_seeds(2000, trees - hard, bovine=False), (LEFT, RIGHT, VERTEBRAL))
+    episodes, missed = shown(cases, [start], 1, steps)
     settings = replace(
         REHEARSAL,
         decisions=decisions,
         buffer_size=max(decisions, 1000),
-        evaluate_every=decisions,
-        evaluation_episodes=len(validation),
+        evaluate_every=0,
+        start_state_buffer_share=0.6,
         gradient_steps=1.0,
         learning_rate=1.5 * REHEARSAL.learning_rate,
         stop_after=0,
@@ -177,14 +193,13 @@ def trees(
         n_envs=8,
     )
     return rehearse(
-        partial(training_env, cases, steps - 50, observe_every=HOLD),
-        make_validation_env=partial(training_env, validation, steps + 100, observe_every=HOLD),
+        partial(training_env, cases, steps, accuracy="fast", observe_every=HOLD),
         policy=start,
         settings=settings,
-        demonstrations=shown(cases, [start], draws, steps),
+        demonstrations=episodes,
+        starts=missed,
         folder=folder,
         metadata={"task": {"pace": "arch_variety", "catheter": "dual_device_nav/catheter.yaml"}},
-        first_result=EvaluationResult((EpisodeOutcome(False, 1, -1e3, 1.0, 0.0, 0.0),)),  # the latest is kept
         progress=lambda now: print(f"{now.decisions} of {now.total} decisions", flush=True),
     )
 

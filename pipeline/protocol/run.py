@@ -196,10 +196,12 @@ def inputs(claim: Claim) -> dict[str, str]:
             return {"reader": hash_file(path)}
     if not isinstance(claim, (Navigation, Rehearsal)):
         return {}
+    if isinstance(claim, Rehearsal):
+        from pipeline.stages.rehearsal.start import shipped_policies
+
+        return {path.stem: hash_file(path) for path in shipped_policies()}
     from enn.shipped import weight_files
 
-    if isinstance(claim, Rehearsal):  # it chooses among all
-        return {path.stem: hash_file(path) for path in weight_files()}
     return {path.stem: hash_file(path) for path in weight_files() if path.stem in claim.policies} | navigation.files(
         claim
     )

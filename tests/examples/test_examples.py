@@ -98,16 +98,18 @@ def test_a_policy_learns_from_what_others_show(example: ModuleType, tmp_path: Pa
 
 @of("shown_by_policies")
 def test_a_policy_of_arches_learns_trees(example: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    cases = example.tree_cases(2000, 1, (example.LEFT, example.VERTEBRAL))
+    assert example.tree_seeds(2000, 1, bovine=True) != example.tree_seeds(2000, 1, bovine=False)
+    cases = example.tree_cases([2000], (example.LEFT, example.VERTEBRAL))
     env = example.training_env(cases, 5)
     assert env.reset(options={"case": 1})[1]["phantom"] == "random_tree_2000"
     assert env.phantom.target(env.task.target).branch.startswith("vertebral")
     assert env.simulation.pair.catheter.length == 1.05
-    # episodes are short, and the trees of training and validation one: a tree takes seconds
-    cases_of, env_of = example.tree_cases, example.training_env
-    monkeypatch.setattr(example, "tree_cases", lambda first, *rest: cases_of(2000, *rest))
+    # episodes are short, and there is one tree: a tree takes seconds
+    env_of = example.training_env
+    monkeypatch.setattr(example, "tree_seeds", lambda first, trees, bovine: [2000] * trees)
+    monkeypatch.setattr(example, "TRAVEL", 5)
     monkeypatch.setattr(example, "training_env", lambda cases, steps, **more: env_of(cases, min(steps, 20), **more))
-    result = example.trees(trees=1, decisions=32, draws=1, steps=55, folder=str(tmp_path))
+    result = example.trees(trees=1, decisions=32, steps=55, folder=str(tmp_path))
     assert result.timings["decisions"] == 32
     assert result.policy.critics
     assert result.policy.action_repeat == example.HOLD

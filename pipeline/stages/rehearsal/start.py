@@ -161,10 +161,15 @@ def with_devices_of(path: Path, task: Task) -> Task:
 
 def known_policies(run_path: Path, seed: int) -> list[Path]:
     """Policies of many anatomies by a roadmap: the one of a run, if it was trained, before those that are shipped."""
+    places = [policy_folder(run_path / name, ROADMAP, seed) / POLICY for name in ("unseen", f"unseen@seed={seed}")]
+    return [*[file for file in places if file.is_file()][:1], *shipped_policies()]
+
+
+def shipped_policies() -> list[Path]:
+    """Files of the shipped policies, but those that were trained with a catheter that is no preset's name."""
     from enn.shipped import weight_files
 
-    places = [policy_folder(run_path / name, ROADMAP, seed) / POLICY for name in ("unseen", f"unseen@seed={seed}")]
-    return [*[file for file in places if file.is_file()][:1], *weight_files()]
+    return [file for file in weight_files() if not (_read(file).catheter or "").endswith(".yaml")]
 
 
 def advising_policies(run_path: Path, seed: int, task: Task, start: Path | None) -> list[Path]:
@@ -198,11 +203,9 @@ def _of_catheter(files: Sequence[Path], catheter: str | None) -> list[Path]:
 
 def policy_hashes(run_path: Path) -> dict[str, str]:
     """Hashes of the policies that a rehearsal of any seed may start from: its results depend on them."""
-    from enn.shipped import weight_files
-
     own = sorted(run_path.glob(f"unseen*/{ROADMAP}/seed*/{POLICY}"))
     return {str(file.relative_to(run_path)): hash_file(file) for file in own} | {
-        f"shipped/{file.name}": hash_file(file) for file in weight_files()
+        f"shipped/{file.name}": hash_file(file) for file in shipped_policies()
     }
 
 

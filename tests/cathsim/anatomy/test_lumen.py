@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from cathsim.anatomy import SignedDistanceGrid, surface
 from cathsim.anatomy.centreline import LumenPaths
-from cathsim.anatomy.distance_grid import wall_distances
+from cathsim.anatomy.distance_grid import in_cylinder, plane_coordinates, wall_distances
 from cathsim.anatomy.lumen import build_lumen
 from cathsim.anatomy.surface import open_ends
 
@@ -157,3 +157,13 @@ def test_centrelines_of_a_tee():
     assert (way[-1] == ends[1]).all()
     middle = way[(np.abs(way[:, 2] - 25) < 8)]
     assert np.abs(middle[:, :2] - 15).max() <= 2  # it keeps to the tube's axis
+
+
+def test_points_in_a_cylinder_are_those_of_its_heights_and_distances() -> None:
+    rng = np.random.default_rng(0)
+    points, centre, normal = rng.normal(size=(2001, 3)), rng.normal(size=3), np.array([0.6, 0.0, 0.8])
+    height, aside = plane_coordinates(points, centre, normal)
+    rows, over = in_cylinder(points, centre, normal, (-0.7, 0.4), 1.1)
+    assert 50 < len(rows) < 1000
+    np.testing.assert_array_equal(rows, np.flatnonzero((height > -0.7) & (height < 0.4) & (aside < 1.1)))
+    np.testing.assert_array_equal(over, height[rows])

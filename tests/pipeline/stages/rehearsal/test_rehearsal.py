@@ -400,3 +400,8 @@ def test_a_newton_costs_more_with_two_devices_and_where_the_wire_presses() -> No
         for given in (0.0, 0.2):
             assert RehearsalSettings(force_penalty=given).price_of_force(alone, tried) == given
             assert RehearsalSettings(force_penalty=given).price_of_force(both) == given
+
+
+def test_policies_of_devices_that_are_no_presets_take_no_part() -> None:
+    left_out = {file.stem for file in weight_files()} - {file.stem for file in start.shipped_policies()}
+    assert left_out == {"random_trees"}

@@ -194,6 +194,24 @@ def plane_coordinates(points: Array, centre: Array, normal: Array) -> tuple[Arra
     return height, np.linalg.norm(offset - height[..., None] * normal, axis=-1)
 
 
+def in_cylinder(
+    points: Array, centre: Array, normal: Array, heights: tuple[float, float], radius: float
+) -> tuple[NDArray[np.int64], Array]:
+    """Which of points (n, 3) m lie in a cylinder about a plane's unit normal, and how far (k,) m over the plane.
+
+    Args:
+        centre: (3,) m, of the plane, on the cylinder's axis.
+        heights: m over the plane between which the cylinder lies.
+        radius: m, of the cylinder.
+    """
+    offset = points - centre
+    height = offset @ normal
+    rows = np.flatnonzero((height > heights[0]) & (height < heights[1]))
+    aside = np.linalg.norm(offset[rows] - height[rows, None] * normal, axis=1)
+    rows = rows[aside < radius]
+    return rows, height[rows]
+
+
 def wall_distances(
     grid: SignedDistanceGrid, points: Array, tangents: Array, *, rays: int = 16, reach: float = 0.030
 ) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cathsim.anatomy.centreline import arc_length, resampled
-from cathsim.anatomy.distance_grid import SignedDistanceGrid, across_frames, plane_coordinates
+from cathsim.anatomy.distance_grid import SignedDistanceGrid, across_frames, in_cylinder
 from cathsim.anatomy.lumen import OUTSIDE, PADDING
 from cathsim.anatomy.mesh.cavity import Cavity, largest_part
 from cathsim.anatomy.mesh.ends import VesselEnd
@@ -211,9 +211,9 @@ def distance_grid(
     sign[close[unsure]] = np.where(side[unsure] >= 0, 1.0, -1.0)
     distance *= sign
     for end in ends:
-        height, aside = plane_coordinates(points, end.centre, end.normal)
-        beside = (np.abs(height) < 1.5 * end.radius) & (aside < 1.4 * end.radius)
-        distance[beside] = np.minimum(distance[beside], -height[beside])
+        heights = -1.5 * end.radius, 1.5 * end.radius
+        beside, height = in_cylinder(points, end.centre, end.normal, heights, 1.4 * end.radius)
+        distance[beside] = np.minimum(distance[beside], -height)
     # Where flat ends meet the wall single points may come out on the wrong side: only what hangs together is lumen.
     positive = np.flatnonzero(distance > 0)
     loose = positive[~_largest_component(indices[positive], shape)]

@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from cathsim.anatomy.distance_grid import OUTSIDE, SignedDistanceGrid, plane_coordinates
+from cathsim.anatomy.distance_grid import OUTSIDE, SignedDistanceGrid, in_cylinder
 from cathsim.anatomy.surface import open_ends
 from cathsim.anatomy.vessel_tree import VesselTree
 from cathsim.validation import Unit, settings
@@ -71,9 +71,8 @@ def _away_from_ends(tree: VesselTree, points: Array) -> Array:
     """0 at the flat openings of a tree to 1 from _FLAT (m) inside them on: openings stay flat and where they are."""
     share = np.ones(len(points))
     for centre, normal, radius in open_ends(tree):
-        height, aside = plane_coordinates(points, centre, normal)
-        end_zone = (aside < 1.5 * radius) & (np.abs(height) < _FLAT)
-        share[end_zone] = np.minimum(share[end_zone], np.clip(-height[end_zone] / _FLAT, 0.0, 1.0))
+        end_zone, height = in_cylinder(points, centre, normal, (-_FLAT, _FLAT), 1.5 * radius)
+        share[end_zone] = np.minimum(share[end_zone], np.clip(-height / _FLAT, 0.0, 1.0))
     return share
 
 

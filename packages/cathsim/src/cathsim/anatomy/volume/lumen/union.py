@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from cathsim.anatomy.distance_grid import plane_coordinates
+from cathsim.anatomy.distance_grid import in_cylinder
 from cathsim.anatomy.volume.labels.family import Family, Link
 from cathsim.anatomy.volume.lumen.smoothing import VesselField, smooth_vessel
 
@@ -77,12 +77,10 @@ class Union:
     def _capped(self, number: int, points: Array) -> Field:
         values = self.fields[number].sample(points)
         for end in self.ends.get(number, ()):
-            height, aside = plane_coordinates(points, end.base, end.normal)
-            beyond = np.flatnonzero(
-                (height > 0) & (height < 3 * end.radius + end.beyond) & (aside < _CAP_WIDTH * end.radius)
-            )
-            flat = self.fields[number].sample(points[beyond] - height[beyond, None] * end.normal)
-            values[beyond] = np.minimum(flat, (end.beyond - height[beyond]).astype(np.float32))
+            heights = 0.0, 3 * end.radius + end.beyond
+            beyond, height = in_cylinder(points, end.base, end.normal, heights, _CAP_WIDTH * end.radius)
+            flat = self.fields[number].sample(points[beyond] - height[:, None] * end.normal)
+            values[beyond] = np.minimum(flat, (end.beyond - height).astype(np.float32))
         if number in self.channels:
             from scipy.spatial import cKDTree
 
