@@ -3,8 +3,9 @@
 Wire and JB2 catheter to steep take-offs of ArchVariety: python examples/shown_by_policies.py. The policy that is
 shipped was shown the way by `arch_variety_simmons2` of commit 6b117e8, whose place it has taken here.
 
-Micro-guidewire and microcatheter from the groin to carotids and vertebrals: python examples/shown_by_policies.py trees.
-It goes on from `arch_variety_jb2`, in trees most of which have what that fails in: a left carotid that leaves the BCA.
+Micro-guidewire and microcatheter from the groin to carotids and vertebrals:
+python examples/shown_by_policies.py trees [SEED]. It goes on from `arch_variety_jb2`, in trees most of which have what
+that fails in: a left carotid that leaves the BCA.
 """
 
 from __future__ import annotations
@@ -164,7 +165,9 @@ def main(
     return result
 
 
-def trees(trees: int = 16, decisions: int = 16_000, steps: int = 300, folder: str | None = FOLDER_OF_TREES) -> Any:
+def trees(
+    trees: int = 16, decisions: int = 16_000, steps: int = 300, folder: str | None = FOLDER_OF_TREES, seed: int = 0
+) -> Any:
     """Train in trees; give the result, whose policy is that of the last decision.
 
     It starts from the actor of `arch_variety_jb2`, which shows the way itself, and the critics of `generalist_jb2`;
@@ -199,10 +202,14 @@ def trees(trees: int = 16, decisions: int = 16_000, steps: int = 300, folder: st
         demonstrations=episodes,
         starts=missed,
         folder=folder,
+        seed=seed,
         metadata={"task": {"pace": "arch_variety", "catheter": "dual_device_nav/catheter.yaml"}},
         progress=lambda now: print(f"{now.decisions} of {now.total} decisions", flush=True),
     )
 
 
 if __name__ == "__main__":
-    trees() if sys.argv[1:] == ["trees"] else main()
+    if sys.argv[1:2] == ["trees"]:
+        trees(seed=int(sys.argv[2]) if sys.argv[2:] else 0)
+    else:
+        main()
