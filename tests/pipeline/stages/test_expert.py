@@ -55,7 +55,7 @@ def test_evaluations_have_starts_and_seeds_of_the_policies_and_are_alone_in_the_
 
 def test_a_catheter_alone_is_steered_and_stands_apart_in_the_tables(tmp_path: Path) -> None:
     settings = ExpertSettings(phantoms=["type_1"], targets=["bca"], episodes=1, evaluation_episodes=1, film=False,
-                              task=Task(max_steps=2), wire="none", catheter="vertebral", threads=1)  # fmt: skip
+                              task=Task(max_steps=2, wire="none", catheter="vertebral"), threads=1)  # fmt: skip
     run_expert(settings, context(tmp_path, "expert", reads=())).write(tmp_path / "expert")
     log = tmp_path / "expert/type_1/bca/evaluation/000.mcap"
     assert not check(log).problems

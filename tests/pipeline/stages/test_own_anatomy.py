@@ -145,11 +145,9 @@ def test_a_changed_file_is_refused_by_replay_and_left_out_of_the_report(mesh: Pa
 
 
 def test_unseen_tests_in_the_file_what_it_learnt(mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("stage", "task"):
-        monkeypatch.setattr(f"pipeline.stages.unseen.{module}.training_arch", lambda seed, arches: ("random", 3))
+    monkeypatch.setattr("pipeline.stages.unseen.task.training_arch", lambda seed, arches: ("random", 3))
     monkeypatch.setattr("pipeline.stages.unseen.stage.training_arches", lambda run, count: range(3, 3 + count))
-    for module in ("stage", "trials"):
-        monkeypatch.setattr(f"pipeline.stages.unseen.{module}.unseen_arches", lambda count: range(3, 3 + count))
+    monkeypatch.setattr("pipeline.stages.unseen.trials.unseen_arches", lambda count: range(3, 3 + count))
     monkeypatch.setattr("pipeline.stages.unseen.stage.validation_arches", lambda count, every: range(3, 3 + count))
     folder = run_stage("unseen", tmp_path, f"phantom.file='{mesh}'", "phantom.unit=mm", NAMES, f"target={TARGET}")
     (log,) = folder.rglob("my_patient/*.mcap")

@@ -26,6 +26,7 @@ DESK = PolicyTrainingJob(
     keys=("image", "mask", "joints"),
     evaluation_episodes=30,
     drawn_episodes=5,
+    run=Path("run"),
     origin=Origin("enn", "I+V+M", 0, "desk"),
     encoder=Path("encoder.pt"),
     demonstrations=(Path("000.mcap"), Path("001.mcap"), Path("002.mcap")),

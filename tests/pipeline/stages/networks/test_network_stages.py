@@ -58,7 +58,7 @@ def test_shape_leaves_networks_tables_and_figures(run: Path, shapes: dict) -> No
         assert cells["max_ed"][0] >= cells["mers"][0] > 0
         assert cells["frechet"][0] >= cells["chamfer"][0] > 0
     figures = json.loads((run / "shape" / "figures.json").read_text())
-    assert len(figures) == 4
+    assert len(figures) == 3
     assert sorted(p.name for p in (run / "shape" / "fgrn").iterdir()) == [
         "examples.npz", "predictor.pt", "shape.json", "tensorboard", "training.json",
     ]  # fmt: skip
@@ -74,7 +74,7 @@ def test_segmentation_leaves_networks_tables_and_figures(run: Path, masks: dict)
         assert cells["n"] == 4
         assert cells["miou"][0] >= cells["iou_foreground"][0]
         assert masks["segmentation"][row]["jaccard"] == cells["iou_foreground"]
-    assert len(json.loads((run / "segmentation" / "figures.json").read_text())) == 3
+    assert len(json.loads((run / "segmentation" / "figures.json").read_text())) == 2
 
 
 def test_a_finished_network_is_kept(run: Path, shapes: dict, monkeypatch: pytest.MonkeyPatch) -> None:
