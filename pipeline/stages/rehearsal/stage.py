@@ -59,9 +59,8 @@ def check_rehearsal(settings: RehearsalSettings) -> None:
 
 
 def run_rehearsal(settings: RehearsalSettings, context: StageContext) -> Results:
-    """Imports the scan, tests the policy to start from, rehearses, and tests again."""
+    """Tests the policy to start from in the scan and its copies, rehearses, and tests again."""
     try:
-        settle(settings)
         phantom = load_anatomy(settings.anatomy(settings.phantoms[0]))
         target = settings.targets[0]
         phantom.entry(settings.task.entry)
