@@ -121,9 +121,9 @@ def black(side: int, path: Path, records: int, make_episode: Any) -> Path:
 
 
 def test_a_log_takes_no_more_memory_than_its_size_allows(make_episode, tmp_path: Path) -> None:
-    """28 black pictures of 4,096 x 4,096 px: 470 MB in 0.3 MB."""
+    """28 black pictures of 4,096 x 4,096 px: 470 MB in 0.1 MB."""
     path = black(4096, tmp_path / "bomb.mcap", 28, make_episode)
-    assert path.stat().st_size < 300_000
+    assert path.stat().st_size < 200_000
     done = subprocess.run([sys.executable, "-c", USES, str(path)], capture_output=True, text=True, check=True)
     uses = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("used")]
     assert len(uses) == 4
