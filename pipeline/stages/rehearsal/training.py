@@ -87,15 +87,18 @@ def demonstrate(job: RehearsalJob, report: Report) -> dict[str, list[int]]:
     map_simulations()
     turns = job.rules.turns(job.demonstrators, job.start, job.trial_statistics)
     names, counts, workers = policy_names(job), dict[str, list[int]](), Workers(PARTS)
-    with contextlib.closing(workers), contextlib.suppress(StopIteration):
-        turn = next(turns)
-        while True:
+    with contextlib.closing(workers):
+        turn = next(turns, None)
+        while turn is not None:
             name = EXPERT if turn.policy is None else names[turn.policy]
             play = partial(_expert_demonstrations if turn.policy is None else _policy_demonstrations, job, turn, report)
             arrivals = [one for part in workers.each(play, range(PARTS)) for one in part]
             played, arrived_before = counts.get(name, [0, 0])
             counts[name] = [played + len(arrivals), arrived_before + sum(arrivals)]
-            turn = turns.send(arrivals)
+            try:
+                turn = turns.send(arrivals)
+            except StopIteration:
+                turn = None
     return counts
 
 

@@ -134,6 +134,13 @@ def test_a_saved_moment_goes_on_alike_with_its_noise_and_clutter(every: int) -> 
         seen, restored = one.step(FORWARD)[0], other.step(FORWARD)[0]
 
 
+def test_what_is_no_saved_moment_is_one_sentence() -> None:
+    env = environment()
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"expected what env.state\(\) gave, got dict without clutter, dots, "):
+        env.restore({})
+
+
 def test_it_renders_as_its_environment_and_gives_images_of_its_own() -> None:
     inner = NavigateEnv(load_phantom("type_1"), observation=("tip",), render_mode="fluoroscopy", accuracy="fast")
     env = XrayEnvironment(inner, 64)

@@ -25,7 +25,7 @@ from cathsim.robot.feeders import ROTATION_STEP as ROTATION_STEP
 from cathsim.robot.feeders import TRANSLATION_STEP as TRANSLATION_STEP
 from cathsim.robot.feeders import Feeders
 from cathsim.simulation import CONTROL_STEP
-from cathsim.validation import Count, quantity
+from cathsim.validation import Count, quantity, require_saved
 from cathsim.viewing.display import MODES, Display, modes_here
 
 if TYPE_CHECKING:
@@ -354,10 +354,7 @@ class NavigateEnv(Specified, gymnasium.Env[Any, np.ndarray]):
         Raises:
             ValueError: `state` gave no such dictionary; the environment stays as it is.
         """
-        missing = sorted(_SAVED - state.keys()) if isinstance(state, dict) else None
-        if missing or missing is None:
-            got = type(state).__name__ + (f" without {', '.join(missing)}" if missing else "")
-            raise ValueError(f"expected what env.state() gave, got {got}: save a moment by env.state() first")
+        require_saved(state, _SAVED)
         if state["target"] != self.task.target:
             self._set_task(dataclasses.replace(self._own_task, target=state["target"]))
         self.simulation.restore(state["simulation"])

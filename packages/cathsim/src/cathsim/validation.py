@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
@@ -61,6 +61,18 @@ Coordinate = Annotated[float, Interval(ge=-10, le=10), Unit("m")]
 
 
 _CONFIGURATION = ConfigDict(allow_inf_nan=False, arbitrary_types_allowed=True, extra="forbid")
+
+
+def require_saved(state: object, keys: Set[str]) -> None:
+    """Refuses what an environment's `state` did not give.
+
+    Raises:
+        ValueError: it is no dictionary with these keys.
+    """
+    missing = sorted(keys - state.keys()) if isinstance(state, dict) else None
+    if missing or missing is None:
+        got = type(state).__name__ + (f" without {', '.join(missing)}" if missing else "")
+        raise ValueError(f"expected what env.state() gave, got {got}: save a moment by env.state() first")
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(dataclasses.field,))

@@ -29,9 +29,11 @@ from cathsim.observations.fluoroscopes import catheter_in, frame_of, material_of
 from cathsim.observations.framing import arch_centre, framed, raised_bath, require_field
 from cathsim.observations.observables import DOT_SHARE, LEAST_DOT
 from cathsim.observations.roadmap import target_image
+from cathsim.validation import require_saved
 
 VIEW = "frontal"
 RUN_FRAMES = 16  # of the contrast run before the contrast medium comes, about a second: their mean has less noise
+_SAVED = {"environment", "generator", "noise", "step", "pictures", "dots", "clutter"}  # of a saved moment
 MOVING, FILLED = "fluid", "contrast"  # fillings of the lumen: while the devices move, and in the contrast run
 
 Clutter = NDArray[np.float32]  # (size, size), attenuation of what lies before or behind the scene
@@ -273,7 +275,12 @@ class XrayEnvironment(gymnasium.Env[Any, np.ndarray]):
         }
 
     def restore(self, state: dict[str, Any]) -> dict[str, Any]:
-        """Goes on where an environment with the same arguments was saved by `state`; returns the observation."""
+        """Goes on where an environment with the same arguments was saved by `state`; returns the observation.
+
+        Raises:
+            ValueError: `state` gave no such dictionary.
+        """
+        require_saved(state, _SAVED)
         observation = self.environment.restore(state["environment"])
         self.np_random.bit_generator.state = state["generator"]
         self._noise, self._step = state["noise"], state["step"]
